@@ -37,30 +37,30 @@ check: $(READY)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# where the time of a frame goes in every scene, beside the plain PyBullet pipeline; then the coordinator with a million
-# jobs and the reader, held against their targets: fifteen minutes of an otherwise idle machine
+# time of a frame by stage in every scene, compared with the plain PyBullet pipeline; then the coordinator with a million
+# jobs and the reader, compared with their targets: fifteen minutes on an otherwise idle machine
 bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
 	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
-# (PEERS=--no-peers leaves them out); every dataset must equal that of a calm run
+# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 $(PEERS)
 
-# ten thousand faults that somebody felt: an hour of both cores; goes on where it was stopped
+# ten thousand faults with an observed effect: one hour on two cores; a stopped campaign continues
 chaos-long: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 $(PEERS) --tally build/chaos.json
 
-# fifty ledgers deleted, replaced by older copies, truncated and damaged in the middle of runs; goes on where it was stopped
+# fifty ledgers deleted, replaced by older copies, truncated and damaged during runs; a stopped campaign continues
 ledger-accidents: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.ledger_accidents --moments 50 --tally build/ledger-accidents.json
 
-# every format with sizes and times, and what reads it: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
-# Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in environments of their own, 17 GB in
-# all; with VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer the loader of ViNT and NoMaD as well
+# every format with sizes, times and its readers: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
+# Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate environments, 17 GB in
+# total; with VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer the loader of ViNT and NoMaD as well
 test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.ready $(JUDGE)-readers/.ready
 	rm -rf build/formats
 	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
@@ -83,20 +83,20 @@ $(JUDGE)/.ready:
 	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb
 	touch $(JUDGE)/.ready
 
-# torchvision of that time asks PyAV for what later versions do not know
+# torchvision of that release uses functions that later versions of PyAV removed
 $(JUDGE)-v2.1/.ready:
 	python3.12 -m venv $(JUDGE)-v2.1
 	$(JUDGE)-v2.1/bin/python -m pip install --quiet "lerobot==0.3.3" "av==15.1.0"
 	touch $(JUDGE)-v2.1/.ready
 
-# gym 0.23 can only be built by setuptools of its time
+# gym 0.23 builds only with an old setuptools
 $(JUDGE)-habitat/.ready:
 	$(PYTHON) -m venv $(JUDGE)-habitat
 	$(JUDGE)-habitat/bin/python -m pip install --quiet "setuptools<66" wheel
 	$(JUDGE)-habitat/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh
 	touch $(JUDGE)-habitat/.ready
 
-# with the project itself beside them, which the RLDS builder and `factory view` are part of
+# with the project itself, which contains the RLDS builder and `factory view`
 $(JUDGE)-readers/.ready: requirements.txt
 	$(PYTHON) -m venv $(JUDGE)-readers
 	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
@@ -105,12 +105,12 @@ $(JUDGE)-readers/.ready: requirements.txt
 	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(JUDGE)-readers/.ready
 
-# the wheel in fresh environments of Python 3.11, 3.12 and 3.13, as far as they are on PATH or in PYENV_ROOT: what the base
-# install reads and shows, what the extra `sim` adds, and what happens beside factory_boy; minutes, installs packages
+# the wheel in fresh environments of Python 3.11, 3.12 and 3.13, if they are on PATH or in PYENV_ROOT: the base install,
+# the extra `sim`, and an installation beside factory_boy; takes minutes and installs packages
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
 
-# training, recipes and their tests, in an environment of their own: PyTorch is large. Triton comes with PyTorch's default
+# training, recipes and their tests, in a separate environment, because PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build
 test-train: $(TRAIN)/.ready
 	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/dataset/test_dataset.py tests/integration/test_train.py \
@@ -124,16 +124,16 @@ $(TRAIN)/.ready: requirements.txt
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(TRAIN)/.ready
 
-# compiles seeds 0-19 of all built-in scenes and holds each to the contract: ten minutes, not in CI
+# compiles seeds 0-19 of all built-in scenes and runs the contract suite on each: ten minutes, not in CI
 scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
 # every parser of foreign bytes (messages, plans, bundles, scenes, tables, stages) on damaged files, in processes with 4 GiB:
-# fails on an exception that is not ours, a crash or a hang; the input is left in build/fuzz
+# fails on an undocumented exception, a crash or a hang; the input is kept in build/fuzz
 fuzz: $(READY)
 	$(VENV)/bin/python -m tests.fuzz.campaign --minutes 12
 
-# known vulnerabilities of the locked packages; says so where no advisory database can be reached
+# known vulnerabilities of the locked packages; prints a notice if no advisory database is reachable
 audit: $(AUDIT)/.ready
 	$(AUDIT)/bin/python tests/judges/audit.py $(AUDIT)/bin/pip-audit requirements.txt
 
@@ -142,7 +142,7 @@ $(AUDIT)/.ready:
 	$(AUDIT)/bin/python -m pip install --quiet "pip-audit==2.10.1"
 	touch $(AUDIT)/.ready
 
-# the documents and the API reference as a site in build/site, which needs no network to be read; fails on a broken link
+# the documents and the API reference as a site in build/site, readable without a network; fails on a broken link
 docs: $(DOCS)/.ready
 	$(DOCS)/bin/python -m mkdocs build --strict --site-dir build/site
 

@@ -1,6 +1,22 @@
-"""Truth: plan expansion, the ledger, the lease protocol, validation and the archive. Never simulates, never renders.
+"""Coordinator of a run: plan expansion, ledger, lease protocol, validation and archive.
 
-Import from the modules by name; those listed are for use from outside.
+The package does not simulate and does not render.
+
+Import from the submodules; `__all__` lists those that other packages use.
 """
 
-__all__ = ["admin", "archive", "check", "dataset", "gateway", "ledger", "plan", "repair", "service", "settings", "wire"]
+__all__ = [
+    "admin",
+    "archive",
+    "expansion",
+    "gateway",
+    "ledger",
+    "protocol",
+    "recovery",
+    "service",
+    "settings",
+    "status",
+    "tables",
+    "transfer",
+    "validation",
+]

@@ -1,6 +1,6 @@
-"""Carries out an operator's wish on a dataset directory: through the coordinator that runs there, else in its place.
+"""Executes an admin request on a dataset directory: through its running coordinator, or on the ledger if none runs.
 
-Never opens a second writer: without the directory's lock it changes nothing.
+The module does not open a second writer: it changes nothing unless it holds the lock of the directory.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from coordinator.archive.staging import Staging
 from coordinator.ledger import hosts, operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
-from coordinator.ledger.reading.look import damage_translated, look_into, require_sound
+from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
 from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
@@ -32,33 +32,33 @@ def administer(
     name: str = OPERATOR,
     tls: TlsFiles | None = None,
 ) -> AdminReply:
-    """Carries out an operator's wish; repeating it changes nothing more.
+    """Executes an admin request. The request is idempotent.
 
     Args:
         root: dataset directory.
-        request: the wish.
-        now: of the wish.
-        ledger_url: where the ledger is, when not in the directory.
-        name: who asks; with TLS the name in the certificate.
-        tls: to connect to a running coordinator with, when it wants that.
+        request: the request.
+        now: time of the request.
+        ledger_url: URL of the ledger; by default the ledger in the directory.
+        name: name of the requester; with TLS the common name of its certificate.
+        tls: TLS files for the connection to a running coordinator; `None` connects without TLS.
 
     Raises:
-        WorldError: there is no ledger, or a coordinator holds the directory and cannot be asked.
-        UsageError: the ledger is of a newer format, or there is nobody to drain.
+        WorldError: the ledger does not exist, or a coordinator holds the directory and cannot be reached.
+        UsageError: the ledger has a newer format, or a drain is requested and no coordinator runs.
     """
     url = ledger_url_of(root, ledger_url)
-    with look_into(url) as connection:
-        read_info(connection)  # says no before anything is created
+    with open_ledger(url) as connection:
+        read_info(connection)  # raises before any file is created
     beacon = read_address(root)
     if beacon is not None:
-        with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
+        with contextlib.suppress(TransientError):  # a killed coordinator leaves its address file: the lock decides
             return ask_admin([_from_here(endpoint) for endpoint in beacon.endpoints], request, name, tls)
-    with contextlib.closing(Staging(root, str(root))):  # the lock of the one coordinator
+    with contextlib.closing(Staging(root, str(root))):  # the lock that a coordinator holds
         return _administer_offline(url, request, now)
 
 
 def _from_here(endpoint: str) -> str:
-    """Returns where an endpoint that listens on every address is reached from this machine."""
+    """Replaces the wildcard address of an endpoint with the loopback address."""
     return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 
 
@@ -68,7 +68,7 @@ def _administer_offline(url: str, request: AdminRequest, now: datetime) -> Admin
     require_sound(url)
     engine = open_writer(url)
     try:
-        with damage_translated(url), engine.begin() as connection:
+        with translate_damage(url), engine.begin() as connection:
             if request.action is AdminAction.RELEASE:
                 return hosts.release(connection, request.hosts)
             change = operator.retry if request.action is AdminAction.RETRY else operator.cancel

@@ -9,12 +9,12 @@ import structlog
 from coordinator.archive.contract import Archive
 from coordinator.clock import ClockWatch
 from coordinator.context import RunContext
-from coordinator.housekeeper import Chore
 from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import note_sandbox
 from coordinator.meters import Meter
+from coordinator.periodic_tasks import PeriodicTask
 from coordinator.validation.validator import sandbox_of
 
 __all__ = ["RoomWatch", "RunChores"]
@@ -75,7 +75,7 @@ class RunChores:
         self._barred: frozenset[str] = frozenset()
         self._noted_sandbox: tuple[str, ...] = ()
 
-    def table(self, admit: Callable[[], bool]) -> Mapping[str, Chore]:
+    def table(self, admit: Callable[[], bool]) -> Mapping[str, PeriodicTask]:
         """Returns every chore with its interval.
 
         Args:
@@ -85,13 +85,13 @@ class RunChores:
         return {
             "expire": (settings.sweep_s, self._expire),
             "limit_leases": (_LEASE_LIMIT_S, self._limit_leases),
-            "look_for_room": (_ROOM_S, self.look_for_room),
+            "check_free_space": (_ROOM_S, self.check_free_space),
             "admit": (settings.admission_s, lambda: _admit(admit)),
             "note_sandbox": (_SANDBOX_S, self.note_sandbox),
             "warn_of_barred": (_BARRED_S, self._warn_of_barred),
         }
 
-    def look_for_room(self) -> None:
+    def check_free_space(self) -> None:
         """Looks at the free space."""
         self._room.look(self._run.archive)
 
@@ -103,19 +103,19 @@ class RunChores:
             self._noted_sandbox = layers
 
     def _expire(self) -> None:
-        self._mind_clock()
+        self._check_clock()
         expired = self._writer.call(lambda connection: claims.expire(connection, self._run.clock()))
         if expired:
             self._run.meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
 
     def _limit_leases(self) -> None:
-        self._mind_clock()
+        self._check_clock()
         if not self._room.has_room:
             self._limit.restart()  # no worker is to blame that its bundle waits
         self._run.meters.add(Meter.EXPIRED, self._limit.enforce())
 
-    def _mind_clock(self) -> None:
+    def _check_clock(self) -> None:
         """Starts all leases anew when the clock was set, for they end at times of the former one."""
         jump_s = self._watch.jump_s()
         if jump_s:

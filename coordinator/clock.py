@@ -1,4 +1,4 @@
-"""Notices that the wall clock of this machine was set, by comparing it with the time that has passed. Sets nothing."""
+"""Detects that the wall clock was set, by comparison with a monotonic clock. Does not set any clock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 __all__ = ["ClockWatch", "seconds_since_boot", "utc_now"]
 
 _LEAST_S = 10.0
-"""Smaller steps are left alone: they cost no lease that a beat does not renew."""
+"""Smallest clock change that is reported, seconds. After a smaller change the next heartbeat renews every lease."""
 
 
 def utc_now() -> datetime:
@@ -18,16 +18,16 @@ def utc_now() -> datetime:
 
 
 def seconds_since_boot() -> float:
-    """Returns seconds that pass whatever the clock is set to, also while the machine sleeps."""
+    """Returns the seconds since boot, including suspend; setting the wall clock does not change them."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class ClockWatch:
-    """Watches one clock.
+    """Detector of changes of the wall clock.
 
     Args:
-        clock: the wall clock.
-        elapsed: seconds that pass evenly.
+        clock: wall clock.
+        elapsed: monotonic clock, seconds.
     """
 
     def __init__(self, clock: Callable[[], datetime], elapsed: Callable[[], float]) -> None:
@@ -35,12 +35,12 @@ class ClockWatch:
         self._ahead = self._difference()
 
     def jump_s(self) -> float:
-        """Returns by how much the clock was set since the start or the last `accept`; 0 when it was not."""
+        """Returns the change of the wall clock since the start or the last `accept`, seconds; 0 if it was not set."""
         jump = self._difference() - self._ahead
         return jump if abs(jump) >= _LEAST_S else 0.0
 
     def accept(self) -> None:
-        """Takes the clock as it is from now on."""
+        """Makes the current wall clock the reference for the next `jump_s`."""
         self._ahead = self._difference()
 
     def _difference(self) -> float:

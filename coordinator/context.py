@@ -15,8 +15,8 @@ from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import Terms
+from coordinator.recovery.ledger_replacement import replace_unusable_ledger
 from coordinator.recovery.reconcile import reconcile
-from coordinator.recovery.renewal import renew_ledger
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.checkpoint import is_checkpoint_owed
 from coordinator.transfer.puller import Judge
@@ -64,7 +64,7 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     checker = options.checker or Validator(options.settings.pullers)
     stack.callback(checker.close)
     archive = stack.enter_context(open_archive(root, options.store))
-    renew_ledger(archive, url, terms.catalog)
+    replace_unusable_ledger(archive, url, terms.catalog)
     ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
     are_tables_owed = _reconcile(archive, ledger, terms, checker, options)
     return RunContext(

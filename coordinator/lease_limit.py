@@ -1,6 +1,6 @@
-"""Limits how long one worker holds a job, however regularly it beats. Decides nothing about silent workers.
+"""Limits the time that one worker holds a job, even if its heartbeats arrive. Does not expire silent leases.
 
-A job that is held longer returns to the queue, and the failure counts against the host.
+A job that is held longer returns to the queue, and the host gets a strike.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ log = structlog.get_logger(__name__)
 
 
 class LeaseLimit:
-    """Ends leases that are older than the limit.
+    """Limit of the age of leases.
 
     Args:
-        reading: opens the ledger for reading.
-        commit: runs work on the ledger in one commit and returns its result.
-        terms: of the run.
-        clock: the time.
+        reading: function that opens the ledger for reading.
+        commit: function that runs work on the ledger in one commit and returns the result.
+        terms: terms of the run.
+        clock: wall clock.
         limit_s: longest time from claim to archived episode, seconds.
     """
 
@@ -51,11 +51,11 @@ class LeaseLimit:
         self.restart()
 
     def restart(self) -> None:
-        """Gives all leases the whole limit again: after a start, when the clock was set, and while no bundle fits."""
+        """Restarts the limit of all leases: after a start, after the clock was set, and while the disk is full."""
         self._since = self._clock()
 
     def enforce(self) -> int:
-        """Ends the leases that are too old now; returns how many."""
+        """Ends the leases that exceed the limit; returns their number."""
         now = self._clock()
         if (now - self._since).total_seconds() < self._limit_s:
             return 0
@@ -65,7 +65,7 @@ class LeaseLimit:
             return 0
         ended = self._commit(lambda connection: [row for row in found if self._end(connection, row, now)])
         if ended:
-            _tell(ended)
+            _log_ended(ended)
         return len(ended)
 
     def _end(self, connection: Connection, row: JobRow, now: datetime) -> bool:
@@ -74,9 +74,9 @@ class LeaseLimit:
         return fail_attempt(connection, report, self._terms, now)
 
 
-def _tell(ended: Sequence[JobRow]) -> None:
+def _log_ended(ended: Sequence[JobRow]) -> None:
     log.warning(
-        "leases_too_long",
+        "lease_limit_exceeded",
         jobs=len(ended),
         first=episode_id(ended[0].idx),
         hosts=sorted({host_of(row.sid) for row in ended})[:_SHOWN_HOSTS],

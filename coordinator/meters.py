@@ -1,4 +1,4 @@
-"""What a coordinator counts while it runs and the ledger does not hold; from zero with each process. Counts only."""
+"""Counts events of a coordinator process that the ledger does not record. The counters start at zero per process."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ __all__ = ["Meter", "Meters"]
 
 
 class Meter(StrEnum):
-    """What is counted."""
+    """Counter of a coordinator process."""
 
-    CLAIMS = "claims"  # jobs given out
-    ARCHIVED = "archived"  # episodes archived here
-    PULLED_BYTES = "pulled_bytes"  # of bundles, as they came
-    PULLS_FAILED = "pulls_failed"  # bundles that did not come whole; the next beat announces them again
-    REFUSED = "refused"  # bundles that validation refused
+    CLAIMS = "claims"  # leased jobs
+    ARCHIVED = "archived"  # episodes archived by this process
+    PULLED_BYTES = "pulled_bytes"  # received bytes of bundles
+    PULLS_FAILED = "pulls_failed"  # incomplete transfers; the next heartbeat announces the bundle again
+    REFUSED = "refused"  # bundles that failed validation
     VALIDATIONS = "validations"
     VALIDATION_S = "validation_s"  # wall time of all validations, seconds
-    EXPIRED = "expired"  # leases that ran out
+    EXPIRED = "expired"  # expired leases
 
 
 class Meters:
-    """A handful of sums, safe to add to from any thread."""
+    """Thread-safe set of counters."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
@@ -32,21 +32,21 @@ class Meters:
         self._requests: Counter[str] = Counter()
 
     def add(self, meter: Meter, amount: float = 1) -> None:
-        """Adds to a sum."""
+        """Adds an amount to a counter."""
         with self._guard:
             self._sums[meter] += amount  # type: ignore[assignment]
 
     def note_request(self, verb: str) -> None:
-        """Counts a question that came in under a known verb."""
+        """Counts a request with a known verb."""
         with self._guard:
             self._requests[verb] += 1
 
     def sums(self) -> Mapping[Meter, float]:
-        """Returns every sum."""
+        """Returns all counters."""
         with self._guard:
             return {meter: self._sums[meter] for meter in Meter}
 
     def requests(self) -> Mapping[str, int]:
-        """Returns the questions by verb."""
+        """Returns the number of requests by verb."""
         with self._guard:
             return dict(self._requests)

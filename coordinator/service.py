@@ -1,4 +1,4 @@
-"""The coordinator of one run: opens context, pullers, front and router in order and closes them in reverse.
+"""The coordinator of one run: opens context, pullers, handler and router in order and closes them in reverse.
 
 Connects the parts; what a verb means or how a job moves is decided elsewhere.
 """
@@ -16,16 +16,16 @@ import structlog
 from coordinator.chores import RoomWatch, RunChores
 from coordinator.context import RunContext, open_context
 from coordinator.expansion.catalog import Catalog
-from coordinator.housekeeper import Housekeeper
 from coordinator.options import CoordinatorOptions
+from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.address_file import remove_address, write_address
 from coordinator.protocol.dispatch import Dispatch
-from coordinator.protocol.front import Front
 from coordinator.protocol.protocol import Terms
+from coordinator.protocol.request_handler import RequestHandler
 from coordinator.protocol.router import Router
-from coordinator.status.vitals import Vitals
+from coordinator.status.health import HealthMonitor
 from coordinator.table_writer import TableWriter
-from coordinator.transfer.book import LedgerBook
+from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Nearby, Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
@@ -35,14 +35,14 @@ from schemas.wire import Progress
 __all__ = ["Coordinator"]
 
 _WAIT_S = 0.5
-_FAREWELL_S = 3.0
+_DEPARTURE_S = 3.0
 """How long a finished run is announced at least: a worker may just be reconnecting."""
 
 log = structlog.get_logger(__name__)
 
 
 class Coordinator(Closing):
-    """A running coordinator; a context manager whose exit loses nothing.
+    """Running coordinator; a context manager. Closing it loses no data.
 
     Args:
         root: dataset directory, or with `options.store` the home of what cannot be stored there; it is created, or
@@ -53,7 +53,7 @@ class Coordinator(Closing):
 
     Raises:
         UsageError: the directory holds another plan.
-        WorldError: another coordinator works there, the disk refuses, or an endpoint is taken.
+        WorldError: another coordinator holds the directory, the disk cannot be written, or an endpoint is in use.
     """
 
     def __init__(self, root: Path, plan: Plan, catalog: Catalog, options: CoordinatorOptions | None = None) -> None:
@@ -71,14 +71,14 @@ class Coordinator(Closing):
             stack.callback(self._tables.write)
             self._pullers = stack.enter_context(self._open_pullers(run, options.nearby))
             stack.callback(run.checker.close)  # before the pullers end, so that they need not wait for a long check
-            chores.look_for_room()
-            front = stack.enter_context(self._open_front(run))
-            self._router = stack.enter_context(_open_router(run, options, front))
-            stack.enter_context(Housekeeper(chores.table(self._router.admit)))
+            chores.check_free_space()
+            handler = stack.enter_context(self._open_request_handler(run))
+            self._router = stack.enter_context(_open_router(run, options, handler))
+            stack.enter_context(PeriodicTasks(chores.table(self._router.admit)))
             # a thread of its own: writing the tables of a large run takes seconds, and leases expire meanwhile
             tables = {"write_tables": (options.settings.checkpoint_s, self._tables.write)}
-            stack.enter_context(Housekeeper(tables))
-            self.vitals = self._measured(run)
+            stack.enter_context(PeriodicTasks(tables))
+            self.health = self._measured(run)
             """How it does."""
             write_address(root, plan.run, self.endpoints)
             stack.callback(remove_address, root)
@@ -87,7 +87,7 @@ class Coordinator(Closing):
 
     @property
     def endpoints(self) -> tuple[str, ...]:
-        """Where workers connect."""
+        """Endpoints for workers."""
         return self._router.endpoints
 
     @property
@@ -107,11 +107,11 @@ class Coordinator(Closing):
         """Waits until the run is finished.
 
         Args:
-            timeout_s: how long at most; `None` waits for ever.
-            stop: ends the wait early when set.
+            timeout_s: timeout, seconds; `None` waits without a limit.
+            stop: event that ends the wait early.
 
         Returns:
-            Whether it is finished.
+            Whether the run is finished.
         """
         stop = stop or threading.Event()
         left = timeout_s
@@ -123,26 +123,26 @@ class Coordinator(Closing):
             left = None if left is None else left - _WAIT_S
         return True
 
-    def see_off(self, stop: threading.Event | None = None) -> None:
-        """Stays until the workers of a finished run have heard that it is, and have left; a lease long at most.
+    def wait_for_departures(self, stop: threading.Event | None = None) -> None:
+        """Waits until the workers of a finished run were notified and disconnected, at most about one lease duration.
 
         Args:
-            stop: ends the wait early when set.
+            stop: event that ends the wait early.
         """
         stop = stop or threading.Event()
         begun = time.monotonic()
-        least = begun + _FAREWELL_S
-        most = begun + _FAREWELL_S + self._settings.lease_ttl_s
+        least = begun + _DEPARTURE_S
+        most = begun + _DEPARTURE_S + self._settings.lease_ttl_s
         while (now := time.monotonic()) < most and (now < least or self._router.present):
             if stop.wait(_WAIT_S):
                 return
 
     def drain(self) -> None:
-        """Gives out no more jobs and lets workers leave when theirs are done."""
+        """Stops leasing jobs; workers stop after their current jobs."""
         self._draining.set()
 
     def close(self) -> None:
-        """Stops listening, finishes what is queued, writes the tables and releases the directory."""
+        """Stops listening, completes the queued work, writes the tables and releases the directory."""
         self._stack.close()
 
     def _terms_of(self, plan: Plan, catalog: Catalog, options: CoordinatorOptions, room: RoomWatch) -> Terms:
@@ -160,7 +160,7 @@ class Coordinator(Closing):
     def _open_pullers(self, run: RunContext, nearby: Nearby) -> Pullers:
         return Pullers(
             run.archive,
-            LedgerBook(run.ledger.writer, run.terms, run.clock),
+            LocalLedgerClient(run.ledger.writer, run.terms, run.clock),
             lambda sid, lease, chunk: self._router.fetch(sid, lease, chunk),
             run.checker,
             run.settings,
@@ -169,8 +169,8 @@ class Coordinator(Closing):
             nearby,
         )
 
-    def _open_front(self, run: RunContext) -> Front:
-        return Front(
+    def _open_request_handler(self, run: RunContext) -> RequestHandler:
+        return RequestHandler(
             run.ledger.writer,
             run.terms,
             run.clock,
@@ -182,8 +182,8 @@ class Coordinator(Closing):
             meters=run.meters,
         )
 
-    def _measured(self, run: RunContext) -> Vitals:
-        return Vitals(
+    def _measured(self, run: RunContext) -> HealthMonitor:
+        return HealthMonitor(
             run.ledger.writer,
             run.meters,
             run.ledger.figures,
@@ -194,15 +194,15 @@ class Coordinator(Closing):
         )
 
 
-def _open_router(run: RunContext, options: CoordinatorOptions, front: Front) -> Router:
+def _open_router(run: RunContext, options: CoordinatorOptions, handler: RequestHandler) -> Router:
     terms = run.terms
     return Router(
         terms.plan.run,
         options.listen,
         terms.catalog,
         run.settings,
-        front.take,
-        front.note_gone,
+        handler.take,
+        handler.note_gone,
         options.guard,
         options.connect,
         terms.evaluation.files if terms.evaluation is not None else {},

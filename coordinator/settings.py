@@ -1,4 +1,4 @@
-"""The coordinator's own numbers: how long leases last, how it pulls, when it stops for want of space."""
+"""Defines the operational settings of a coordinator: leases, transfers, free space and intervals."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ __all__ = ["CoordinatorSettings"]
 
 
 class CoordinatorSettings(Model):
-    """Everything that may differ between two coordinators without changing a byte of the dataset."""
+    """Operational settings of a coordinator, which do not affect the contents of the dataset."""
 
     lease_ttl_s: Positive = 15.0
-    """How long a job stays with a silent worker."""
+    """Duration of a lease without a heartbeat, seconds."""
     lease_limit_s: Positive = 7200.0
-    """Longest time from claim to archived episode. The job of a worker that beats and brings nothing then goes to
-    others. A bundle of 50 MB takes 7 minutes at `min_bytes_per_s`."""
+    """Longest time from claim to archived episode, seconds. The job of a worker that sends heartbeats without a result
+    then returns to the queue. A bundle of 50 MB takes 7 minutes at `min_bytes_per_s`."""
     retry_after_s: Positive = 1.0
-    """How long a worker waits when nothing is due."""
+    """Pause of a worker before its next claim if no job is due, seconds."""
     sweep_s: Positive = 0.25
-    """Pause between two looks for expired leases."""
+    """Pause between two checks for expired leases, seconds."""
     pullers: Annotated[int, Field(ge=1, le=16)] = 2
+    """Number of threads that transfer bundles."""
     chunk_bytes: Annotated[int, Field(ge=1024, le=MAX_CHUNK_BYTES)] = MAX_CHUNK_BYTES
-    """Bytes asked of a worker at a time."""
+    """Size of a requested chunk, bytes."""
     pull_timeout_s: Positive = 2.0
-    """How long a worker may take to answer for one chunk."""
+    """Timeout of a chunk request, seconds."""
     min_bytes_per_s: Positive = 128 << 10
-    """Rate at which a worker has to serve a bundle; a slower one is refused, and the job goes to others."""
+    """Least transfer rate of a bundle, bytes per second; a slower one is refused, and its job returns to the queue."""
     slow_start_s: NonNegative = 10.0
-    """How long a transfer may take before it has to keep that rate."""
+    """Time at the start of a transfer during which the least rate does not apply, seconds."""
     reserve_bytes: Annotated[int, Field(ge=0)] = 2 << 30
-    """Free space below which no job is given out and no bundle pulled."""
+    """Free space below which no job is leased and no bundle is pulled, bytes."""
     checkpoint_s: Positive = 30.0
-    """Pause between two writings of the dataset's tables."""
+    """Interval of writing the dataset's tables, seconds."""
     transport_lease_s: Positive = 5.0
-    """Silence after which zenoh closes a link."""
+    """Time without traffic after which zenoh closes a link, seconds."""
     admission_s: Positive = 2.0
-    """Pause between two looks at who is admitted, with TLS."""
+    """Interval of reading the admission list with TLS, seconds."""
     backlog: Annotated[int, Field(ge=1)] = 20_000
-    """Requests that may wait; further ones get no answer and are asked again."""
+    """Maximum number of waiting requests; further requests get no reply and are repeated by the client."""

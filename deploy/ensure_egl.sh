@@ -1,6 +1,6 @@
 #!/bin/sh
-# Checks that EGL can create an OpenGL context; with root permissions, installs Debian's software driver if it cannot.
-# Does not fail: without EGL, it prints one line and the fallback renderer is used.
+# Checks that an OpenGL context can be opened through EGL; installs Debian's software driver if permitted.
+# Never fails: without EGL the fallback renderer is used, and this script prints one line.
 python=$1
 
 has_egl() {

@@ -1,4 +1,4 @@
-"""Health check of the image: requests `/healthz` of the coordinator or gateway; other roles are always healthy."""
+"""Health check of the image: queries the coordinator or gateway if it is process 1; other roles need no check."""
 
 from __future__ import annotations
 

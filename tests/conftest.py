@@ -18,13 +18,13 @@ find_system_tools()  # before test modules look for tools
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--scene-seeds N`: the contract suite of the built-in scenes on N seeds of each."""
-    parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to hold to the contract")
+    """`--scene-seeds N`: number of seeds of each built-in scene in the contract suite."""
+    parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to test")
     parser.addoption("--install", action="store_true", help="run tests/install, which installs the wheel from an index")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leaves tests/install out unless it is asked for."""
+    """Collects tests/install only with `--install`."""
     is_install = collection_path == Path(__file__).parent / "install"
     return True if is_install and not config.getoption("--install") else None
 
@@ -43,7 +43,7 @@ def cache(shared: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def postgres_server() -> Iterator[Postgres]:
-    """A PostgreSQL server shared by the tests of one session; skips with the reason where there is none."""
+    """A PostgreSQL server shared by the tests of one session; skips with the reason if none is available."""
     reason = why_no_postgres()
     if reason:
         pytest.skip(reason)
@@ -60,7 +60,7 @@ def object_store() -> Iterator[ObjectServer]:
 
 @pytest.fixture
 def bucket_url(object_store: ObjectServer, monkeypatch: pytest.MonkeyPatch) -> Callable[[], str]:
-    """Makes fresh buckets that this process and those it starts can reach, and returns their URLs."""
+    """Creates new buckets for this process and its children and returns their URLs."""
     for name, value in object_store.variables().items():
         monkeypatch.setenv(name, value)
     return lambda: f"s3://{object_store.new_bucket()}"
@@ -68,21 +68,21 @@ def bucket_url(object_store: ObjectServer, monkeypatch: pytest.MonkeyPatch) -> C
 
 @pytest.fixture(autouse=True)
 def guarded_process() -> Iterator[None]:
-    """Restores what all tests of a process share, and fails the test that left it changed."""
+    """Restores the shared state of the test process and fails a test that changed it."""
     with unchanged_process():
         yield
 
 
 @pytest.fixture(scope="session")
 def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Names of the tests' homes; numbered here, since `mktemp` lists all former ones for each new one."""
+    """Paths of the homes of tests; numbered here, because `mktemp` lists all existing ones each time."""
     folder = tmp_path_factory.mktemp("homes")
     return (folder / str(number) for number in itertools.count(1))
 
 
 @pytest.fixture(autouse=True)
 def guarded_home(guarded_process: None, monkeypatch: pytest.MonkeyPatch, homes: Iterator[Path]) -> None:
-    """Points HOME and every cache at a folder that only the test sees."""
+    """Sets HOME and every cache to a private folder of the test."""
     home = next(homes)
     home.mkdir()
     monkeypatch.setenv("HOME", str(home))

@@ -1,4 +1,4 @@
-"""The documents: links, anchors, cited paths and commands are right, and nothing outside of the repository is cited."""
+"""Checks the documents: links, anchors, cited paths and commands are valid, and no external document is cited."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SOURCES = sorted(
 )
 CITING = [*PAGES, *SOURCES, ROOT / "Makefile", ROOT / "pyproject.toml", ROOT / ".github"]
 HISTORY = ROOT / "CHANGELOG.md"
-"""Names what was true at its time, paths included."""
+"""Keeps the names and paths of its time."""
 OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes of the project")
-"""How documents outside of the repository used to be cited."""
+"""Former citations of documents outside the repository."""
 PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
 MADE = {"tests/data", "factory/run"}
-"""What looks like a path and is none."""
+"""Texts that look like paths."""
 
 
 def shown(path: Path) -> str:
@@ -39,7 +39,7 @@ def cited_paths(page: Path) -> set[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=shown)
-def test_every_link_leads_to_a_file_and_an_anchor_of_the_repository(page: Path) -> None:
+def test_every_link_points_to_an_existing_file_and_anchor(page: Path) -> None:
     broken = []
     for link in links_of(page):
         path, _, anchor = unquote(link).partition("#")
@@ -50,11 +50,11 @@ def test_every_link_leads_to_a_file_and_an_anchor_of_the_repository(page: Path) 
 
 
 @pytest.mark.parametrize(("name", "limit"), LIMITS.items())
-def test_a_document_that_is_read_first_is_short(name: str, limit: int) -> None:
+def test_introductory_documents_are_short(name: str, limit: int) -> None:
     assert len((ROOT / name).read_text(encoding="utf-8").split()) <= limit
 
 
-def test_no_file_cites_a_document_outside_of_the_repository() -> None:
+def test_no_file_cites_a_document_outside_the_repository() -> None:
     here = {Path(__file__)}
     found = [
         f"{shown(path)}: {hit.group()}"
@@ -65,7 +65,7 @@ def test_no_file_cites_a_document_outside_of_the_repository() -> None:
     assert found == []
 
 
-def test_every_markdown_file_that_is_named_is_one_of_the_repository() -> None:
+def test_every_named_markdown_file_exists() -> None:
     names = {page.name for page in PAGES}
     found = {
         f"{shown(path)}: {name}"
@@ -78,7 +78,7 @@ def test_every_markdown_file_that_is_named_is_one_of_the_repository() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page != HISTORY], ids=shown)
-def test_every_path_that_a_document_names_exists(page: Path) -> None:
+def test_every_path_in_a_document_exists(page: Path) -> None:
     gone = {path for path, _ in cited_paths(page) if not any(exists(path, page)) and path not in MADE}
     assert gone == set()
 
@@ -136,7 +136,7 @@ def test_the_index_of_documents_reaches_every_document() -> None:
     assert set(PAGES) - reached == set()
 
 
-def test_the_quickstart_notebook_was_executed_and_its_commands_are_understood() -> None:
+def test_the_quickstart_notebook_was_executed_and_its_commands_are_valid() -> None:
     path = ROOT / "docs" / "quickstart.ipynb"
     text = path.read_text(encoding="utf-8")
     assert len(text) < 300_000
@@ -175,7 +175,7 @@ LINES = [
 
 
 @pytest.mark.parametrize("words", LINES)
-def test_every_command_line_of_a_document_is_understood(words: list[str]) -> None:
+def test_every_command_line_of_a_document_is_valid(words: list[str]) -> None:
     parse_line(words)
 
 

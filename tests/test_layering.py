@@ -1,4 +1,4 @@
-"""The directions of imports and the doors of foreign systems, read from the source."""
+"""Checks the directions of imports and the modules that may import foreign systems."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def sources() -> list[Path]:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_packages_import_only_what_lies_below_them(package):
+def test_packages_import_only_lower_layers(package):
     stray = {
         f"{path.relative_to(ROOT)} imports {name}"
         for path in sorted((ROOT / package).rglob("*.py"))
@@ -85,7 +85,7 @@ def test_packages_import_only_what_lies_below_them(package):
 
 
 @pytest.mark.parametrize("system", sorted(DOORS))
-def test_each_foreign_system_has_its_door(system):
+def test_each_foreign_system_is_imported_in_one_place(system):
     users = {str(path.relative_to(ROOT)) for path in sources() if system in {n.split(".")[0] for n in imports_of(path)}}
     stray = {user for user in users if not any(user.startswith(door) for door in DOORS[system])}
     assert not stray
@@ -115,7 +115,7 @@ def test_modules_import_each_other_without_cycles():
         visit(name, ())
 
 
-def test_every_module_says_what_it_is():
+def test_every_module_has_a_docstring():
     silent = [
         str(path.relative_to(ROOT))
         for path in sources()

@@ -1,1 +1,1 @@
-"""Where episodes lie: the archive's contract, as a directory and in object storage, and durable files."""
+"""Storage of archived episodes: the archive interface, with a directory and an object storage implementation."""

@@ -1,8 +1,8 @@
-"""The archive: what the one writer of a dataset promises, wherever the dataset is stored. Keeps nothing itself.
+"""Defines the `Archive` interface, which the directory and the object storage archive implement. Stores no data.
 
 Design: docs/design/data.md#archive.
 
-`open_archive` opens one; `tests/contract/test_archives.py` holds every kind of archive to this page.
+`open_archive` opens an archive; `tests/contract/test_archives.py` tests every implementation against this interface.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
 
 
 def scene_file(name: str, sha256: str) -> str:
-    """Returns the name of a compiled scene's file among the scenes."""
+    """Returns the file name of a compiled scene in the scene folder."""
     return f"{name}-{sha256[:16]}.scene.zip"
 
 
 def index_of_file(name: str) -> int | None:
-    """Returns the episode number in a file name, or `None` when it is no name of an episode."""
+    """Returns the episode number in a file name, or `None` if the name is not an episode's file name."""
     match = _EPISODE_FILE.fullmatch(name)
     if match is None:
         return None
@@ -42,68 +42,68 @@ def index_of_file(name: str) -> int | None:
 
 
 class Archive(AbstractContextManager["Archive", None], Protocol):
-    """An opened dataset; while it is open no other coordinator can open it."""
+    """Exclusively opened dataset: no other coordinator can open it until it is closed."""
 
     @property
     def root(self) -> Place:
-        """Where the dataset lies."""
+        """Root path of the dataset."""
 
     def stage(self, index: int) -> Staged:
-        """Opens a new part file for an episode; several may be open for one episode.
+        """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
-            WorldError: the disk is full or gone.
+            WorldError: the disk is full or unavailable.
         """
 
     def publish(self, staged: Staged, index: int) -> Place:
-        """Gives a part file its final name, durably. The ledger commits after this.
+        """Publishes a part file durably under its final name. The ledger commits afterwards.
 
         Raises:
-            ArchiveCorrupt: something else lies there; it is left as it is, the part file is removed.
-            WorldError: it cannot be kept; nothing half written has a name.
+            ArchiveCorrupt: a different file has that name; it is not changed, and the part file is removed.
+            WorldError: the file cannot be stored; no incomplete file is published.
         """
 
     def path_of(self, index: int) -> Place:
-        """Returns where the episode of that number lies, or will lie."""
+        """Returns the path of an episode, whether or not the episode is archived yet."""
 
     def present(self) -> Mapping[int, Place]:
-        """Returns the episodes that lie there, by number in ascending order; says nothing of their contents."""
+        """Returns the paths of the stored episodes by number, ascending. Does not read their contents."""
 
     def foreign(self) -> Sequence[Place]:
-        """Returns what lies among the episodes and is none by its name."""
+        """Returns the paths in the episode folder that do not have an episode's file name."""
 
     def unpublish(self, index: int) -> None:
-        """Deletes an episode that the ledger does not own; does nothing when there is none."""
+        """Deletes an episode that the ledger does not own. Does nothing if the file does not exist."""
 
     def quarantine(self, path: Place, reason: str) -> Place:
-        """Moves a file out of the dataset, keeps it, and writes beside it why; returns where it lies now."""
+        """Moves a file to the quarantine folder, writes the reason to a file beside it, and returns the new path."""
 
     def restore(self, path: Place, index: int) -> Place:
-        """Moves a file out of quarantine to where the episode of that number lies, durably; returns that place.
+        """Moves a file durably from the quarantine folder to the path of an episode, and returns that path.
 
         Raises:
-            ArchiveCorrupt: something else is there.
+            ArchiveCorrupt: another file has that path.
         """
 
     def free_bytes(self) -> int:
-        """Returns the bytes that an ordinary user can still write where part files grow."""
+        """Returns the free space, in bytes, for an unprivileged user on the file system of the part files."""
 
     def add_scene(self, source: Path, name: str, sha256: str) -> Place:
-        """Keeps a compiled scene beside the episodes made in it; does nothing when it lies there already.
+        """Stores a compiled scene with the dataset. Does nothing if the scene is already stored.
 
         Raises:
-            ArchiveCorrupt: the package has another digest than it must have.
+            ArchiveCorrupt: the digest of the package differs from `sha256`.
         """
 
     def scene_path(self, name: str, sha256: str) -> Place:
-        """Returns where a compiled scene lies, or will lie."""
+        """Returns the path of a compiled scene, whether or not it is stored yet."""
 
     def replacing(self, name: str) -> AbstractContextManager[Path]:
-        """Yields a part file that replaces a table of the dataset once the block is left without error.
+        """Yields a part file, which replaces a table of the dataset if the block exits without an error.
 
         Raises:
-            WorldError: it cannot be written; the former file is still there, whole.
+            WorldError: the file cannot be written; the previous file is unchanged.
         """
 
     def close(self) -> None:
-        """Lets another coordinator open the dataset."""
+        """Releases the dataset, so that another coordinator can open it."""

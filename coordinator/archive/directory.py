@@ -1,6 +1,6 @@
-"""The archive as a directory: every step is durable before the next one begins (docs/design/data.md#archive).
+"""Archive in a directory: each step is durable before the next one begins (docs/design/data.md#archive).
 
-Never overwrites an episode, never derives a path from a name it was given, never reads what a bundle holds.
+The module does not overwrite an episode, derives no path from an untrusted name and does not read bundle contents.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ __all__ = ["DirectoryArchive"]
 
 
 class DirectoryArchive(Listing[Path], Closing):
-    """An opened dataset directory; while it is open no other coordinator can open it.
+    """Exclusively opened dataset directory: no other coordinator can open it until it is closed.
 
     Raises:
-        WorldError: the directory cannot be written, or another coordinator works on it.
+        WorldError: the directory cannot be written, or another coordinator holds it.
     """
 
     def __init__(self, root: Path) -> None:
@@ -51,11 +51,11 @@ class DirectoryArchive(Listing[Path], Closing):
         return self._staging.stage(index)
 
     def publish(self, staged: Staged, index: int) -> Path:
-        """Gives a part file its final name: fsync, rename, fsync directory. The ledger commits after this.
+        """Publishes a part file: fsync, rename, fsync of the directory. The ledger commits afterwards.
 
         Raises:
-            ArchiveCorrupt: a file of that name lies there; it is left as it is, the part file is removed.
-            WorldError: the disk is full or gone; nothing half written remains.
+            ArchiveCorrupt: a file of that name exists; it is not changed, and the part file is removed.
+            WorldError: the disk is full or unavailable; no incomplete file remains.
         """
         final = self.path_of(index)
         staged.flush()
@@ -70,7 +70,7 @@ class DirectoryArchive(Listing[Path], Closing):
         return final
 
     def path_of(self, index: int) -> Path:
-        """Returns where the episode of that number lies, or will lie."""
+        """Returns the path of an episode, whether or not the episode is archived yet."""
         return self.root / file_name_of(episode_id(index))
 
     def _listing(self) -> Iterator[tuple[int | None, Path]]:
@@ -80,7 +80,7 @@ class DirectoryArchive(Listing[Path], Closing):
                 yield index_of_file(entry.name) if is_file else None, Path(entry.path)
 
     def unpublish(self, index: int) -> None:
-        """Deletes an episode that the ledger does not own; does nothing when there is none."""
+        """Deletes an episode that the ledger does not own. Does nothing if the file does not exist."""
         path = self.path_of(index)
         with self._publishing, translated("delete from", path.parent):
             path.unlink(missing_ok=True)
@@ -109,15 +109,15 @@ class DirectoryArchive(Listing[Path], Closing):
         return self._staging.free_bytes()
 
     def add_scene(self, source: Path, name: str, sha256: str) -> Path:
-        """Keeps a compiled scene beside the episodes made in it; does nothing when it lies there already.
+        """Stores a compiled scene with the dataset. Does nothing if the scene is already stored.
 
         Args:
-            source: the compiled package.
-            name: of the scene.
-            sha256: digest that the package must have.
+            source: compiled package.
+            name: name of the scene.
+            sha256: expected SHA-256 of the package.
 
         Raises:
-            ArchiveCorrupt: the package has another digest.
+            ArchiveCorrupt: the digest of the package differs from `sha256`.
         """
         final = self.scene_path(name, sha256)
         if final.exists():
@@ -135,18 +135,18 @@ class DirectoryArchive(Listing[Path], Closing):
         return final
 
     def scene_path(self, name: str, sha256: str) -> Path:
-        """Returns where a compiled scene lies, or will lie."""
+        """Returns the path of a compiled scene, whether or not it is stored yet."""
         return self.root / SCENES / scene_file(name, sha256)
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """Yields the path of a part file that replaces a table of the dataset once the block is left without error.
+        """Yields the path of a part file, which replaces a table of the dataset if the block exits without an error.
 
         Args:
-            name: of a file below the dataset's directory, e.g. `metadata.parquet` or `data/train_id-00000.parquet`.
+            name: path relative to the dataset directory, e.g. `metadata.parquet` or `data/train_id-00000.parquet`.
 
         Raises:
-            WorldError: the disk is full or gone; the former file is still there, whole.
+            WorldError: the disk is full or unavailable; the previous file is unchanged.
         """
         final = self.root / name
         part = self._staging.part(final.name)
@@ -163,5 +163,5 @@ class DirectoryArchive(Listing[Path], Closing):
             part.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Lets another coordinator open the directory."""
+        """Releases the directory, so that another coordinator can open it."""
         self._staging.close()

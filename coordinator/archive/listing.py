@@ -1,4 +1,4 @@
-"""What lies among the episodes of an archive: episodes by number, and what is none by its name. Reads no contents."""
+"""Lists the episode folder of an archive: episodes by number, and foreign files. Does not read file contents."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ P = TypeVar("P", Path, ObjectPath)
 
 
 class Listing(ABC, Generic[P]):
-    """The part of an archive that is the same wherever it lies."""
+    """Base class of archives: listing of the episode folder, independent of the storage."""
 
     @abstractmethod
     def _listing(self) -> Iterator[tuple[int | None, P]]:
-        """Yields what lies there in any order, with its number where its name is an episode's."""
+        """Yields the paths in the episode folder in any order, each with its episode number or `None`."""
 
     def present(self) -> dict[int, P]:
-        """Returns the episodes that lie there, by number in ascending order; says nothing of their contents."""
+        """Returns the paths of the stored episodes by number, ascending. Does not read their contents."""
         return dict(sorted((index, path) for index, path in self._listing() if index is not None))
 
     def foreign(self) -> list[P]:
-        """Returns what lies among the episodes and is none by its name."""
+        """Returns the paths in the episode folder that do not have an episode's file name."""
         return sorted(path for index, path in self._listing() if index is None)

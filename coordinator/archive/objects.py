@@ -1,8 +1,8 @@
-"""The archive in object storage: an episode is one conditional put of a part file that grew on a local disk.
+"""Archive in object storage: an episode is one conditional put of a local part file.
 
-Never overwrites an episode, never reads what a bundle holds. Part files and lock file lie in a local directory, the
-home; whose home may write is said by a lock object, which is made once and never times out: a coordinator that merely
-stopped for a while cannot find another one in its place.
+Part files and the lock file are stored in a local directory, the home. A lock object in the store names the home that
+may write. The lock object is created once and does not expire, so that a coordinator that was suspended for a while
+keeps the dataset. The module does not overwrite an episode and does not read bundle contents.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ __all__ = ["ObjectArchive"]
 
 _LOCK = ".lock"
 _NAME = ".name"
-"""File of a home: what it signs the lock object with."""
+"""File name in a home; the file holds the random id that the home writes into the lock object."""
 log = structlog.get_logger(__name__)
 
 
 class ObjectArchive(Listing[ObjectPath], Closing):
-    """An opened dataset in object storage; while it is open no coordinator with another home can open it.
+    """Exclusively opened dataset in object storage: no coordinator with another home can open it until it is closed.
 
     Args:
-        root: the dataset.
-        home: local directory for part files; made when it is not there, and always the same for one dataset.
-        take_over: whether to take the dataset from a home that holds it; its coordinator must be gone for good.
+        root: root of the dataset.
+        home: local directory for part files; created if it does not exist. A dataset always needs the same home.
+        take_over: whether to delete the lock object of another home; its coordinator must have ended for good.
 
     Raises:
-        WorldError: the home or the store cannot be written, another coordinator holds either, or the store overwrites
-            where it was told not to.
+        WorldError: the home or the store cannot be written, another coordinator holds one of them, or the store
+            ignores conditional writes.
     """
 
     def __init__(self, root: ObjectPath, home: Path, *, take_over: bool = False) -> None:
@@ -71,13 +71,14 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         return self._staging.stage(index)
 
     def publish(self, staged: Staged, index: int) -> ObjectPath:
-        """Sends a part file to its final key, in one conditional put. The ledger commits after this.
+        """Uploads a part file to its final key in one conditional put. The ledger commits afterwards.
 
-        A put whose answer was lost may find its own object there: the same bytes are taken for published.
+        If the response to a put was lost, the retry finds its own object: an object with the same bytes counts as
+        published.
 
         Raises:
-            ArchiveCorrupt: other bytes are there; they are left as they are, the part file is removed.
-            WorldError: the store does not take it; nothing half written can be seen.
+            ArchiveCorrupt: an object with other bytes has that key; it is not changed, and the part file is removed.
+            WorldError: the store rejects the object; no incomplete object is visible.
         """
         final = self.path_of(index)
         with staged:
@@ -97,7 +98,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         return self.root / file_name_of(episode_id(index))
 
     def _listing(self) -> Iterator[tuple[int | None, ObjectPath]]:
-        # the sizes come with the list, so that asking a path for its size costs no request
+        # the listing includes the sizes, so that the size of a path needs no further request
         for path in (self.root / EPISODES).walk():
             index = index_of_file(path.name)
             yield index if index is not None and path == self.path_of(index) else None, path
@@ -107,7 +108,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         self._objects.delete(self.path_of(index).key)
 
     def quarantine(self, path: Place, reason: str) -> Place:
-        """See `Archive.quarantine`; what lies on the local disk is kept in the home."""
+        """See `Archive.quarantine`. A local file is moved to the quarantine folder of the home."""
         if isinstance(path, Path):
             folder = self._home / QUARANTINE
             with translated("open", folder):
@@ -131,7 +132,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         return final
 
     def free_bytes(self) -> int:
-        """See `Archive.free_bytes`; a store has no end."""
+        """See `Archive.free_bytes`. The value is that of the home; object storage is not limited."""
         return self._staging.free_bytes()
 
     def add_scene(self, source: Path, name: str, sha256: str) -> ObjectPath:
@@ -168,7 +169,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             if os.fstat(opened.fileno()).st_size == 0:
                 self._objects.put_new(key, b"")
                 return
-            # never whole in our memory; unmapped when the last one who sends it lets go
+            # mapped, not read into memory; the mapping ends when the last upload releases it
             self._objects.put_new(key, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ))
 
     def _lock(self) -> None:
@@ -177,7 +178,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             self._objects.put_new(_LOCK, mine)
         except FileExistsError as error:
             said = self._holder()
-            if said.get("home") != self._sign:  # ours is left by a kill: the local lock says that nobody else is it
+            if said.get("home") != self._sign:  # else left by a killed process of this home
                 raise WorldError(
                     f"{self.root} is in use by another coordinator, that of {said.get('directory')} on host "
                     f"{said.get('host')}; stop it first, or choose another --out. If it will not run again: "
@@ -201,7 +202,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         return said if isinstance(said, dict) else {}
 
     def close(self) -> None:
-        """Lets another home open the dataset."""
+        """Releases the dataset, so that another home can open it."""
         try:
             if self._holder().get("home") == self._sign:
                 self._objects.delete(_LOCK)
@@ -212,7 +213,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
 
 
 def _sign_of(home: Path) -> str:
-    """Returns the name that a home has given itself; called by whoever holds it."""
+    """Returns the random id of a home, and creates it if necessary. The caller holds the lock of the home."""
     file = home / _NAME
     with translated("write", file):
         if not file.exists():

@@ -1,4 +1,4 @@
-"""Opens the archive of a dataset, by where it lies. Keeps nothing itself."""
+"""Opens the archive of a dataset in a directory or in object storage. Stores no data itself."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["open_archive"]
 
 
 def open_archive(root: Path, store: ObjectPath | None = None, *, take_over: bool = False) -> Archive:
-    """Opens a dataset for its one writer; a context manager.
+    """Opens a dataset exclusively for writing; the archive is a context manager.
 
     Args:
-        root: dataset directory, or with `store` the local home of what cannot lie there; made when it is not there.
-        store: where the dataset lies, when in object storage.
-        take_over: whether to take a dataset in object storage from the home that holds it.
+        root: dataset directory, or with `store` the local home; created if it does not exist.
+        store: root of the dataset in object storage; `None` for a dataset in a directory.
+        take_over: whether to take a dataset in object storage over from the home that holds it.
 
     Raises:
-        WorldError: directory or store cannot be written, or another coordinator works there.
+        WorldError: the directory or the store cannot be written, or another coordinator holds the dataset.
     """
     return DirectoryArchive(root) if store is None else ObjectArchive(store, root, take_over=take_over)

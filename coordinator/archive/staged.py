@@ -1,4 +1,4 @@
-"""A part file on its way into the archive: grows, or is taken whole; is hashed, and leaves nothing behind."""
+"""Writes and hashes part files of the archive. Does not publish them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["Staged"]
 
 
 class Staged(Closing):
-    """A part file that grows and is hashed as it grows; it becomes an episode only by `Archive.publish`."""
+    """Part file that is hashed while it is written; `Archive.publish` turns it into an episode."""
 
     def __init__(self, path: Path, file: FileIO) -> None:
         self.path = path
         self.size = 0
-        """Bytes that are there so far."""
+        """Bytes written so far."""
         self._file = file
         self._hash = hashlib.sha256()
 
@@ -27,7 +27,7 @@ class Staged(Closing):
         """Appends bytes.
 
         Raises:
-            WorldError: the disk is full or gone; the part file has been removed.
+            WorldError: the disk is full or unavailable; the part file has been removed.
         """
         rest = memoryview(data)
         try:
@@ -40,14 +40,17 @@ class Staged(Closing):
         self.size += len(data)
 
     def take(self, source: Path) -> None:
-        """Becomes another name of a file on this disk, and hashes it; whoever wrote it must not write to it again.
+        """Replaces the part file with a hard link to an existing file and hashes it.
+
+        No process may write to the file afterwards.
 
         Args:
-            source: the file.
+            source: file on the same disk.
 
         Raises:
-            OSError: there is none, it lies on another disk, or the disk knows no second names; nothing has changed.
-            WorldError: it cannot be read; the part file has been removed.
+            OSError: the file does not exist, is on another disk, or the file system has no hard links; nothing has
+                changed.
+            WorldError: the file cannot be read; the part file has been removed.
         """
         link = self.path.with_suffix(".link")
         os.link(source, link)
@@ -65,14 +68,14 @@ class Staged(Closing):
 
     @property
     def sha256(self) -> str:
-        """Digest of what is there so far."""
+        """SHA-256 of the bytes written so far, hexadecimal."""
         return self._hash.hexdigest()
 
     def flush(self) -> None:
-        """Makes the bytes durable.
+        """Flushes the bytes durably to the disk.
 
         Raises:
-            WorldError: the disk is full or gone; the part file has been removed.
+            WorldError: the disk is full or unavailable; the part file has been removed.
         """
         try:
             os.fsync(self._file.fileno())
@@ -81,11 +84,11 @@ class Staged(Closing):
             raise world_error("write", self.path.parent, error) from error
 
     def abandon(self) -> None:
-        """Closes and deletes the part file; does nothing once it is published or abandoned."""
+        """Closes and deletes the part file. Does nothing if it is published or abandoned already."""
         if not self._file.closed:
             self._file.close()
             self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Abandons the part file unless it is published."""
+        """Deletes the part file unless it is published."""
         self.abandon()

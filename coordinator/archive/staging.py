@@ -1,6 +1,6 @@
-"""The local part of every archive: the lock of its one coordinator, and part files that grow beside it.
+"""Manages the local files of an archive: the lock of its coordinator and the folder of part files.
 
-Empties the folder of part files when it opens, for whoever wrote them is gone. Knows no episode by content.
+Opening deletes the part files of a previous process. The module does not read episodes.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ __all__ = ["Staging", "is_held"]
 
 _LOCK = ".lock"
 _ASKED_S = 0.001
-"""Pause before the lock is tried again, seconds."""
+"""Pause between two attempts to take the lock, seconds."""
 
 
 class Staging:
-    """A directory held by this process alone, with room for part files.
+    """Exclusively locked directory with a folder for part files.
 
     Args:
-        root: the directory; it is made when it is not there.
-        dataset: what is worked on, for the message to whoever comes second.
+        root: directory; created if it does not exist.
+        dataset: name of the dataset for the error message of a second process.
 
     Raises:
-        WorldError: the directory cannot be written, or another coordinator works on it.
+        WorldError: the directory cannot be written, or another coordinator holds it.
     """
 
     def __init__(self, root: Path, dataset: str) -> None:
@@ -50,7 +50,7 @@ class Staging:
             raise
 
     def stage(self, index: int) -> Staged:
-        """Opens a new part file for an episode; several may be open for one episode.
+        """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
             WorldError: the directory cannot be written.
@@ -62,23 +62,23 @@ class Staging:
             raise world_error("write", path.parent, error) from error
 
     def part(self, name: str) -> Path:
-        """Returns the path of a part file that nobody else has."""
+        """Returns a unique path for a part file."""
         return self.root / STAGING / f"{name}.{secrets.token_hex(8)}.part"
 
     def free_bytes(self) -> int:
-        """Returns the bytes an ordinary user can still write to the file system."""
+        """Returns the free space of the file system for an unprivileged user, bytes."""
         with translated("ask the free space of", self.root):
             return shutil.disk_usage(self.root).free
 
     def close(self) -> None:
-        """Lets another coordinator open the directory."""
+        """Releases the directory, so that another coordinator can open it."""
         os.close(self._lock)
 
 
 def is_held(root: Path) -> bool | None:
-    """Returns whether a coordinator holds the directory now; `None` where this user cannot find out.
+    """Returns whether a coordinator holds the directory; `None` if this user may not read the lock file.
 
-    Takes the lock for a moment, shared with others who ask; a coordinator that starts meanwhile waits for them.
+    The function takes a shared lock briefly; a coordinator that starts meanwhile waits until the lock is released.
     """
     try:
         descriptor = os.open(root / _LOCK, os.O_RDONLY | os.O_CLOEXEC)
@@ -95,7 +95,7 @@ def is_held(root: Path) -> bool | None:
 
 
 def _take(descriptor: int, kind: int) -> bool:
-    """Takes a lock without waiting; returns whether it was free."""
+    """Tries to take a lock without blocking; returns whether it succeeded."""
     try:
         fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -104,9 +104,9 @@ def _take(descriptor: int, kind: int) -> bool:
 
 
 def _take_alone(descriptor: int) -> bool:
-    """Takes the lock of the one coordinator; returns whether no other coordinator holds it.
+    """Takes the exclusive lock of a coordinator; returns `False` if another coordinator holds it.
 
-    A lock that can be shared is held by those who ask `is_held`, each for a moment.
+    If a shared lock is available, only callers of `is_held` hold the lock, each briefly.
     """
     while not _take(descriptor, fcntl.LOCK_EX):
         if not _take(descriptor, fcntl.LOCK_SH):

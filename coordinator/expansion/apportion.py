@@ -1,4 +1,7 @@
-"""Exact shares of a whole number: the Webster (Sainte-Lague) sequence, and drawing the least used. Pure."""
+"""Apportions integer quotas with the Webster (Sainte-Lague) method, and samples the least used option.
+
+The functions have no side effects apart from the counter that `least_used` updates.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
-    """Returns `count` keys such that every prefix is apportioned to the shares as evenly as whole numbers allow.
+    """Returns a sequence of `count` keys in which every prefix is apportioned to the shares.
 
     The next key is the one with the largest share / (2 * already given + 1); ties go to the first in the mapping.
     Webster's method is house-monotone: a longer sequence never takes a seat back (Balinski & Young, 1982).
@@ -29,13 +32,13 @@ def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
 
 
 def apportion(shares: Mapping[Key, float], count: int) -> dict[Key, int]:
-    """Returns how many of `count` each key gets; the numbers add up to `count`."""
+    """Returns the quota of each key; the quotas sum to `count`."""
     tally = Counter(webster_sequence(shares, count))
     return {key: tally[key] for key in shares}
 
 
 def least_used(options: Sequence[Key], used: Counter[Key], rng: np.random.Generator) -> Key:
-    """Draws among the options used least so far, and counts the use."""
+    """Samples uniformly among the least used options and increments the count of the result."""
     fewest = min(used[option] for option in options)
     candidates = [option for option in options if used[option] == fewest]
     choice = candidates[int(rng.integers(len(candidates)))]

@@ -1,4 +1,4 @@
-"""The plans that ship with the product: `demo`, `paper`, `balanced`, and how a shrunk `paper` is told. Pure."""
+"""Defines the built-in plans `demo`, `paper` and `balanced`, and recognises reduced `paper` plans. Reads no file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DEMO = Plan(
     splits=dict.fromkeys((Split.TRAIN_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD, Split.TEST_OOD_OBJ), 0.25),
     balance="categories",
 )
-"""16 near episodes, four of every scene, one of each split but val_id: minutes on two cores, under 1 GB."""
+"""16 near episodes: four per scene, one of each split except val_id. It takes minutes on two cores and under 1 GB."""
 
 _PAPER = Plan(
     name="paper",
@@ -36,7 +36,7 @@ _BALANCED = Plan(
     balance="categories",
     disjoint_instances=True,
 )
-"""Equal scenes, equal categories, the planner expert, colours on, instances of training and evaluation kept apart."""
+"""Equal scenes and categories, planner expert, colours on, disjoint instances for training and evaluation."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 

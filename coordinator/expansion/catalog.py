@@ -1,4 +1,4 @@
-"""The compiled scenes a run uses: what plan expansion draws from and what workers fetch. Holds, never builds."""
+"""Describes the compiled scenes of a run, which plan expansion samples from and workers fetch. Compiles no scene."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ __all__ = ["Catalog", "SceneEntry", "read_entry"]
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """One compiled scene on disk."""
+    """Compiled scene on disk."""
 
     info: SceneInfo
+    """Metadata of the scene."""
     sha256: str
-    """Digest of the package file; its name on the wire."""
+    """SHA-256 of the package file; workers request the package by it."""
     size: int
-    """Bytes of the package file."""
+    """Size of the package file, bytes."""
     path: Path
+    """Path of the package file."""
 
 
 Catalog = Mapping[str, SceneEntry]
-"""Scene name -> entry."""
+"""Mapping of scene name to entry."""
 
 
 def read_entry(path: Path) -> SceneEntry:
-    """Reads a package's digest and metadata.
+    """Reads digest and metadata of a package.
 
     Raises:
-        InvalidBundle: the file is no package of this format version.
+        InvalidBundle: the file is not a package of this format version.
     """
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""The exact quota of every cell of scene x split x tier. Pure; knows nothing of what the scenes hold."""
+"""Computes the exact quota of every cell of scene x split x tier. Does not read the scenes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""From a plan to jobs: exact cells of scene x tier x split, then category, target and template for each episode.
+"""Expands a plan into jobs: exact quotas of scene x tier x split, then category, target and template per episode.
 
-Pure: the same plan and the same compiled scenes give the same jobs, on any machine and in any order of work.
+The result depends on the plan and the compiled scenes only, not on the machine or the order of the work.
 """
 
 from __future__ import annotations
@@ -37,22 +37,23 @@ _SHARED_SPECS = 1 << 14
 
 @dataclass(frozen=True)
 class PlannedJob:
-    """What one draw of one episode asks for."""
+    """One draw of one episode of the plan."""
 
     index: int
+    """Episode number, from 1."""
     draw: int
     episode: EpisodeSpec
     """Shared by the jobs that ask for the same."""
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
-    """Returns draw 0 of every episode, in the order of the plan's indices (from 1).
+    """Returns draw 0 of every episode, ordered by episode number (from 1).
 
-    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets (or categories first, when
-    `plan.balance` says so) and templates are drawn evenly.
+    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
+    evenly; with `plan.balance == "categories"` the category is sampled first.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
     scenes = tuple(each_scene(plan, catalog))
     _require_possible(plan, scenes)
@@ -65,10 +66,10 @@ def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
 
 
 def require_possible(plan: Plan, catalog: Catalog) -> None:
-    """Makes sure that every cell of a plan has a target; `expand` does so too.
+    """Checks that every cell of a plan has a target; `expand` checks it too.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
     _require_possible(plan, tuple(each_scene(plan, catalog)))
 
@@ -93,7 +94,7 @@ def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
     present = {target.category for target in entry.info.targets}
     named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
-        yield f"scenes[{number}] {scene.name}: {_say_absent(scene, entry, present)}"
+        yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
     for (split, tier), count in cells.quota.items():
         if named[split] & present and not cells.pool(split, tier):
             yield (
@@ -103,7 +104,7 @@ def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
             )
 
 
-def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
+def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
     absent = [[name for name in names if name not in present] for names in scene.categories]
     missing = [
         f"no reachable {', '.join(map(repr, names))} ({key})"
@@ -142,10 +143,10 @@ def _expand_scene(
 
 
 def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
-    """Returns the next draw of the same cell, after the former target proved hopeless.
+    """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
-    The first few draws keep the category; later ones open the whole pool. Depends on plan, scene, index and draw
-    only, so that the redrawn dataset is the same whoever failed when.
+    The first redraws keep the category; later redraws use all targets of the cell. The result depends on plan, scene,
+    index and draw only, so that it does not depend on which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))

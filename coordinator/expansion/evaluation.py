@@ -17,8 +17,8 @@ class EvalJobs:
     """What the coordinator of an evaluation gives out; its plan names the scenes and the settings only."""
 
     planned: tuple[PlannedJob, ...]
-    """The jobs that a new ledger is begun with."""
+    """Jobs of a new ledger."""
     find: Callable[[int], EvalPayload]
-    """Returns the task of a job, by the job's index."""
+    """Function that returns the payload of a job by its index."""
     files: Mapping[str, Path] = field(default_factory=dict)
-    """What is attached, by SHA-256."""
+    """Attached files by SHA-256."""

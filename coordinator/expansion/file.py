@@ -1,6 +1,6 @@
-"""Plans by name or by TOML file, and shrinking a plan; every mistake is named with its key.
+"""Loads plans by name or from TOML files, and reduces plans. Errors name the key of every mistake.
 
-The only place that reads plan files; it does not look at scenes.
+No other module reads plan files. This module does not read scenes.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def load_plan(reference: str) -> Plan:
     """Returns a built-in plan by its name, or reads a TOML file.
 
     Raises:
-        UsageError: no built-in plan is called that, and no such file is there.
-        InvalidPlan: the file holds mistakes; all are listed.
+        UsageError: neither a built-in plan nor a file has that name.
+        InvalidPlan: the file has mistakes; the error lists all of them.
     """
     if reference in BUILTIN_PLANS:
         return BUILTIN_PLANS[reference]
@@ -39,7 +39,7 @@ def load_plan(reference: str) -> Plan:
     if trouble:
         raise UsageError(f"cannot read plan {reference[:80]!r}: {trouble}")
     if not path.is_file():
-        raise UsageError(_say_absent(reference, path))
+        raise UsageError(_absent_message(reference, path))
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise InvalidPlan(f"{path} is not a plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
@@ -53,8 +53,8 @@ def load_plan(reference: str) -> Plan:
     return parse_plan(data, str(path), base=path.parent)
 
 
-def _say_absent(reference: str, path: Path) -> str:
-    """Returns why a reference is no plan: a file that is not there, or a name that none has."""
+def _absent_message(reference: str, path: Path) -> str:
+    """Returns the error message for a reference that is neither a file nor a built-in plan."""
     known = f"the built-in plans are {', '.join(BUILTIN_PLANS)}"
     if path.is_dir():
         return f"no plan {reference!r}: that is a directory; give a TOML file ({known})"
@@ -65,25 +65,25 @@ def _say_absent(reference: str, path: Path) -> str:
 
 
 def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Plan:
-    """Checks a plan given as plain data.
+    """Validates a plan given as plain data.
 
     Args:
-        data: as TOML gives it.
-        where: what to call it in errors.
-        base: the folder relative paths start at.
+        data: data as parsed from TOML.
+        where: name of the source for error messages.
+        base: folder that relative paths are resolved against; `None` leaves the paths unchanged.
 
     Raises:
-        InvalidPlan: with a line for every mistake, each naming its key.
+        InvalidPlan: the plan has mistakes; the error has one line per mistake, with its key.
     """
     try:
         plan = Plan.model_validate(data)
     except ValidationError as error:
-        raise InvalidPlan(f"{where} is not a valid plan", _say_all(error)) from error
+        raise InvalidPlan(f"{where} is not a valid plan", _messages(error)) from error
     if base is None:
         return plan
     try:
         return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
-    except (ValueError, OSError, RuntimeError) as error:  # a zero byte, or a link that leads to itself
+    except (ValueError, OSError, RuntimeError) as error:  # a NUL byte, or a symbolic link loop
         raise InvalidPlan(f"{where} is not a valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
 
 
@@ -97,7 +97,7 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
 
 
 def scene_of(plan: Plan, name: str) -> ScenePlan:
-    """Returns the plan's part of a scene.
+    """Returns the section of the plan for a scene.
 
     Raises:
         UsageError: the plan has no such scene.
@@ -117,10 +117,10 @@ def shrink(
     expert: ExpertName | None = None,
     seed: int | None = None,
 ) -> Plan:
-    """Returns the plan with only some scenes or episodes, its proportions kept, or with another expert or seed.
+    """Returns the plan with fewer scenes or episodes in the same proportions, or with another expert or seed.
 
     Raises:
-        UsageError: the plan has no such scene, or more episodes are asked for than it has.
+        UsageError: the plan has no such scene, or `episodes` is less than 1.
     """
     wanted = {scene_of(plan, name).name for name in scenes}
     parts = tuple(part for part in plan.scenes if part.name in wanted) or plan.scenes
@@ -137,18 +137,18 @@ def shrink(
     return plan.model_copy(update=changes)
 
 
-def _say_all(error: ValidationError) -> list[str]:
+def _messages(error: ValidationError) -> list[str]:
     items = error.errors()
     deeper = {item["loc"][:1] for item in items if len(item["loc"]) > 1}
     sentences = []
     for item in items:
         if item["type"] == "too_short" and item["loc"] in deeper:
-            continue  # the list only looks short because its items were refused
-        sentences += _say(item)
+            continue  # the list is too short only because its items are invalid
+        sentences += _messages_of(item)
     return sentences
 
 
-def _say(item: Any) -> list[str]:
+def _messages_of(item: Any) -> list[str]:
     key = ""
     for part in item["loc"]:
         if part != "[key]":

@@ -1,6 +1,6 @@
-"""Which instances a scene's training names and which its evaluation, where a plan keeps them apart. Pure.
+"""Assigns the instances of a scene to training or evaluation for plans with `disjoint_instances`.
 
-Held-out categories need no such care: no split but `test_ood_obj` names them.
+The module does not assign instances of held-out categories: only the split `test_ood_obj` names them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SIDES_STREAM = 3
 
 
 class Side(StrEnum):
-    """Who may name an instance of a seen category."""
+    """Splits that may name an instance of a seen category."""
 
     TRAIN = "train"  # train_id only
     EVALUATION = "evaluation"  # val_id, test_id and test_paraphrase_ood only
@@ -31,11 +31,11 @@ class Side(StrEnum):
 
 
 Sides = Mapping[str, Side]
-"""Target id -> side, for the instances of seen categories."""
+"""Mapping of target id to side, for the instances of seen categories."""
 
 
 def side_of(split: Split) -> Side:
-    """Returns the side that a split of seen categories is on."""
+    """Returns the side of a split of seen categories."""
     return Side.TRAIN if split is Split.TRAIN_ID else Side.EVALUATION
 
 
@@ -47,9 +47,9 @@ def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
 def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry, quota: Cells) -> Sides:
     """Returns the side of every startable instance of a seen category; empty where nothing is to be kept apart.
 
-    Of each category as many instances go to training as its share of the episodes says, at least one to each side.
-    A category with a single instance is shared. So are all categories of a tier in which a cell would stay without
-    any target otherwise.
+    The instances of each category are divided in proportion to the episodes of training and evaluation, with at least
+    one instance per side. A category with a single instance is shared. So are all categories of a tier in which a cell
+    would otherwise have no target.
     """
     wanted = dict.fromkeys((Side.TRAIN, Side.EVALUATION), 0)
     for (split, _), count in quota.items():
@@ -70,14 +70,14 @@ def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry, quota: Cells) -> S
 
 
 def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:
-    """Returns the categories of which training and evaluation may name one instance."""
+    """Returns the categories whose instances training and evaluation share."""
     return tuple(sorted({t.category for t in entry.info.targets if sides.get(t.target_id) is Side.SHARED}))
 
 
 def _divide(plan: Plan, group: list[Target], wanted: Mapping[Side, int]) -> dict[str, Side]:
     if len(group) == 1:
         return {group[0].target_id: Side.SHARED}
-    # those that can be started for from most tiers go first, so that both sides get some of them
+    # targets that are startable from the most tiers come first, so that both sides get some of them
     group = sorted(group, key=lambda target: -len(startable_tiers(plan, target)))
     order = webster_sequence({side: float(count) for side, count in wanted.items()}, len(group))
     for side in wanted:

@@ -1,4 +1,7 @@
-"""The possible plan nearest to an impossible one: fewest episodes in other cells, nothing else changed. Pure."""
+"""Computes the feasible plan nearest to an infeasible one: it moves the fewest episodes to other cells.
+
+The functions have no side effects.
+"""
 
 from __future__ import annotations
 
@@ -20,22 +23,22 @@ Share = TypeVar("Share", Split, Tier)
 
 @dataclass(frozen=True)
 class Nearest:
-    """What could be made instead."""
+    """Nearest feasible plan."""
 
     plan: Plan | None
-    """`None` when no scene has any target that the plan names and the expert could start for."""
+    """The feasible plan; `None` if no scene has a target that the plan names and the expert can start for."""
     changes: tuple[str, ...]
-    """What differs, one line a scene; empty when the plan is possible as it is."""
+    """Differences, one line per scene; empty if the plan is feasible."""
     moved: int
-    """Episodes that are in other cells, or in none, compared with the plan."""
+    """Number of episodes of the plan that are in other cells or are omitted."""
 
 
 def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
-    """Returns a plan whose every cell has a target.
+    """Returns a plan in which every cell has a target.
 
-    Categories that a scene lacks leave it. Where cells stay without a target, those tiers and splits of the scene are
-    kept that together hold most of the episodes and are all possible; their shares grow in proportion. A scene in
-    which nothing is left is given up.
+    Categories that a scene lacks are removed from it. If a scene then has cells without a target, the function keeps
+    the feasible combination of tiers and splits with the most episodes and rescales its shares. A scene without any
+    feasible cell is removed.
     """
     kept: list[ScenePlan] = []
     changes: list[str] = []
@@ -47,19 +50,19 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
         if part is not None:
             kept.append(part)
         if part != scene:
-            changes.append(_say(plan, scene, part, catalog[scene.name], lost))
+            changes.append(_change_message(plan, scene, part, catalog[scene.name], lost))
     return Nearest(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
 
 
 def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:
-    """The scene with those categories, tiers and splits that leave no cell empty; `None` when nothing is left."""
+    """Returns the scene reduced to feasible categories, tiers and splits; `None` if no cell is feasible."""
     part = _with_categories(plan, scene, {target.category for target in entry.info.targets})
     if part is None:
         return None
     found = scene_cells(plan, part, entry)
     if all(found.pool(*cell) for cell in found.quota):
         return part
-    free = plan.model_copy(update={"disjoint_instances": False})  # instances are shared rather than cells left empty
+    free = plan.model_copy(update={"disjoint_instances": False})  # sharing instances is preferred to empty cells
     tiers, splits = _positive(plan.tiers_of(part)), _positive(plan.splits_of(part))
     shared = scene_cells(free, part, entry)
     able = {cell for cell in product(splits, tiers) if shared.pool(*cell)}
@@ -88,12 +91,12 @@ def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | No
 
 
 def _subsets(keys: list[Share]) -> list[tuple[Share, ...]]:
-    """All but the empty one, larger ones first."""
+    """Returns all non-empty subsets, larger ones first."""
     return [some for size in range(len(keys), 0, -1) for some in combinations(keys, size)]
 
 
 def _with_categories(plan: Plan, scene: ScenePlan, present: set[str]) -> ScenePlan | None:
-    """The scene with those of its categories that it has, and without the splits that then have none."""
+    """Returns the scene with its present categories only and without the splits that have no category left."""
     seen, held_out = (tuple(name for name in names if name in present) for names in scene.categories)
     part: ScenePlan | None = scene
     if (seen, held_out) != tuple(scene.categories):
@@ -112,7 +115,7 @@ def _positive(shares: Mapping[Share, float]) -> dict[Share, float]:
 
 
 def _only(shares: Mapping[Share, float], kept: Iterable[Share]) -> dict[Share, float]:
-    """Some of the shares, in proportion; empty when none is kept."""
+    """Returns the kept shares, rescaled to sum to 1; empty if `kept` is empty."""
     total = sum(shares[key] for key in kept)
     return {key: shares[key] / total for key in kept}
 
@@ -121,7 +124,7 @@ def _moved(wanted: Cells, found: Cells) -> int:
     return sum(max(0, count - found.get(cell, 0)) for cell, count in wanted.items())
 
 
-def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
+def _change_message(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
     present = {target.category for target in entry.info.targets}
     if part is None:
         is_there = any(name in present for names in scene.categories for name in names)
@@ -134,11 +137,13 @@ def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry
             words.append(f"{key} without {', '.join(gone)}")
     tiers, splits = plan.tiers_of(part), plan.splits_of(part)
     if tiers != plan.tiers_of(scene):
-        words.append("tiers " + _say_shares({str(tier): tiers.get(tier, 0.0) for tier in plan.tiers_of(scene)}))
+        words.append("tiers " + _format_shares({str(tier): tiers.get(tier, 0.0) for tier in plan.tiers_of(scene)}))
     if splits != plan.splits_of(scene):
-        words.append("splits " + _say_shares({str(split): splits.get(split, 0.0) for split in plan.splits_of(scene)}))
+        words.append(
+            "splits " + _format_shares({str(split): splits.get(split, 0.0) for split in plan.splits_of(scene)})
+        )
     return f"{scene.name}: {'; '.join(words)} ({lost} of {scene.episodes} episodes in other cells)"
 
 
-def _say_shares(shares: Mapping[str, float]) -> str:
+def _format_shares(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{key} {share:.4g}" for key, share in shares.items())

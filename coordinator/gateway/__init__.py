@@ -1,1 +1,1 @@
-"""Gateways: routers with pullers and a directory of their own, and what they and their core say to each other."""
+"""Gateways: zenoh routers with pullers and a local archive directory, and their communication with the core."""

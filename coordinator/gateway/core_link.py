@@ -1,6 +1,6 @@
-"""A gateway's questions to its core: asked through its own router, answered or unknown.
+"""Sends the requests of a gateway to its core through the zenoh session of the gateway's router.
 
-Also the one place that notices silence and opens the router anew; it decides nothing about what was asked.
+The module also detects a core that does not reply and reopens the router. It does not interpret the requests.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ log = structlog.get_logger(__name__)
 
 
 class CoreLink:
-    """Asks under one name.
+    """Request client of a gateway.
 
     Args:
-        node: the gateway's session.
-        name: of the gateway; with TLS the name in its certificate.
+        node: zenoh session of the gateway.
+        name: name of the gateway; with TLS the common name of its certificate.
     """
 
     def __init__(self, node: ZenohNode, name: str) -> None:
         self._node = node
         self._name = name
         self.run = _ANY_RUN
-        """The run that is asked about; any, until it is known."""
+        """Run in the request keys; the wildcard `*` until the run is known."""
         self._heard = self._opened = time.monotonic()
-        self._healing = threading.Lock()
-        self._away = Repeated(log, "core_away")
+        self._reconnecting = threading.Lock()
+        self._away = Repeated(log, "core_unreachable")
 
     @property
     def silence_s(self) -> float:
-        """Seconds since the core has answered anything, or since the start."""
+        """Time since the last reply of the core, or since the start, seconds."""
         return time.monotonic() - self._heard
 
     def ask(self, verb: Verb, message: Model, kind: type[R]) -> R:
-        """Returns the answer.
+        """Sends a request and returns the reply.
 
         Raises:
-            TransientError: none came; whether the core heard is unknown, so ask the same again.
-            WorldError: the core refuses, or several cores answer.
+            TransientError: no reply arrived; the core may have processed the request, so repeat it unchanged.
+            WorldError: the core refuses the request, or several cores reply.
         """
         key = verb_key(self.run, self._name, verb)
         found = list(self._node.ask(key, message.model_dump_json(), _TIMEOUT_S))
         if not found:
-            self._heal()
+            self._reconnect()
             raise TransientError(
                 f"the coordinator does not answer request {verb!r} of gateway {self._name}; the request is repeated"
             )
@@ -74,11 +74,11 @@ class CoreLink:
         return _read(found[0], kind)
 
     def insist(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
-        """Asks until there is an answer.
+        """Repeats a request until the core replies.
 
         Raises:
-            TransientError: told to stop before.
-            WorldError: the core refuses.
+            TransientError: `stop` was set before the core replied.
+            WorldError: the core refuses the request.
         """
         while True:
             try:
@@ -87,9 +87,9 @@ class CoreLink:
                 if stop.wait(_PAUSE_S):
                     raise
 
-    def _heal(self) -> None:
-        """Opens the router anew after a long silence: a half-open link, or one that zenoh has given up, heals so."""
-        with self._healing:
+    def _reconnect(self) -> None:
+        """Reopens the router after a long time without replies, to restore half-open links and abandoned retries."""
+        with self._reconnecting:
             if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
                 return
             self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="none needed; the gateway reconnects")

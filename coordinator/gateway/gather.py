@@ -1,6 +1,7 @@
-"""Brings the episodes that gateways keep into the core's own dataset: copied, compared with the ledger, taken home.
+"""Copies the episodes that gateways store into the dataset of the core and records them there.
 
-Runs without a coordinator and deletes nothing: what a gateway has stays there. Cut off, it is simply run again.
+The module compares each copy with the ledger. It runs without a coordinator, does not delete files of a gateway, and
+can be repeated after an interruption.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.engine import open_writer
-from coordinator.ledger.keepers import all_keepers, bring_home
+from coordinator.ledger.gateway_episodes import gateways_by_episode, record_at_core
 from coordinator.ledger.outcomes import lose
-from coordinator.ledger.reading.look import require_sound
+from coordinator.ledger.reading.reader import require_sound
 from coordinator.ledger.tables import episodes
-from coordinator.recovery.mend import RepairInput
+from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.base import Model
@@ -38,32 +39,38 @@ ProgressCallback = Callable[[int, int], None]
 
 
 class Missing(Model):
-    """An episode that was not found whole in any of the directories."""
+    """Episode without an intact file in any of the directories."""
 
     episode: str
+    """Episode id."""
     gateway: str
-    """That keeps it, as the ledger says."""
+    """Gateway that stores the episode according to the ledger."""
     why: str
+    """Reason, per directory."""
 
 
 class GatherReport(Model):
-    """What came of a gathering."""
+    """Result of `gather`."""
 
     dataset: str
+    """Root of the dataset."""
     run: str
+    """Name of the run."""
     gathered: int
-    """Episodes taken home now."""
+    """Number of episodes copied by this call."""
     missing: tuple[Missing, ...]
+    """Episodes that were not found."""
     requeued: bool
-    """Whether the missing ones were put back into the queue, to be made anew."""
+    """Whether the missing episodes were returned to the queue, to be collected again."""
     episodes: int
-    """That lie in the dataset now."""
+    """Number of episodes in the dataset."""
     planned: int
+    """Number of episodes of the plan."""
 
 
 @dataclass(frozen=True)
 class _Wanted:
-    """An episode as the ledger owns it."""
+    """Ledger record of an episode at a gateway."""
 
     index: int
     gateway: str
@@ -72,37 +79,37 @@ class _Wanted:
 
 
 def gather(
-    patient: RepairInput,
+    dataset: RepairInput,
     sources: Sequence[Path],
     now: datetime,
     *,
     requeue_missing: bool = False,
-    tell: ProgressCallback = lambda _done, _all: None,
+    on_progress: ProgressCallback = lambda _done, _all: None,
 ) -> GatherReport:
-    """Takes home what lies at gateways, as far as it is found.
+    """Copies episodes from gateways into the dataset, as far as their files are found.
 
     Args:
-        patient: the core's dataset, and what is known of it.
-        sources: directories of gateways, or copies of them.
-        now: of the gathering.
-        requeue_missing: whether what is found nowhere is given up for lost and made anew.
-        tell: told how many episodes of how many are done.
+        dataset: dataset of the core.
+        sources: directories of gateways, or copies of such directories.
+        now: current time.
+        requeue_missing: whether to return missing episodes to the queue as lost.
+        on_progress: progress callback with the number of processed episodes and the total.
 
     Raises:
-        UsageError: a source is no directory of a gateway.
-        WorldError: a coordinator works on the dataset, its ledger is lost or damaged, or the disk refuses.
+        UsageError: a source is not a directory of a gateway.
+        WorldError: a coordinator holds the dataset, its ledger is lost or damaged, or the disk cannot be written.
     """
     for source in sources:
         if not (source / EPISODES).is_dir():
             raise UsageError(f"{source} has no {EPISODES}/: give the --out of a gateway, or a copy of it")
     missing: list[Missing] = []
     with ExitStack() as stack:
-        store = patient.root if isinstance(patient.root, ObjectPath) else None
-        archive = stack.enter_context(open_archive(patient.home, store))
-        if patient.stranger:
-            raise WorldError(f"the ledger {patient.stranger}; `factory repair {patient.root}` rebuilds the right one")
-        require_sound(patient.url)
-        engine = open_writer(patient.url)
+        store = dataset.root if isinstance(dataset.root, ObjectPath) else None
+        archive = stack.enter_context(open_archive(dataset.home, store))
+        if dataset.stranger:
+            raise WorldError(f"the ledger {dataset.stranger}; `factory repair {dataset.root}` rebuilds the right one")
+        require_sound(dataset.url)
+        engine = open_writer(dataset.url)
         stack.callback(engine.dispose)
         with engine.connect() as connection:
             wanted = _wanted(connection)
@@ -111,23 +118,23 @@ def gather(
             if why:
                 missing.append(Missing(episode=episode_id(one.index), gateway=one.gateway, why=why))
             _settle(engine, one, why, now, requeue_missing=requeue_missing)
-            tell(done, len(wanted))
+            on_progress(done, len(wanted))
         with engine.connect() as connection:
-            write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+            write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive)
         return GatherReport(
-            dataset=str(patient.root),
-            run=patient.plan.run,
+            dataset=str(dataset.root),
+            run=dataset.plan.run,
             gathered=len(wanted) - len(missing),
             missing=tuple(missing),
             requeued=requeue_missing and bool(missing),
             episodes=len(archive.present()),
-            planned=patient.plan.episodes,
+            planned=dataset.plan.episodes,
         )
 
 
 def _wanted(connection: Connection) -> list[_Wanted]:
-    away = all_keepers(connection)
+    away = gateways_by_episode(connection)
     rows = connection.execute(select(episodes.c.idx, episodes.c.sha256, episodes.c.size).order_by(episodes.c.idx))
     return [_Wanted(row.idx, away[row.idx], row.sha256, row.size) for row in rows if row.idx in away]
 
@@ -135,18 +142,18 @@ def _wanted(connection: Connection) -> list[_Wanted]:
 def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_missing: bool) -> None:
     if not why:
         with engine.begin() as connection:
-            bring_home(connection, one.index)
+            record_at_core(connection, one.index)
     elif requeue_missing:
         with engine.begin() as connection:
             lose(connection, one.index, now, f"stored at gateway {one.gateway}: {why}")
 
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
-    """Copies an episode into the dataset; returns why not, or nothing when it lies there, durable and as recorded."""
+    """Copies an episode durably into the dataset; returns the reason if that fails, else an empty string."""
     home = archive.path_of(one.index)
     if home.exists():
         if digest_of(home) == one.sha256:
-            return ""  # cut off the last time between file and ledger
+            return ""  # a previous call ended between file and ledger
         archive.quarantine(home, f"its SHA-256 is not {one.sha256}, which the ledger has")
     found = []
     for source in sources:
@@ -165,7 +172,7 @@ def _copy(archive: Archive, one: _Wanted, path: Path) -> str:
             with path.open("rb") as file:
                 while staged.size <= one.size and (block := file.read(_COPY_BYTES)):
                     staged.write(block)
-        except OSError as error:  # of the source: what the archive cannot take is a WorldError
+        except OSError as error:  # an error of the source: an error of the archive is a WorldError
             return f"{path} cannot be read: {error.strerror}"
         if staged.sha256 != one.sha256:
             return f"{path} has SHA-256 {staged.sha256}, but {one.sha256} in the ledger"

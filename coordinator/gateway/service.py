@@ -1,6 +1,7 @@
-"""A gateway of a run: a router for its workers, pullers, a directory of its own, and a link to the core.
+"""Gateway of a run: a router for its workers, pullers, a local archive directory and a link to the core.
 
-Bulk ends here: the core hears which episodes lie in the directory, under the same fences as its own. Keeps no ledger.
+Bundles are transferred to the gateway only. The core records which episodes the gateway stores, with the same fencing
+as for its own episodes. The gateway has no ledger.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ import structlog
 
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.gateway.remote_book import RemoteBook
-from coordinator.gateway.stock import take_stock
-from coordinator.gateway.title import holds_title, require_title, write_title
-from coordinator.housekeeper import Housekeeper
+from coordinator.gateway.inventory import reconcile_directory
+from coordinator.gateway.owner_file import has_owner, require_owner, write_owner
+from coordinator.gateway.remote_ledger import RemoteLedgerClient
 from coordinator.meters import Meters
+from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.protocol import Pull
 from coordinator.protocol.relay import MAX_ORDERS, Duty, Join, JoinReply, Orders, RelayOrder
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
-from coordinator.status.vitals import Snapshot
+from coordinator.status.health import Snapshot
 from coordinator.transfer.puller import Checker, Pullers
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
@@ -43,22 +44,22 @@ log = structlog.get_logger(__name__)
 
 
 class Gateway(Closing):
-    """A running gateway; a context manager whose exit loses nothing.
+    """Running gateway; a context manager. Closing it loses no data.
 
     Args:
-        root: its directory; made, or taken up again with what lies there.
-        name: under which the core knows it; with TLS the name in its certificate.
+        root: directory of the gateway; created, or opened with its existing files.
+        name: name of the gateway at the core; with TLS the common name of its certificate.
         connect: endpoints of the core.
-        listen: endpoints for workers; port 0 takes a free one.
-        settings: as a coordinator has them.
-        guard: certificates and who is admitted; `None` lets in whoever can connect.
-        checker: judges bundles and is closed with the gateway; by default sandboxed children, one a puller.
-        stop: ends waiting for the core at the start.
+        listen: endpoints for workers; port 0 selects a free port.
+        settings: settings, the same as those of a coordinator.
+        guard: TLS credentials and admission list; `None` admits every peer that can connect.
+        checker: validator of bundles, closed with the gateway; by default one sandboxed child process per puller.
+        stop: event that ends waiting for the core during the start.
 
     Raises:
         UsageError: the directory belongs to another run or gateway.
-        WorldError: another process works there, an endpoint is taken, or the core refuses.
-        TransientError: told to stop before the core has answered.
+        WorldError: another process holds the directory, an endpoint is in use, or the core refuses the gateway.
+        TransientError: `stop` was set before the core replied.
     """
 
     def __init__(
@@ -87,25 +88,25 @@ class Gateway(Closing):
             self.run = self._join(root, name, checker, stop)
             """Name of the run."""
             self._pullers = stack.enter_context(self._open_pullers(checker))
-            stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
+            stack.callback(checker.close)  # before the pullers end, so that they do not wait for a long validation
             stack.callback(stop.set)
-            self._chores = stack.enter_context(self._open_housekeeper())
+            self._periodic_tasks = stack.enter_context(self._open_periodic_tasks())
             self._stack = stack.pop_all()
         log.info("gateway_started", run=self.run, name=name, endpoints=self.endpoints, directory=str(root))
 
     @property
     def endpoints(self) -> tuple[str, ...]:
-        """Where workers connect."""
+        """Endpoints for workers."""
         return self._node.endpoints
 
     def is_alive(self) -> bool:
-        """Whether the thread that asks for orders still runs; if not, only a restart helps."""
-        return self._chores.is_alive
+        """Returns whether the thread that fetches orders runs; if it has ended, restart the process."""
+        return self._periodic_tasks.is_alive
 
     def troubles(self) -> tuple[str, ...]:
-        """Returns why it cannot serve now, in words; nothing when it can.
+        """Returns the reasons why the gateway cannot serve now; empty if it can.
 
-        A full disk is no trouble here: workers must stay connected to bring what they have.
+        A full disk is not such a reason: workers must stay connected to deliver their bundles.
         """
         found = [] if self._node.is_open else ["not listening to workers"]
         if self._core.silence_s > _SILENCE_S:
@@ -113,7 +114,7 @@ class Gateway(Closing):
         return tuple(found)
 
     def snapshot(self) -> Snapshot:
-        """Returns its figures; those of the run are the core's to tell."""
+        """Returns the metrics of the gateway; the metrics of the run are available from the core."""
         return Snapshot(
             progress=None,
             frames=0,
@@ -126,7 +127,7 @@ class Gateway(Closing):
         )
 
     def close(self) -> None:
-        """Asks for no more, stops pulling at the next chunk and releases the directory."""
+        """Stops fetching orders, stops transfers at the next chunk and releases the directory."""
         self._stack.close()
 
     def _open_node(self, listen: Sequence[str]) -> ZenohNode:
@@ -139,20 +140,20 @@ class Gateway(Closing):
         )
 
     def _join(self, root: Path, name: str, checker: Checker, stop: threading.Event) -> str:
-        """Finds the run and brings directory and ledger to agree."""
+        """Joins the run of the core and reconciles the directory with the ledger."""
         join = Join(version=version("minivla-factory"), router=self._node.router_id)
         terms = self._core.insist(Verb.JOIN, join, JoinReply, stop)
-        is_new = not holds_title(root)
-        require_title(root, terms.run, name)
+        is_new = not has_owner(root)
+        require_owner(root, terms.run, name)
         self._core.run = terms.run
-        take_stock(self._archive, self._core, checker, stop, is_new=is_new)
-        write_title(root, terms.run, name)
+        reconcile_directory(self._archive, self._core, checker, stop, is_new=is_new)
+        write_owner(root, terms.run, name)
         return terms.run
 
     def _open_pullers(self, checker: Checker) -> Pullers:
         return Pullers(
             self._archive,
-            RemoteBook(self._core, self._archive, self._closing),
+            RemoteLedgerClient(self._core, self._archive, self._closing),
             self._fetch,
             checker,
             self._settings,
@@ -163,13 +164,13 @@ class Gateway(Closing):
     def _fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
         return self._node.fetch(self.run, sid, lease, chunk, self._settings.pull_timeout_s)
 
-    def _open_housekeeper(self) -> Housekeeper:
-        return Housekeeper(
+    def _open_periodic_tasks(self) -> PeriodicTasks:
+        return PeriodicTasks(
             {"fetch_orders": (_ORDERS_S, self._fetch_orders), "admit": (self._settings.admission_s, self._admit)}
         )
 
     def _fetch_orders(self) -> None:
-        """Asks what to pull; without room for nothing, which tells the core still that the gateway is there."""
+        """Fetches orders; with too little free space it requests none, and the request is a sign of life only."""
         has_room = self._archive.free_bytes() >= self._settings.reserve_bytes
         free = max(0, MAX_ORDERS - self._pullers.waiting) if has_room else 0
         duty = Duty(router=self._node.router_id, most=free, busy=self._pullers.busy_hosts)

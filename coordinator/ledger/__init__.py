@@ -1,1 +1,1 @@
-"""The ledger: its database and tables, the life of a job, leases and outcomes, and the one writer."""
+"""The ledger: database and tables, states of a job, leases and outcomes, and the single writer."""

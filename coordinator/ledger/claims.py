@@ -1,4 +1,4 @@
-"""Leases: claiming the next job, keeping it by beats, and taking it back when nothing is heard. Settles no outcome."""
+"""Grants, extends and expires leases on jobs. Does not record outcomes of attempts."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ __all__ = [
 
 HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5
-"""Leases that are granted after a restart, in lease times: nobody could beat while the coordinator was away."""
+"""Duration of the leases after a restart, in lease times: no heartbeat arrived while the coordinator was down."""
 _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
 _LONGEST_REST_S = 600.0
-"""More than any job is told to rest."""
+"""Upper bound of the pause of any job, seconds."""
 
 BY_TOKEN = select(*JOB).where(jobs.c.token == bindparam("of_token"))
 NEXT_ID = (
@@ -98,14 +98,14 @@ _EXPIRE = Transition(
 
 @dataclass(frozen=True)
 class BeatOutcome:
-    """What a beat found."""
+    """Outcome of a heartbeat."""
 
     lost: tuple[Lease, ...]
-    """Leases that are not in force."""
+    """Leases of running jobs that are not in force."""
     drop: tuple[Lease, ...]
-    """Spooled bundles that nobody wants."""
+    """Leases of spooled bundles that are not in force."""
     waiting: tuple[Row[Any], ...]
-    """Jobs whose announced bundle waits to be pulled."""
+    """Jobs whose announced bundle is not pulled yet."""
 
 
 def lease_of(row: JobRow) -> Lease:
@@ -116,18 +116,18 @@ def lease_of(row: JobRow) -> Lease:
 def claim(
     connection: Connection, sid: str, token: str, now: datetime, ttl_s: float, *, may_start: bool = True
 ) -> JobRow | None:
-    """Leases the job that waits longest, or returns the one that the token holds already.
+    """Leases the job that has waited longest, or returns the job that the token already holds.
 
     Args:
         connection: within a transaction.
-        sid: worker that asks.
-        token: of its choice; a repeated claim carries the same.
-        now: of the claim.
-        ttl_s: how long the lease lasts without a beat.
-        may_start: whether a job may be given out that the token does not hold yet.
+        sid: session id of the worker.
+        token: token that the worker chose; a repeated claim carries the same token.
+        now: time of the claim.
+        ttl_s: duration of the lease without a heartbeat, seconds.
+        may_start: whether the function may lease a job that the token does not hold yet.
 
     Returns:
-        The job's row; `None` when nothing is due, the token has been used up, or it is another host's.
+        The job's row; `None` if no job is due, the token was used before, or it belongs to another host.
     """
     known = _HOLDER.first(connection, {"of_token": token})
     if known is not None:
@@ -140,9 +140,9 @@ def claim(
 
 
 def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> BeatOutcome:
-    """Extends every lease of a host that is in force and returns what is lost, unwanted, or waits to be pulled.
+    """Extends every lease of a host that is in force; returns the others and the bundles that are not pulled yet.
 
-    A lease belongs to the host that claimed the job: with another host's token nothing can be done.
+    A lease belongs to the host that claimed the job; the token of another host has no effect.
     """
     host = host_of(beat.sid)
     named = {lease.job_id for lease in (*(live.lease for live in beat.live), *beat.spool)}
@@ -163,15 +163,15 @@ def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> Bea
 
 
 def extend(connection: Connection, lease: Lease, now: datetime, seconds: float) -> bool:
-    """Lets a lease last at least so long from now; returns whether it was in force."""
+    """Extends a lease to at least `seconds` from now; returns whether it is in force."""
     return _EXTEND.count(connection, {**lease_parameters(lease), "until": now.timestamp() + seconds}) == 1
 
 
 def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> int:
-    """Lets the leases of a worker last no longer than so long from now: a hint that it died, not a revocation.
+    """Shortens the leases of a worker to at most `seconds` from now, because its connection closed.
 
     Returns:
-        How many leases it holds.
+        The number of leases that the worker holds.
     """
     until = now.timestamp() + seconds
     sooner = case((jobs.c.lease_until > until, until), else_=jobs.c.lease_until)
@@ -180,12 +180,12 @@ def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> 
 
 
 def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
-    """Restarts every lease after an absence in which nobody could beat, or after the clock was set.
+    """Restarts every lease after a restart of the coordinator, or after the clock was set.
 
-    A job that was to rest until a time which is now far away rests no longer.
+    The function also ends the pause of a job that would end far in the future.
 
     Returns:
-        How many leases there are.
+        The number of leases.
     """
     far = now.timestamp() + _LONGEST_REST_S
     resting = update(jobs).where(jobs.c.state == JobState.PENDING, jobs.c.not_before > far)
@@ -195,10 +195,10 @@ def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
 
 
 def expire(connection: Connection, now: datetime) -> int:
-    """Returns jobs whose lease has run out to the queue, a few hundred at a time.
+    """Puts jobs with an expired lease back into the queue, at most `_SWEEP_ROWS` per call.
 
     Returns:
-        How many.
+            The number of jobs.
     """
     expired = 0
     for row in connection.execute(OVERDUE, {"now": now.timestamp()}).all():
@@ -211,16 +211,17 @@ def expire(connection: Connection, now: datetime) -> int:
 
 
 def held_too_long(connection: Connection, now: datetime, limit_s: float) -> Sequence[JobRow]:
-    """Returns jobs that were claimed longer ago than the limit and are still held; some hundred at most.
+    """Returns jobs that were claimed longer ago than the limit and are still held, at most `_SWEEP_ROWS`.
 
-    A claim in the future was made before the clock was set back; the caller knows that this is longer ago.
+    A claim time in the future is older than a change of the clock. The caller has checked that the limit has passed
+    since.
     """
     at = now.timestamp()
     return connection.execute(_CLAIMED_BEFORE, {"before": at - limit_s, "now": at}).all()
 
 
 def has_open_jobs(connection: Connection) -> bool:
-    """Returns whether any job can still change without an operator."""
+    """Returns whether any job can still change without an admin request."""
     return connection.execute(ANY_OPEN).first() is not None
 
 

@@ -1,7 +1,8 @@
-"""Opens the ledger's database by URL: one writing engine, or readers that cannot write. Only here SQLite is known.
+"""Opens the ledger's database by URL, with one writing engine or with read-only engines.
 
-Makes every SQLite transaction durable and exclusive from its first statement, and holds a PostgreSQL database by an
-advisory lock, so that it too has one writer; creates no table and runs no query of the ledger's.
+SQLite transactions are durable and exclusive from the first statement. An advisory lock ensures that a PostgreSQL
+database has one writer. The module contains all code that is specific to SQLite; it creates no table and runs no query
+on the ledger's tables.
 """
 
 from __future__ import annotations
@@ -34,29 +35,30 @@ __all__ = [
 
 _EXAMPLES = "examples: sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
-"""Of the advisory lock: one writer a database."""
+"""Key of the advisory lock, which allows one writer per database."""
 _LOCK_HELD = text("""
     SELECT 1 FROM pg_locks WHERE locktype = 'advisory' AND granted AND objsubid = 1 AND classid = :high AND objid = :low
         AND database = (SELECT oid FROM pg_database WHERE datname = current_database())""")
 _OTHERS = 0o007
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
-"""A server notices late that a killed coordinator is gone."""
+"""Longest wait for the lock and pause between attempts, seconds. A server detects late that a client was killed."""
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
 
 
 def sqlite_url(file: Path) -> str:
-    """Returns the URL of an SQLite ledger in that file."""
+    """Returns the URL of an SQLite ledger."""
     return f"sqlite:///{file}"
 
 
 def open_writer(url: str) -> Engine:
-    """Returns the engine of the one writer.
+    """Returns the engine of the single writer.
 
-    On SQLite: WAL, synchronous=FULL, and BEGIN IMMEDIATE, so that a commit survives a power cut and a transaction
-    never finds out half way that another one wrote. On a server: one connection that holds the database's lock.
+    On SQLite it uses WAL, synchronous=FULL and BEGIN IMMEDIATE, so that a commit survives a power failure and a
+    transaction cannot fail because of another writer. On a server it uses one connection, which holds the database's
+    lock.
 
     Raises:
-        UsageError: the URL names a database this installation cannot open.
+        UsageError: this installation cannot open the database of the URL.
         WorldError: the server cannot be reached, or another coordinator writes to the database.
     """
     if is_server(url):
@@ -73,11 +75,11 @@ def open_writer(url: str) -> Engine:
 
 
 def open_reader(url: str) -> Engine:
-    """Returns an engine for reading; on SQLite the file is opened read-only.
+    """Returns a read-only engine; on SQLite it opens the file read-only.
 
     Raises:
-        UsageError: the URL names a database this installation cannot open.
-        WorldError: there is no such SQLite file, or the server cannot be reached.
+        UsageError: this installation cannot open the database of the URL.
+        WorldError: the SQLite file does not exist, or the server cannot be reached.
     """
     if is_server(url):
         engine = _create(url, connect_args={"options": "-c default_transaction_read_only=on"}, pool_pre_ping=True)
@@ -90,7 +92,7 @@ def open_reader(url: str) -> Engine:
 
 
 def sqlite_files(url: str) -> list[Path]:
-    """Returns the files of an SQLite ledger that are there, its log first; none for another database."""
+    """Returns the existing files of an SQLite ledger, with the database file last; empty for other databases."""
     if make_url(url).get_backend_name() != "sqlite":
         return []
     file = _sqlite_file(url)
@@ -98,7 +100,7 @@ def sqlite_files(url: str) -> list[Path]:
 
 
 def checkpoint_log(connection: Connection) -> None:
-    """Folds SQLite's write-ahead log into the database file, outside a transaction; elsewhere does nothing."""
+    """Checkpoints SQLite's write-ahead log outside a transaction. Does nothing for other databases."""
     if connection.dialect.name == "sqlite":
         raw = connection.connection.driver_connection
         if isinstance(raw, sqlite3.Connection):
@@ -106,16 +108,16 @@ def checkpoint_log(connection: Connection) -> None:
 
 
 def _keep_private(url: str) -> None:
-    """Makes the files of a ledger, which hold the tokens of leases, unreadable for others; a group's rights stay."""
+    """Removes the permissions of other users from the ledger's files, which hold lease tokens; groups keep theirs."""
     database = make_url(url).database
     if not database or database.startswith((":", "file:")):
         return
-    with contextlib.suppress(FileExistsError, FileNotFoundError):  # of a missing folder the database tells
+    with contextlib.suppress(FileExistsError, FileNotFoundError):  # the database reports a missing folder
         os.close(os.open(database, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
     for path in sqlite_files(url):
         mode = path.stat().st_mode
         if mode & _OTHERS:
-            with contextlib.suppress(PermissionError):  # of another owner, who gave it away
+            with contextlib.suppress(PermissionError):  # another user owns the file
                 path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
 
 
@@ -124,7 +126,7 @@ def _sqlite_file(url: str) -> Path:
 
 
 def is_server(url: str) -> bool:
-    """Returns whether the ledger is kept by a database server.
+    """Returns whether a database server stores the ledger.
 
     Raises:
         UsageError: the URL cannot be understood.
@@ -149,12 +151,12 @@ def _create(url: str, **options: Any) -> Engine:
 
 
 def shown_url(url: str) -> str:
-    """Returns a URL without its password."""
+    """Returns a URL with its password hidden."""
     return make_url(url).render_as_string(hide_password=True)
 
 
 def has_writer(connection: Connection) -> bool | None:
-    """Returns whether a coordinator writes to the database now; `None` where the database does not tell."""
+    """Returns whether a coordinator holds the writer's lock; `None` if the database has no such lock."""
     if connection.dialect.name != "postgresql":
         return None
     return connection.execute(_LOCK_HELD, {"high": _LOCK >> 32, "low": _LOCK & 0xFFFFFFFF}).first() is not None
@@ -177,7 +179,7 @@ def _reach(engine: Engine) -> None:
 
 
 def _hold_alone(raw: Any, _record: object) -> None:
-    """Takes the lock of one writer on a fresh connection; the server lets go of it when the connection ends."""
+    """Takes the writer's lock on a new connection; the server releases it when the connection ends."""
     deadline = time.monotonic() + _LOCK_WAIT_S
     while True:
         with raw.cursor() as cursor:
@@ -195,7 +197,7 @@ def _hold_alone(raw: Any, _record: object) -> None:
 
 
 def _prepare_writer(raw: Any, _record: object) -> None:
-    raw.isolation_level = None  # the driver must not begin transactions of its own
+    raw.isolation_level = None  # prevents implicit transactions of the driver
     for pragma in _PRAGMAS:
         raw.execute(f"PRAGMA {pragma}")
 
@@ -206,8 +208,8 @@ def _begin_immediate(connection: Connection) -> None:
 
 def _connect_readonly(file: Path) -> sqlite3.Connection:
     log = file.with_name(file.name + "-wal")
-    # a writer keeps its log as long as it runs, and a killed one leaves it: without a log nobody writes. SQLite would
-    # then create a log to read, leave it behind, and fail on a read-only disk
+    # a running writer has a log and a killed one leaves it, so without a log there is no writer. SQLite would then
+    # create a log for reading, leave it behind, and fail on a read-only disk
     if not log.exists():
         return _open_readonly(file, "mode=ro&immutable=1")
     try:
@@ -222,7 +224,7 @@ def _open_readonly(file: Path, how: str) -> sqlite3.Connection:
     raw = sqlite3.connect(f"{file.absolute().as_uri()}?{how}", uri=True, timeout=30, check_same_thread=False)
     try:
         raw.execute("PRAGMA query_only=ON")
-        raw.execute("PRAGMA schema_version")  # the first look at the file
+        raw.execute("PRAGMA schema_version")  # the first access to the file
     except sqlite3.Error:
         raw.close()
         raise

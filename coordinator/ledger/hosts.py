@@ -1,7 +1,8 @@
-"""Which hosts harm jobs: strikes, the pauses that follow them, and the bar that an operator lifts. Moves no job.
+"""Records failures of hosts: strikes, pauses, and bars that an admin request lifts. Does not change jobs.
 
-A host with a strike gets one job at a time until it brings an episode. A job is at fault only where as many hosts as it
-may crash, or all that are there, or the only one over a long time, have failed it; until then the host is.
+A host with a strike gets one job at a time until it delivers an episode. A failure is attributed to the job only if it
+failed on as many hosts as its crash budget, on all available hosts, or for a long time on the only host. Until then it
+is attributed to the host.
 """
 
 from __future__ import annotations
@@ -34,13 +35,14 @@ __all__ = [
 ]
 
 STRIKES = 8
-"""Strikes after which a host is barred; with the pauses between them that takes two minutes at least."""
+"""Strikes after which a host is barred; with the pauses between them this takes at least two minutes."""
 LONGEST_PAUSE_S = 60.0
+"""Longest pause of a host that is not barred, seconds."""
 _FIRST_PAUSE_S = 1.0
 _BARRED_PAUSE_S = 30.0
-"""How long a barred host waits before it asks again."""
+"""Pause of a barred host before its next claim, seconds."""
 _ABSENT_S = 300.0
-"""Silence after which a host counts no more among those that could try a job."""
+"""Time without a sign of life after which a host is not considered available, seconds."""
 _HARM = tuple(reason.value for reason in FailReason if reason.is_of_the_worker)
 
 _FIND = PreparedStatement(select(*hosts.c).where(hosts.c.host == bindparam("name")))
@@ -52,7 +54,7 @@ _RELIEVE = PreparedStatement(
 
 
 def pause_of(connection: Connection, host: str, now: datetime) -> float:
-    """Returns how many seconds a host has to wait for another job; 0 when it may have one."""
+    """Returns the pause before a host may claim another job, seconds; 0 if it may claim one now."""
     row = _FIND.first(connection, {"name": host})
     if row is None or row.strikes == 0:
         return 0.0
@@ -64,9 +66,9 @@ def pause_of(connection: Connection, host: str, now: datetime) -> float:
 
 
 def strike(connection: Connection, host: str, job: JobRow, reason: str, now: datetime) -> None:
-    """Counts a failure against a host, which then pauses, twice as long each time, and in the end is barred.
+    """Adds a strike to a host. The pause of the host doubles with each strike; the last strike bars it.
 
-    Failures during a pause are of jobs that were given out before it: they do not count again.
+    Failures during a pause concern jobs that were leased before it and add no strike.
     """
     at = now.timestamp()
     row = _FIND.first(connection, {"name": host})
@@ -87,16 +89,16 @@ def strike(connection: Connection, host: str, job: JobRow, reason: str, now: dat
 
 
 def relieve(connection: Connection, sid: str) -> None:
-    """Takes back half of the strikes of a host that has brought an episode."""
+    """Halves the strikes of a host that delivered an episode."""
     _RELIEVE.count(connection, {"name": host_of(sid)})
 
 
 def release(connection: Connection, names: Sequence[str]) -> AdminReply:
-    """Lets hosts have jobs again as if they had never failed.
+    """Resets the strikes of hosts and lifts their bars.
 
     Args:
         connection: within a transaction.
-        names: of hosts; empty means every one that has strikes.
+        names: names of hosts; empty selects all hosts with strikes.
     """
     known = {row.host for row in _troubled(connection)}
     freed = tuple(sorted(known if not names else known & set(names)))
@@ -108,7 +110,7 @@ def release(connection: Connection, names: Sequence[str]) -> AdminReply:
 
 
 def troubled(connection: Connection) -> tuple[HostStatus, ...]:
-    """Returns the hosts that have strikes, by name."""
+    """Returns the hosts with strikes, ordered by name."""
     return tuple(
         HostStatus(
             host=row.host,
@@ -122,21 +124,21 @@ def troubled(connection: Connection) -> tuple[HostStatus, ...]:
 
 
 def has_failed_everywhere(connection: Connection, job: JobRow, host: str, most: int, now: datetime) -> bool:
-    """Returns whether a job has failed on several hosts, and on so many, or on all that could try it.
+    """Returns whether a job failed on at least two hosts and either on `most` hosts or on all available ones.
 
     Args:
         connection: within a transaction.
-        job: that has just failed again.
-        host: on which it has.
-        most: hosts whose word is enough; fewer may all be faulty or hostile while another waits.
-        now: of the failure.
+        job: row of the job that failed.
+        host: host of the failed attempt.
+        most: number of hosts whose failures suffice; fewer hosts could all be faulty or hostile.
+        now: time of the failure.
     """
     hurt = _hurt_hosts(connection, job) | {host}
     return len(hurt) > 1 and (len(hurt) >= most or not _others(connection, hurt, now))
 
 
 def _hurt_hosts(connection: Connection, job: JobRow) -> set[str]:
-    """Returns the hosts on which a job has failed since its crashes were last counted from nothing."""
+    """Returns the hosts on which a job failed since its crash count was last reset."""
     recent = (
         select(attempts.c.sid)
         .where(attempts.c.job_id == job.id, attempts.c.outcome.in_(_HARM))
@@ -147,12 +149,12 @@ def _hurt_hosts(connection: Connection, job: JobRow) -> set[str]:
 
 
 def is_alone(connection: Connection, host: str, now: datetime) -> bool:
-    """Returns whether no other host is there that could try a job."""
+    """Returns whether no other host is available."""
     return not _others(connection, {host}, now)
 
 
 def _others(connection: Connection, known: Collection[str], now: datetime) -> bool:
-    """Returns whether a host beside the known ones was heard of lately and is not barred."""
+    """Returns whether a host other than the known ones is available and not barred."""
     barred = select(hosts.c.host).where(hosts.c.barred_at.is_not(None))
     since = now.timestamp() - _ABSENT_S
     others = select(workers.c.sid).where(
@@ -162,7 +164,7 @@ def _others(connection: Connection, known: Collection[str], now: datetime) -> bo
 
 
 def _is_of_job(connection: Connection, host: str, row: JobRow, job: JobRow, now: datetime) -> bool:
-    """Whether the last strike was for the same job and nobody else could try it: then the job may be at fault."""
+    """Returns whether the last strike was for the same job and no other host is available."""
     return bool(row.strikes) and row.last_job == job.id and is_alone(connection, host, now)
 
 
@@ -173,6 +175,6 @@ def _holds_job(connection: Connection, host: str) -> bool:
 
 
 def _troubled(connection: Connection) -> Sequence[Row[Any]]:
-    if not inspect(connection).has_table(hosts.name):  # an older ledger, not opened for writing since
+    if not inspect(connection).has_table(hosts.name):  # a ledger of an older format that was not opened for writing
         return ()
     return connection.execute(select(hosts).where(hosts.c.strikes > 0).order_by(hosts.c.host)).all()

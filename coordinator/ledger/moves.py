@@ -1,6 +1,6 @@
-"""The one way a job changes its state: a compare-and-swap UPDATE and its event row in the same transaction.
+"""Changes the state of a job by a compare-and-swap UPDATE, with an event row in the same transaction.
 
-Decides nothing: which event happened, and to which lease, is the caller's knowledge.
+All state changes use this module. The caller decides which event happened to which lease.
 """
 
 from __future__ import annotations
@@ -21,44 +21,44 @@ from schemas.wire import Lease
 __all__ = ["FREED", "JOB", "UNDER_LEASE", "JobRow", "Transition", "is_in", "lease_parameters", "record_attempt"]
 
 JobRow = Any
-"""A row of `jobs` with the columns of `JOB`."""
+"""Row of `jobs` with the columns of `JOB`."""
 
 JOB = tuple(column for column in jobs.c if not isinstance(column.type, Boolean))
-"""What a prepared statement returns of a job."""
+"""Columns of a job that prepared statements return."""
 
 FREED: Mapping[str, Any] = MappingProxyType(
     {"token": None, "sid": None, "lease_until": None, "step": 0, "sha256": None, "size": None}
 )
-"""Column values of a job that nobody holds."""
+"""Column values of a job without a lease."""
 
 UNDER_LEASE: tuple[ColumnElement[bool], ...] = (
     jobs.c.id == bindparam("of_job"),
     jobs.c.fence == bindparam("of_fence"),
     jobs.c.token == bindparam("of_token"),
 )
-"""The condition that a lease is the one in force; its parameters are `lease_parameters`."""
+"""Condition that a lease is in force; `lease_parameters` returns its parameters."""
 
 _INSERT_EVENT = PreparedStatement(insert(events))
 _INSERT_ATTEMPT = PreparedStatement(insert(attempts))
 
 
 def lease_parameters(lease: Lease) -> dict[str, Any]:
-    """Returns what `UNDER_LEASE` compares with."""
+    """Returns the parameters of `UNDER_LEASE`."""
     return {"of_job": lease.job_id, "of_fence": lease.fence, "of_token": lease.token}
 
 
 def is_in(*states: JobState) -> ColumnElement[bool]:
     """Returns the condition that a job is in one of the states."""
-    return or_(*(jobs.c.state == state for state in states))  # IN could not be run with many rows of parameters
+    return or_(*(jobs.c.state == state for state in states))  # IN does not support executemany
 
 
 class Transition:
-    """One kind of move, built once: the event, whom it may find, and what it sets.
+    """Prepared state transition of a job.
 
     Args:
-        event: what happens; its source states are part of the UPDATE's condition.
-        where: which job, with the fence and token it must still have; compares with bound parameters.
-        values: further columns to set, to constants or bound parameters.
+        event: event; its source states are part of the UPDATE's condition.
+        where: conditions on the job, its fence and its token, with bound parameters.
+        values: further columns to set to constants or bound parameters.
     """
 
     def __init__(self, event: Event, *where: ColumnElement[bool], **values: Any) -> None:
@@ -72,17 +72,17 @@ class Transition:
     def make(
         self, connection: Connection, parameters: Mapping[str, Any], now: datetime, *, by: str = "", detail: str = ""
     ) -> JobRow | None:
-        """Moves one job if it stands where the event can find it, and logs the event.
+        """Applies the transition to one job if its state allows the event, and records the event.
 
         Args:
             connection: within a transaction.
             parameters: values of the bound parameters.
-            now: of the event.
-            by: worker that caused it; empty for the coordinator itself.
-            detail: in words.
+            now: time of the event.
+            by: session id of the worker that caused the event; empty for the coordinator.
+            detail: description.
 
         Returns:
-            The row after the move; `None` when somebody else won.
+            The row after the transition; `None` if the job did not match.
         """
         at = now.timestamp()
         row = self._update.first(connection, {**parameters, "now": at})
@@ -103,17 +103,17 @@ def record_attempt(
     steps: int = 0,
     seconds: float = 0.0,
 ) -> None:
-    """Appends the outcome of an attempt.
+    """Inserts the outcome of an attempt.
 
     Args:
-        connection: within the transaction of the move.
-        before: the job's row as it was under the lease.
+        connection: within the transaction of the state change.
+        before: row of the job under the lease.
         outcome: success, a fail reason or `expired`.
-        now: of the outcome.
-        settles: whether the attempt has now its one outcome and will not be repeated.
-        detail: measured values, in words.
-        steps: simulated.
-        seconds: of wall time.
+        now: time of the outcome.
+        settles: whether the outcome is final, so that the attempt is not repeated.
+        detail: description with measured values.
+        steps: number of simulated steps.
+        seconds: wall time, seconds.
     """
     _INSERT_ATTEMPT.count(
         connection,

@@ -1,6 +1,6 @@
-"""Opening the ledger of a run: creates it from a plan, or makes sure that it belongs to this very plan and its scenes.
+"""Opens the ledger of a run: creates it from a plan, or checks that it belongs to the same plan and scenes.
 
-Moves no job; that is the work of `claims`, `outcomes` and `operator`.
+The module does not change jobs; `claims`, `outcomes` and `operator` do.
 """
 
 from __future__ import annotations
@@ -51,21 +51,26 @@ _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour",
 
 @dataclass(frozen=True)
 class LedgerInfo:
-    """What the ledger says of itself."""
+    """Description of the run in the ledger."""
 
     format: int
+    """Format version of the ledger."""
     run: str
+    """Name of the run."""
     plan: Plan
+    """Plan of the run."""
     scenes: Mapping[str, str]
-    """Scene name -> SHA-256 of the compiled package the run began with."""
+    """Mapping of scene name to SHA-256 of the compiled package at the start of the run."""
     lease_ttl_s: float
+    """Duration of a lease, seconds."""
     created_at: datetime
+    """Creation time of the run."""
     sandbox: tuple[str, ...] = ()
-    """What confined the processes that validated bundles last; empty where none has been started."""
+    """Active sandbox layers of the validating processes; empty if none was started."""
 
 
 def ledger_url_of(root: Path, url: str | None = None) -> str:
-    """Returns where the ledger of a dataset directory lies, unless another URL is given."""
+    """Returns `url`, or by default the URL of the ledger in a dataset directory."""
     return url or sqlite_url(root / LEDGER_FILE)
 
 
@@ -77,23 +82,23 @@ def open_run(
     now: datetime,
     planned: Sequence[PlannedJob] | None = None,
 ) -> bool:
-    """Creates the run in an empty database, or checks that the database holds this run.
+    """Creates the run in an empty database, or checks that the database contains this run.
 
     Args:
-        engine: of the one writer.
-        plan: of the run.
-        catalog: the compiled scenes of the plan.
-        lease_ttl_s: how long a lease lasts.
-        now: when the run begins.
-        planned: the jobs of a new run; `None` draws them from the plan.
+        engine: engine of the writer.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        lease_ttl_s: duration of a lease, seconds.
+        now: current time.
+        planned: jobs of a new run; `None` expands the plan.
 
     Returns:
         Whether the run is new.
 
     Raises:
-        UsageError: the database belongs to another plan, or to a newer version of the ledger.
-        WorldError: a scene is not the one the run began with.
-        InvalidPlan: the plan requires what its scenes do not have.
+        UsageError: the database belongs to another plan, or has a newer format.
+        WorldError: a scene differs from the scene at the start of the run.
+        InvalidPlan: the plan requires targets that its scenes do not have.
     """
     with engine.begin() as connection:
         if holds_run(connection):
@@ -113,7 +118,7 @@ def open_run(
 
 
 def _bring_up_to_date(connection: Connection) -> None:
-    """Adds the tables and indexes that a ledger of an older version lacks."""
+    """Adds the tables and indexes that a ledger of an older format lacks."""
     METADATA.create_all(connection)
     for table in METADATA.tables.values():
         for index in table.indexes:
@@ -121,11 +126,11 @@ def _bring_up_to_date(connection: Connection) -> None:
 
 
 def read_info(connection: Connection) -> LedgerInfo:
-    """Returns what the ledger says of itself.
+    """Returns the description of the run.
 
     Raises:
-        UsageError: it is of a newer format, or no ledger.
-        WorldError: it cannot be understood.
+        UsageError: the database has a newer format, or contains no ledger.
+        WorldError: the description is damaged.
     """
     if not holds_run(connection):
         raise UsageError("the database contains no ledger: start a run with `factory run`")
@@ -160,12 +165,12 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
 
 
 def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:
-    """Records what confines the processes that validate bundles."""
+    """Records the active sandbox layers of the validating processes."""
     _write_info(connection, {_SANDBOX: " ".join(layers)})
 
 
 def planned_digest(connection: Connection) -> str:
-    """Returns a digest over what the run began with: its scenes and the first draw of every episode."""
+    """Returns a digest of the initial state of the run: its scenes and the first draw of every episode."""
     digest = xxhash.xxh3_128()
     facts = select(info).where(info.c.key.in_(_BEGUN_WITH)).order_by(info.c.key)
     digest.update(repr([tuple(row) for row in connection.execute(facts)]).encode("utf-8", "surrogatepass"))
@@ -177,12 +182,12 @@ def planned_digest(connection: Connection) -> str:
 
 
 def holds_run(connection: Connection) -> bool:
-    """Whether a run was begun in the database; not so when its very first transaction was cut off."""
+    """Returns whether the database contains a run; `False` if the first transaction of a run was interrupted."""
     return inspect(connection).has_table(info.name)
 
 
 def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: datetime, attempt: int = 1) -> None:
-    """Adds draws as pending jobs whose first attempt has the given number."""
+    """Inserts draws as pending jobs with the given attempt number."""
     start = {"state": JobState.PENDING, "attempt": attempt, "changed_at": now.timestamp()}
     rows: Iterator[dict[str, Any]] = (_row_of(job) | start for job in planned)
     while batch := list(islice(rows, _INSERT_ROWS)):
@@ -217,10 +222,10 @@ def _write_info(connection: Connection, facts: Mapping[str, str]) -> None:
 
 
 def require_plan(begun: Plan, plan: Plan) -> None:
-    """Checks that a plan is the one that a directory was begun with.
+    """Checks that a plan equals the plan of the ledger.
 
     Raises:
-        UsageError: it is another.
+        UsageError: the plans differ.
     """
     if begun.digest != plan.digest:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""What an operator does to jobs: retry what has ended without an episode, cancel what has not ended."""
+"""Implements admin requests on jobs: retry jobs that ended without an episode, cancel open jobs."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ _CANCEL = Transition(Event.CANCELLED, *_AS_SEEN, **FREED, reason="cancelled by a
 
 
 def retry(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
-    """Puts failed and cancelled episodes back into the queue with fresh budgets; attempt numbers go on.
+    """Puts failed and cancelled episodes back into the queue with new budgets; attempt numbers continue.
 
     Args:
         connection: within a transaction.
-        indices: episodes; empty means every failed one.
-        now: of the wish.
+        indices: episode numbers; empty selects all failed episodes.
+        now: time of the request.
     """
     wanted = _current(connection, indices, (JobState.FAILED,))
     return _move_all(connection, _RETRY, indices, wanted, now)
 
 
 def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
-    """Gives up episodes that have not ended; a worker that holds one learns it with its next beat.
+    """Cancels open episodes; a worker that holds one is notified with the reply to its next heartbeat.
 
     Args:
         connection: within a transaction.
-        indices: episodes; empty means every open one.
-        now: of the wish.
+        indices: episode numbers; empty selects all open episodes.
+        now: time of the request.
     """
     wanted = _current(connection, indices, sources(Event.CANCELLED))
     return _move_all(connection, _CANCEL, indices, wanted, now)
 
 
 def _current(connection: Connection, indices: Sequence[int], states: Sequence[JobState]) -> list[Any]:
-    """Returns the current draw of the named episodes, or of all in the given states when none is named."""
+    """Returns the current draws of the given episodes; with empty `indices`, of all episodes in the given states."""
     columns = (jobs.c.id, jobs.c.idx, jobs.c.state, jobs.c.fence)
     current = select(*columns).where(jobs.c.superseded.is_(False)).order_by(jobs.c.idx)
     if not indices:

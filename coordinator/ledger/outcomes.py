@@ -1,6 +1,6 @@
-"""How an attempt ends: announced, archived, refused by the world, hurt by or hurting a worker, given back, or lost.
+"""Records how attempts end: announced, archived, failed in simulation, crashed, released or lost.
 
-Every function is fenced by the lease, which belongs to a host, and idempotent; a lease that is not in force changes
+Each function is idempotent and fenced by the lease, which belongs to a host: a lease that is not in force changes
 nothing.
 """
 
@@ -31,14 +31,14 @@ __all__ = ["SUCCESS", "Announced", "adopt", "announce", "archive", "fail", "is_o
 Successor = Callable[[PlannedJob], PlannedJob]
 
 SUCCESS = "success"
-"""Outcome of the one attempt that brought the episode."""
+"""Outcome of the attempt that produced the episode."""
 _LOST = "lost"
 _HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
-"""Pause after the first crash of a job; it doubles with each."""
+"""Pause after the first crash of a job, seconds; it doubles with each crash."""
 _CRASHES_ALONE = hosts.STRIKES + 2
-"""Crashes after which a job is quarantined where one host alone has tried it: a host that fails every job is barred
-before any of them comes so far."""
+"""Crashes after which a job is quarantined if only one host has tried it. A host that fails every job is barred before
+any job has so many crashes."""
 
 
 _UNDER_LEASE = PreparedStatement(select(*JOB).where(*UNDER_LEASE))
@@ -84,16 +84,16 @@ _AT_HOME = PreparedStatement(
 
 
 class Announced(NamedTuple):
-    """What became of an announcement."""
+    """Result of an announcement."""
 
     accepted: bool
-    """Whether the lease is, or until its fulfilment was, the worker's."""
+    """Whether the lease belongs to the worker and is in force or fulfilled."""
     waiting: JobRow | None
-    """The job, when its bundle is still to be pulled."""
+    """Row of the job if its bundle is not pulled yet, else `None`."""
 
 
 def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) -> Announced:
-    """Notes that a bundle can be pulled; repeating it is harmless."""
+    """Records that a bundle can be pulled. The call is idempotent."""
     lease = lease_parameters(done.lease)
     known = _UNDER_LEASE.first(connection, lease)
     if known is None or known.state not in (*HELD_STATES, JobState.ARCHIVED) or not _is_of_same_host(known, done.sid):
@@ -108,12 +108,12 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
 
 
 def archive(connection: Connection, lease: Lease, summary: BundleReceipt, now: datetime) -> bool:
-    """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
+    """Records a published episode if the lease is in force; returns whether it was recorded."""
     return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
 
 
 def adopt(connection: Connection, job_id: int, summary: BundleReceipt, now: datetime) -> bool:
-    """Records an episode that was published before the coordinator died; its digest must be the announced one."""
+    """Records an episode that was published before a crash of the coordinator; its digest must be the announced one."""
     return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
 
@@ -126,18 +126,18 @@ def fail(
     *,
     blames_hosts: bool = True,
 ) -> bool:
-    """Settles a failed attempt: the next attempt, the next draw, quarantine, or back to the queue unharmed.
+    """Records a failed attempt: the next attempt or draw follows, or the job is quarantined or returned to the queue.
 
     Args:
         connection: within a transaction.
-        report: what failed, under which lease.
-        now: of the report.
-        budget: how long to insist.
-        successor: gives the next draw of the same cell.
-        blames_hosts: whether a worker's failure counts against its host before it counts against the job.
+        report: report with the reason and the lease.
+        now: time of the report.
+        budget: limits of attempts, draws and crashes.
+        successor: function that returns the next draw of the same cell.
+        blames_hosts: whether a worker failure is attributed to the host first.
 
     Returns:
-        Whether the report was accepted now, or is the repetition of one that was.
+        Whether the report was accepted, now or earlier.
     """
     row = _UNDER_LEASE.first(connection, lease_parameters(report.lease))
     if row is None or row.state not in HELD_STATES:
@@ -152,7 +152,7 @@ def fail(
 
 
 def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool:
-    """Re-queues an archived episode whose file is gone, under the same attempt, so that the same content comes back."""
+    """Requeues an archived episode with a missing file, with the same attempt number and hence the same content."""
     if _LOSE.make(connection, {"index": index}, now, detail=detail) is None:
         return False
     succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
@@ -163,14 +163,14 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
 
 
 def is_owned(connection: Connection, index: int) -> bool:
-    """Returns whether the file of an episode in the core's directory is the ledger's: no late loser may delete it."""
+    """Returns whether the ledger records the episode in the core's directory, so that its file must not be deleted."""
     return _AT_HOME.first(connection, {"index": index}) is not None
 
 
 def _own(
     connection: Connection, how: Transition, job: Mapping[str, Any], summary: BundleReceipt, now: datetime
 ) -> bool:
-    """Moves the job to its end and records attempt and episode; returns whether the move was still possible."""
+    """Changes the job to archived and records attempt and episode; returns whether the transition was possible."""
     announced = {"index": summary.index, "announced": summary.file_sha256}
     row = how.make(connection, {**job, **announced}, now)
     if row is None:
@@ -195,7 +195,7 @@ def _own(
 
 
 def _is_of_same_host(row: JobRow, sid: str) -> bool:
-    """Whether a session is of the host that the lease was given to: another host's token is worth nothing."""
+    """Returns whether a session belongs to the host that holds the lease."""
     return host_of(row.sid) == host_of(sid)
 
 
@@ -208,7 +208,7 @@ def _was_reported(connection: Connection, report: Fail) -> bool:
 def _miss(
     connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, successor: Successor
 ) -> bool:
-    """The world said no: the next attempt at this draw, else the next draw, else the episode is given up."""
+    """Records a task failure: the next attempt at this draw follows, else the next draw, else the episode fails."""
     is_last = row.misses + 1 >= budget.attempts_per_draw
     has_successor = is_last and row.draw + 1 < budget.draws
     values = {
@@ -227,7 +227,7 @@ def _miss(
 def _hurt(
     connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, *, blames_hosts: bool
 ) -> bool:
-    """A worker suffered: the same attempt again after a pause, or quarantine when the job is known to be at fault."""
+    """Records a worker failure: the same attempt is repeated after a pause, or the job is quarantined."""
     crashes, host = row.crashes + 1, host_of(row.sid)
     is_last = crashes >= budget.crashes and (
         not blames_hosts
@@ -258,7 +258,7 @@ def _settle(
     *,
     settles: bool,
 ) -> bool:
-    """Makes the move and appends the attempt with its reason; returns whether the lease was still in force."""
+    """Applies the transition and inserts the attempt with its reason; returns whether the lease was in force."""
     detail = f"{report.reason}: {report.detail}"
     lease = lease_parameters(report.lease)
     if how.make(connection, {**lease, **values}, now, by=report.sid, detail=detail) is None:

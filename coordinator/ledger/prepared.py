@@ -1,7 +1,7 @@
-"""Statements that every request needs: spelt once for each kind of database, then run by its driver alone.
+"""Prepared statements: compiled once per database dialect, then executed by the database driver directly.
 
-They take part in SQLAlchemy's transactions and raise its exceptions. Saved is building statement, parameters and
-result anew each time, which takes several times as long as the database needs.
+The statements take part in SQLAlchemy's transactions and raise its exceptions. They avoid the cost of building
+statement, parameters and result for each execution, which is several times that of the database.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ from sqlalchemy.exc import DBAPIError
 __all__ = ["PreparedStatement"]
 
 
-class _Spelling(NamedTuple):
-    """A statement as one kind of database takes it."""
+class _Compiled(NamedTuple):
+    """Statement compiled for one dialect."""
 
     sql: str
+    """SQL text."""
     fixed: Mapping[str, Any]
-    """Parameters that the statement gives itself."""
+    """Parameters that the statement defines."""
     order: Sequence[str] | None
-    """The parameters as they stand; `None` where the driver takes them by name."""
+    """Names of positional parameters in order; `None` if the driver uses named parameters."""
 
 
 class PreparedStatement:
-    """A statement to be run often with other parameters.
+    """Statement for frequent execution with different parameters.
 
     Args:
-        statement: with named parameters; an INSERT is given every column but a numbered key. It may not return flags,
-            which drivers give as numbers.
+        statement: statement with named parameters. An INSERT requires every column except an autoincrement key. The
+            statement must not return Boolean columns, which drivers return as integers.
     """
 
     def __init__(self, statement: Insert | Update | Delete | Select[Any]) -> None:
@@ -43,46 +44,46 @@ class PreparedStatement:
         self.statement = statement.inline() if isinstance(statement, Insert) else statement
         found: Any = namedtuple("Found", returned)  # type: ignore[misc]
         self._row: Callable[[Iterable[Any]], Any] = found._make
-        self._spellings: dict[str, _Spelling] = {}
+        self._compiled: dict[str, _Compiled] = {}
 
     def first(self, connection: Connection, parameters: Mapping[str, Any]) -> Any | None:
-        """Returns the first row, a named tuple of its columns, or `None`.
+        """Executes the statement and returns the first row as a named tuple, or `None`.
 
         Args:
-            connection: of a ledger; a transaction begins when none is under way.
-            parameters: values of those that the statement leaves open.
+            connection: connection to a ledger; a transaction begins if none is active.
+            parameters: values of the bound parameters.
 
         Raises:
-            DBAPIError: what the database says, as `Connection.execute` would raise it.
+            DBAPIError: the same errors as `Connection.execute`.
         """
         found = self._run(connection, parameters, _fetch)
         return None if found is None else self._row(found)
 
     def count(self, connection: Connection, parameters: Mapping[str, Any]) -> int:
-        """Returns how many rows were changed; arguments and exceptions as of `first`."""
+        """Executes the statement and returns the number of changed rows; arguments and exceptions as for `first`."""
         return int(self._run(connection, parameters, _count))
 
     def _run(self, connection: Connection, parameters: Mapping[str, Any], take: Callable[[Any], Any]) -> Any:
         if not connection.in_transaction():
             connection.begin()
-        spelling = self._spellings.get(connection.dialect.name) or self._spell(connection.dialect)
-        values: Any = {**spelling.fixed, **parameters}
-        if spelling.order is not None:
-            values = [values[name] for name in spelling.order]
+        compiled_statement = self._compiled.get(connection.dialect.name) or self._compile(connection.dialect)
+        values: Any = {**compiled_statement.fixed, **parameters}
+        if compiled_statement.order is not None:
+            values = [values[name] for name in compiled_statement.order]
         with closing(connection.connection.cursor()) as cursor:
             try:
-                cursor.execute(spelling.sql, values)
+                cursor.execute(compiled_statement.sql, values)
                 return take(cursor)
             except connection.dialect.loaded_dbapi.Error as error:
-                raise _translated(connection, cursor, spelling.sql, values, error) from error
+                raise _translated(connection, cursor, compiled_statement.sql, values, error) from error
 
-    def _spell(self, dialect: Dialect) -> _Spelling:
+    def _compile(self, dialect: Dialect) -> _Compiled:
         compiled: Any = self.statement.compile(dialect=dialect, column_keys=_keys(self.statement))
         fixed = {name: bind.value for bind, name in compiled.bind_names.items() if not bind.required}
         plain = {name: str(value) if isinstance(value, str) else value for name, value in fixed.items()}
-        spelling = _Spelling(str(compiled), plain, compiled.positiontup)
-        self._spellings[dialect.name] = spelling
-        return spelling
+        compiled_statement = _Compiled(str(compiled), plain, compiled.positiontup)
+        self._compiled[dialect.name] = compiled_statement
+        return compiled_statement
 
 
 def _fetch(cursor: Any) -> Any:
@@ -101,7 +102,7 @@ def _keys(statement: Insert | Update | Delete | Select[Any]) -> list[str] | None
 
 
 def _translated(connection: Connection, cursor: Any, sql: str, values: Any, error: Any) -> Any:
-    """Returns the error as SQLAlchemy's; a connection that is gone is given up, so that the next use makes another."""
+    """Converts a driver error to SQLAlchemy's exception; a lost connection is invalidated and reopened at next use."""
     dialect = connection.dialect
     is_gone = dialect.is_disconnect(error, connection.connection.dbapi_connection, cursor)
     base = dialect.loaded_dbapi.Error

@@ -1,6 +1,7 @@
-"""Brings a ledger that lags behind its archive to where the files are, by the moves of the one table.
+"""Updates a ledger that lags behind its archive, with the transitions of `states.TRANSITIONS`.
 
-A ledger that was lost is one that lags behind by everything. Judges no file; that has been done.
+An empty ledger, which replaces a lost one, is updated in the same way. The module does not validate files; the caller
+has validated them.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ from schemas.plan import Plan
 from schemas.terms import FailReason
 from schemas.wire import Done
 
-__all__ = ["REPAIRER", "current_job", "obstacle_to", "recall", "record_whole"]
+__all__ = ["REPAIRER", "current_job", "obstacle_to", "record_failures", "record_whole"]
 
 REPAIRER = "repair"
-"""Stands in the ledger where otherwise a worker's session id does."""
+"""Value of the session id column for changes by a repair."""
 _LEASE_S = 60.0
-_SEATED = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
+_AS_READ = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
 _TAKE = Transition(
     Event.CLAIMED,
-    *_SEATED,
+    *_AS_READ,
     fence=jobs.c.fence + 1,
     token=bindparam("of_token"),
     sid=bindparam("by"),
@@ -44,38 +45,38 @@ _TAKE = Transition(
     attempt=bindparam("next_attempt"),
 )
 _EXHAUST = Transition(
-    Event.EXHAUSTED, *_SEATED, **FREED, superseded=bindparam("has_successor"), reason=bindparam("why"), losses=0
+    Event.EXHAUSTED, *_AS_READ, **FREED, superseded=bindparam("has_successor"), reason=bindparam("why"), losses=0
 )
 _FREE: Mapping[JobState, Transition] = MappingProxyType(
     {
         **{
-            held: Transition(Event.RELEASED, *_SEATED, **FREED, not_before=0.0)
+            held: Transition(Event.RELEASED, *_AS_READ, **FREED, not_before=0.0)
             for held in (JobState.LEASED, JobState.SUBMITTED)
         },
         **{
-            ended: Transition(Event.RETRIED, *_SEATED, **FREED, not_before=0.0, reason="")
+            ended: Transition(Event.RETRIED, *_AS_READ, **FREED, not_before=0.0, reason="")
             for ended in (JobState.FAILED, JobState.CANCELLED)
         },
     }
 )
 _WORLD = frozenset(reason.value for reason in FailReason if reason.is_task_failure)
-_TOLD = "as attempts.parquet tells"
+_SOURCE = "according to attempts.parquet"
 
 
 def current_job(connection: Connection, index: int) -> Row[Any] | None:
-    """Returns the job of an episode that is not superseded."""
+    """Returns the current job of an episode, the one that is not superseded."""
     return connection.execute(select(jobs).where(jobs.c.idx == index, jobs.c.superseded.is_(False))).first()
 
 
 def obstacle_to(connection: Connection, index: int, draw: int, attempt: int, *, replaces: bool = False) -> str:
-    """Returns why a whole file of that attempt cannot become the episode; empty when it can.
+    """Returns the reason why an intact file of an attempt cannot become the episode; empty if it can.
 
     Args:
-        connection: of the ledger.
-        index: of the episode.
-        draw: that the file is of.
-        attempt: that the file is of.
-        replaces: whether it may take the place of the file that the ledger owns.
+        connection: connection to the ledger.
+        index: number of the episode.
+        draw: draw of the file.
+        attempt: attempt of the file.
+        replaces: whether the file may replace the file that the ledger owns.
     """
     row = current_job(connection, index)
     if row is None:
@@ -99,32 +100,32 @@ def record_whole(
     *,
     replaces: bool = False,
 ) -> str:
-    """Records a validated file as its episode, however far the ledger lags behind it.
+    """Records a validated file as its episode, even if the ledger is at an earlier draw or attempt.
 
     Args:
         connection: within a transaction.
-        plan: of the run.
-        catalog: of its scenes.
-        receipt: of the file.
-        now: of the repair.
-        at: draw and attempt that the file is of.
-        replaces: whether it may take the place of the file that the ledger owns.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        receipt: receipt of the validated file.
+        now: time of the repair.
+        at: draw and attempt of the file.
+        replaces: whether the file may replace the file that the ledger owns.
 
     Returns:
-        Why not; nothing when it is done.
+        The reason if the file cannot be recorded, else an empty string.
     """
     draw, attempt = at
     obstacle = obstacle_to(connection, receipt.index, draw, attempt, replaces=replaces)
     if obstacle:
         return obstacle
     outcomes.lose(connection, receipt.index, now, "another whole file of it is on disk")
-    row = _take(connection, _seat(connection, plan, catalog, receipt.index, draw, now), attempt, now)
+    row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
     return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger moved meanwhile"
 
 
-def recall(
+def record_failures(
     connection: Connection,
     plan: Plan,
     catalog: Catalog,
@@ -133,16 +134,16 @@ def recall(
     now: datetime,
     whole: Mapping[int, tuple[int, int]],
 ) -> None:
-    """Tells a ledger that lags behind what failed, so that no hopeless attempt is tried again.
+    """Records failed attempts in a ledger that lags behind, so that they are not repeated.
 
     Args:
         connection: within a transaction.
-        plan: of the run.
-        catalog: of its scenes.
-        failures: rows of `attempts.parquet`, each of a draw that the plan has.
-        known: the failed attempts that the ledger records.
-        now: of the repair.
-        whole: episode -> draw and attempt of its whole file; no attempt from there on can have failed.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        failures: rows of `attempts.parquet` with draws of the plan.
+        known: failed attempts in the ledger.
+        now: time of the repair.
+        whole: mapping of episode to draw and attempt of its intact file; no attempt from there on can have failed.
     """
     heard = {_key(failure) for failure in known}
     by_episode: dict[str, list[FailedAttempt]] = {}
@@ -154,7 +155,9 @@ def recall(
         row = current_job(connection, index) if told else None
         if told and row is not None:
             end = (row.draw, row.attempt) if row.state == JobState.ARCHIVED else whole.get(index)
-            _recall_episode(connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now)
+            _record_failures_of_episode(
+                connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now
+            )
 
 
 def _key(failure: FailedAttempt) -> tuple[str, int, int, str, datetime]:
@@ -168,7 +171,7 @@ def _is_before(failure: FailedAttempt, end: tuple[int, int] | None) -> bool:
     return failure.draw <= end[0] and (failure.attempt < end[1] or (not settles and failure.attempt == end[1]))
 
 
-def _recall_episode(
+def _record_failures_of_episode(
     connection: Connection, plan: Plan, catalog: Catalog, row: Row[Any], told: list[FailedAttempt], now: datetime
 ) -> None:
     settled = list(_following(row, told))
@@ -178,7 +181,7 @@ def _recall_episode(
 
 
 def _following(row: Row[Any], told: Iterable[FailedAttempt]) -> Iterator[FailedAttempt]:
-    """Yields the attempts that followed the one a job stands at, up to the first that is missing among them."""
+    """Yields the consecutive attempts that begin with the job's current attempt."""
     by_attempt = {one.attempt: one for one in told if one.reason in _WORLD and one.draw >= row.draw}
     attempt = row.attempt
     while attempt in by_attempt:
@@ -189,16 +192,16 @@ def _following(row: Row[Any], told: Iterable[FailedAttempt]) -> Iterator[FailedA
 def _catch_up(
     connection: Connection, plan: Plan, catalog: Catalog, index: int, settled: list[FailedAttempt], now: datetime
 ) -> None:
-    """Brings an episode to the attempt that follows the last one that failed."""
+    """Sets an episode to the attempt after the last failed one."""
     last = settled[-1]
     recorded = select(attempts.c.attempt).where(
         attempts.c.idx == index, attempts.c.draw == last.draw, attempts.c.settles, attempts.c.outcome.in_(_WORLD)
     )
     tried = len({*connection.execute(recorded).scalars(), *(one.attempt for one in settled if one.draw == last.draw)})
-    misses = tried % plan.budget.attempts_per_draw  # an operator's retry grants the whole budget once more
+    misses = tried % plan.budget.attempts_per_draw  # a retry by an admin request grants the whole budget again
     is_used = misses == 0
     draw = last.draw + 1 if is_used and last.draw + 1 < plan.budget.draws else last.draw
-    row = _seat(connection, plan, catalog, index, draw, now, last.attempt + 1)
+    row = _advance_to_draw(connection, plan, catalog, index, draw, now, last.attempt + 1)
     row = _take(connection, row, last.attempt + 1, now)
     if is_used and draw == last.draw:
         _exhaust(connection, row, now, has_successor=False)
@@ -208,7 +211,7 @@ def _catch_up(
 
 
 def _insert_attempts(connection: Connection, index: int, told: Iterable[FailedAttempt]) -> None:
-    """Appends failed attempts of an episode; those at draws that the ledger does not have are left out."""
+    """Inserts failed attempts of an episode, except those of draws that the ledger does not have."""
     ids = {row.draw: row.id for row in connection.execute(select(jobs.c.draw, jobs.c.id).where(jobs.c.idx == index))}
     ended = select(attempts.c.attempt).where(attempts.c.idx == index, attempts.c.settles)
     seen = set(connection.execute(ended).scalars())
@@ -237,10 +240,10 @@ def _insert_attempts(connection: Connection, index: int, told: Iterable[FailedAt
         )
 
 
-def _seat(
+def _advance_to_draw(
     connection: Connection, plan: Plan, catalog: Catalog, index: int, draw: int, now: datetime, attempt: int = 0
 ) -> Row[Any]:
-    """Brings an episode to a draw that waits in the queue and returns its job; a later attempt is noted on the way."""
+    """Sets an episode to a pending draw and returns its job; earlier draws are recorded as exhausted."""
     row = _required(current_job(connection, index))
     if row.state != JobState.PENDING:
         row = _made(_FREE[JobState(row.state)], connection, row, {}, now)
@@ -263,7 +266,7 @@ def _take(connection: Connection, row: Row[Any], attempt: int, now: datetime) ->
 
 
 def _exhaust(connection: Connection, row: Row[Any], now: datetime, *, has_successor: bool) -> None:
-    _made(_EXHAUST, connection, row, {"has_successor": has_successor, "why": f"given up before, {_TOLD}"}, now)
+    _made(_EXHAUST, connection, row, {"has_successor": has_successor, "why": f"given up before, {_SOURCE}"}, now)
 
 
 def _made(how: Transition, connection: Connection, row: Row[Any], values: Mapping[str, Any], now: datetime) -> Row[Any]:

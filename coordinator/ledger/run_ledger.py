@@ -8,8 +8,8 @@ from datetime import datetime
 
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
-from coordinator.ledger.reading.look import Connection, damage_translated
 from coordinator.ledger.reading.progress import count_frames, read_progress
+from coordinator.ledger.reading.reader import Connection, translate_damage
 from coordinator.ledger.writer import Writer
 from schemas.errors import WorldError
 from schemas.support.closing import Closing
@@ -53,7 +53,7 @@ class RunLedger(Closing):
         """
         if self.writer.damage:
             raise WorldError(f"the ledger of run {self._run} is damaged: {self.writer.damage}; {RESTART_REMEDY}")
-        with damage_translated(self._url), self._reader.connect() as connection:
+        with translate_damage(self._url), self._reader.connect() as connection:
             yield connection
 
     def progress(self) -> Progress:

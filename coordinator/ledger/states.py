@@ -1,6 +1,6 @@
-"""All about the life of a job: its states, what can happen to it, and the one table that says where that leads.
+"""Defines the state machine of a job: states, events and the table of transitions.
 
-Knows no database and no clock; the ledger asks it, and the diagram in ARCHITECTURE.md is printed from it.
+The module uses no database and no clock. `diagram` generates the diagram in ARCHITECTURE.md.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ __all__ = [
 
 
 class JobState(StrEnum):
-    """Where one draw of one episode stands."""
+    """State of one draw of one episode."""
 
-    PENDING = "pending"  # waits for a worker
-    LEASED = "leased"  # a worker simulates it, as long as its lease lasts
-    SUBMITTED = "submitted"  # the bundle is in a worker's spool, announced but not archived
-    ARCHIVED = "archived"  # the episode is validated, on disk and recorded
-    FAILED = "failed"  # given up: the budget of the draw is used, or it kills workers
-    CANCELLED = "cancelled"  # given up by an operator
+    PENDING = "pending"  # in the queue
+    LEASED = "leased"  # a worker simulates it under a lease
+    SUBMITTED = "submitted"  # the bundle is in a worker's spool, announced and not archived
+    ARCHIVED = "archived"  # the episode is validated, stored and recorded
+    FAILED = "failed"  # the budget of the draw is used, or the job is quarantined
+    CANCELLED = "cancelled"  # cancelled by an admin request
 
 
 class Event(StrEnum):
-    """What can happen to a job; each is written to the ledger's log in the transaction that moves the job."""
+    """Event of a job; recorded in the table `events` in the transaction that changes the job."""
 
-    CLAIMED = "claimed"  # a worker took it under a new fence
-    ANNOUNCED = "announced"  # its worker says that the bundle can be pulled
+    CLAIMED = "claimed"  # a worker claimed it under a new fence
+    ANNOUNCED = "announced"  # its worker announced that the bundle can be pulled
     ARCHIVED = "archived"  # the bundle was validated and published
-    ADOPTED = "adopted"  # found published at start, although the commit was lost
-    MISSED = "missed"  # the world said no; the next attempt follows
-    EXHAUSTED = "exhausted"  # the world said no for the last time in this draw
-    RELEASED = "released"  # its worker gave it back unharmed
-    EXPIRED = "expired"  # nothing was heard of its worker for a whole lease
-    HURT = "hurt"  # it crashed, hung, or brought an invalid bundle
-    QUARANTINED = "quarantined"  # it did so too often
-    LOST = "lost"  # the archived file is gone or damaged
-    RETRIED = "retried"  # an operator wants it once more
-    CANCELLED = "cancelled"  # an operator gave it up
+    ADOPTED = "adopted"  # the bundle was found published at start, without a commit
+    MISSED = "missed"  # task failure; the next attempt follows
+    EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw
+    RELEASED = "released"  # its worker returned it without an outcome
+    EXPIRED = "expired"  # the lease expired without a heartbeat
+    HURT = "hurt"  # worker failure: crash, hang or invalid bundle
+    QUARANTINED = "quarantined"  # worker failure that exceeds the crash budget
+    LOST = "lost"  # the archived file is missing or damaged
+    RETRIED = "retried"  # retried by an admin request
+    CANCELLED = "cancelled"  # cancelled by an admin request
 
 
 class IllegalMove(FactoryError):
-    """An event that the state does not know: the caller's picture of the job is wrong."""
+    """Event that is not allowed in the current state of the job."""
 
 
 _HELD = (JobState.LEASED, JobState.SUBMITTED)
@@ -79,17 +79,18 @@ TRANSITIONS = MappingProxyType(
         (JobState.CANCELLED, Event.RETRIED): JobState.PENDING,
     }
 )
-"""(state, event) -> state. What is not listed does not happen. An event leads to one state from wherever it starts."""
+"""Mapping of (state, event) to the next state. Other pairs are not allowed. All transitions of an event have the same
+next state."""
 
 OPEN_STATES = (JobState.PENDING, JobState.LEASED, JobState.SUBMITTED)
-"""States that change without an operator."""
+"""States that change without an admin request."""
 
 
 def next_state(state: JobState, event: Event) -> JobState:
-    """Returns where the event leads.
+    """Returns the state after an event.
 
     Raises:
-        IllegalMove: the table does not list the pair.
+        IllegalMove: the event is not allowed in the state.
     """
     try:
         return TRANSITIONS[state, event]
@@ -99,18 +100,18 @@ def next_state(state: JobState, event: Event) -> JobState:
 
 
 def sources(event: Event) -> tuple[JobState, ...]:
-    """Returns the states in which an event can find a job."""
+    """Returns the states in which an event is allowed."""
     return tuple(state for (state, listed) in TRANSITIONS if listed is event)
 
 
 def target(event: Event) -> JobState:
-    """Returns the one state that an event leads to."""
+    """Returns the state after an event, which is the same for all its source states."""
     (state,) = {after for (_, listed), after in TRANSITIONS.items() if listed is event}
     return state
 
 
 def diagram() -> str:
-    """Returns the table as a mermaid state diagram."""
+    """Returns the table of transitions as a Mermaid state diagram."""
     moves: dict[tuple[JobState, JobState], list[Event]] = {}
     for (before, event), after in TRANSITIONS.items():
         moves.setdefault((before, after), []).append(event)

@@ -1,6 +1,6 @@
-"""The tables of the ledger, for any database SQLAlchemy speaks to. Describes rows; runs no statement.
+"""Defines the SQLAlchemy tables of the ledger. Executes no statement.
 
-Times are seconds since 1970 in UTC. `LEDGER_FORMAT` rises with every change that an older coordinator cannot read.
+Times are seconds since 1970 in UTC. Every change that an older coordinator cannot read increases `LEDGER_FORMAT`.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ __all__ = [
 ]
 
 LEDGER_FORMAT = 2
-"""2: episodes may lie at gateways, which an older coordinator would take for lost."""
+"""Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost."""
 
 ADDED_LATER = frozenset({"hosts", "keepers"})
-"""Tables that a whole ledger of an older format lacks; opening it for writing adds them."""
+"""Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
 
 PLANNED = "planned"
-"""Key of `info` with the digest of the jobs that the run began with; older ledgers lack it until they are opened."""
+"""Key of `info` with the digest of the initial jobs. Opening a ledger of an older format for writing adds it."""
 
 METADATA = MetaData()
 
-# SQLite numbers rows by itself only when the key is spelt INTEGER.
+# SQLite autoincrements only keys of type INTEGER.
 _RowId = BigInteger().with_variant(Integer, "sqlite")
 
 info = Table(
@@ -62,18 +62,20 @@ jobs = Table(
     Column("state", String(16), nullable=False),
     Column("superseded", Boolean, nullable=False, default=False, comment="a later draw of the episode exists"),
     Column("attempt", Integer, nullable=False, default=1, comment="attempt that is running, or that a claim starts"),
-    Column("misses", Integer, nullable=False, default=0, comment="attempts of this draw that the world refused"),
-    Column("crashes", Integer, nullable=False, default=0, comment="workers it has hurt"),
-    Column("losses", Integer, nullable=False, default=0, comment="leases lost in a row; spaces out the next claims"),
-    Column("fence", Integer, nullable=False, default=0, comment="rises at each claim"),
-    Column("token", String(32), comment="of the lease in force or fulfilled"),
+    Column("misses", Integer, nullable=False, default=0, comment="task failures of this draw"),
+    Column("crashes", Integer, nullable=False, default=0, comment="worker failures"),
+    Column(
+        "losses", Integer, nullable=False, default=0, comment="consecutive expired leases; they delay the next claim"
+    ),
+    Column("fence", Integer, nullable=False, default=0, comment="increases with each claim"),
+    Column("token", String(32), comment="token of the lease in force or fulfilled"),
     Column("sid", String(80), comment="worker of the lease"),
     Column("lease_until", Double),
     Column("not_before", Double, nullable=False, default=0.0),
-    Column("step", Integer, nullable=False, default=0, comment="as its worker last reported"),
-    Column("sha256", String(64), comment="of the announced bundle"),
-    Column("size", BigInteger, comment="of the announced bundle, bytes"),
-    Column("reason", Text, nullable=False, default="", comment="why it failed, in words"),
+    Column("step", Integer, nullable=False, default=0, comment="steps in the last heartbeat"),
+    Column("sha256", String(64), comment="digest of the announced bundle"),
+    Column("size", BigInteger, comment="size of the announced bundle, bytes"),
+    Column("reason", Text, nullable=False, default="", comment="reason of the failure"),
     Column("changed_at", Double, nullable=False, default=0.0),
     Index("ux_jobs_draw", "idx", "draw", unique=True),
     Index("ix_jobs_queue", "state", "not_before", "id"),
@@ -102,7 +104,7 @@ attempts = Table(
     Column("attempt", Integer, nullable=False),
     Column("fence", Integer, nullable=False),
     Column("outcome", String(16), nullable=False, comment="success, a fail reason, expired, cancelled or lost"),
-    Column("settles", Boolean, nullable=False, comment="success, or the world's refusal: the attempt has its outcome"),
+    Column("settles", Boolean, nullable=False, comment="final outcome: success or task failure"),
     Column("detail", Text, nullable=False, default=""),
     Column("steps", Integer, nullable=False, default=0),
     Column("seconds", Double, nullable=False, default=0.0),
@@ -127,7 +129,7 @@ events = Table(
     Column("at", Double, nullable=False),
     Column("job_id", _RowId, nullable=False),
     Column("event", String(16), nullable=False),
-    Column("state", String(16), nullable=False, comment="after the event"),
+    Column("state", String(16), nullable=False, comment="state after the event"),
     Column("attempt", Integer, nullable=False),
     Column("fence", Integer, nullable=False),
     Column("sid", String(80), nullable=False, default=""),
@@ -154,19 +156,19 @@ keepers = Table(
     METADATA,
     Column("idx", Integer, primary_key=True, autoincrement=False),
     Column("gateway", String(80), nullable=False),
-    comment="Archived episodes that lie at a gateway; the others lie in the coordinator's own directory.",
+    comment="Archived episodes that a gateway stores; the coordinator stores the others.",
 )
 
 hosts = Table(
     "hosts",
     METADATA,
     Column("host", String(80), primary_key=True),
-    Column("strikes", Integer, nullable=False, comment="failures that count against the host, less its successes"),
+    Column("strikes", Integer, nullable=False, comment="failures attributed to the host, reduced by successes"),
     Column("last_job", _RowId, nullable=False, comment="job of the last strike"),
-    Column("resumes_at", Double, nullable=False, comment="it gets no job before"),
-    Column("barred_at", Double, comment="since when it gets no job until an operator releases it"),
-    Column("reason", Text, nullable=False, comment="the last failure, in words"),
-    comment="Hosts whose attempts were refused or crashed; the others have no row.",
+    Column("resumes_at", Double, nullable=False, comment="earliest time of the next job"),
+    Column("barred_at", Double, comment="time of the bar, which lasts until an admin request releases the host"),
+    Column("reason", Text, nullable=False, comment="last failure"),
+    comment="Hosts with failed attempts; other hosts have no row.",
 )
 
 workers = Table(

@@ -1,4 +1,4 @@
-"""Who works for the run: introductions and signs of life of workers, a bounded number of them. Touches no job."""
+"""Records the workers of a run and their signs of life, for a bounded number of sessions. Does not change jobs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.tables import workers
 from schemas.wire import Hello
 
-__all__ = ["SESSIONS", "SESSIONS_OF_HOST", "introduce", "note_alive"]
+__all__ = ["SESSIONS", "SESSIONS_OF_HOST", "note_alive", "register"]
 
 SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
-"""Most sessions that are known, in all and of one host: twice as many as can be connected."""
+"""Maximum number of recorded sessions, in total and per host: twice the maximum number of connections."""
 _SILENT_S = 300.0
-"""Silence after which a session is forgotten where there is no room for another."""
+"""Time without a sign of life after which a session may be removed in favour of a new one, seconds."""
 
 _OLDEST = func.min(workers.c.last_beat).label("oldest")
 _KNOWN: Any = select(func.count().label("known"), _OLDEST).select_from(workers)
@@ -26,8 +26,8 @@ _OF_HOST = PreparedStatement(_KNOWN.where(workers.c.host == bindparam("name")))
 _HEARD = PreparedStatement(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
 
 
-def introduce(connection: Connection, hello: Hello, now: datetime) -> bool:
-    """Records a worker, or what it says of itself now; returns whether there was room for it."""
+def register(connection: Connection, hello: Hello, now: datetime) -> bool:
+    """Records or updates a worker; returns `False` if the maximum number of sessions is reached."""
     values = {"host": hello.host, "slots": hello.slots, "version": hello.version, "last_beat": now.timestamp()}
     if connection.execute(update(workers).where(workers.c.sid == hello.sid).values(values)).rowcount:
         return True
@@ -38,14 +38,14 @@ def introduce(connection: Connection, hello: Hello, now: datetime) -> bool:
 
 
 def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> None:
-    """Records that a worker was heard of, introduced or not, as long as there is room for it."""
+    """Records a sign of life of a worker, registered or not, within the maximum number of sessions."""
     is_known = _HEARD.count(connection, {"by": sid, "now": now.timestamp()}) > 0
     if not is_known and _make_room(connection, host, now):
         connection.execute(insert(workers).values(sid=sid, host=host, slots=1, last_beat=now.timestamp()))
 
 
 def _make_room(connection: Connection, host: str, now: datetime) -> bool:
-    """Returns whether another session of a host can be recorded; forgets silent ones where that is needed."""
+    """Removes silent sessions if necessary; returns whether another session of a host can be recorded."""
     before = now.timestamp() - _SILENT_S
     of_host, of_all = {"name": host}, dict[str, object]()
     for parameters, found, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):

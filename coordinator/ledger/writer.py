@@ -1,6 +1,6 @@
-"""The one writer of the ledger: a thread that runs queued work in group commits; another answers after COMMIT.
+"""Writes the ledger: one thread executes queued work in group commits, another resolves the results after COMMIT.
 
-Knows nothing of jobs or of zenoh. Work must be a function of the connection alone, for it may be run twice.
+The module is independent of jobs and of zenoh. Work must depend on the connection only, because it may run twice.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from schemas.support.log_limit import LogLimit, Repeated, describe_error
 __all__ = ["GROUP", "Writer"]
 
 GROUP = 256
-"""Most requests of one commit."""
+"""Maximum number of requests per commit."""
 
 T = TypeVar("T")
 log = structlog.get_logger(__name__)
@@ -33,14 +33,14 @@ _LIMIT = LogLimit()
 
 
 class _Request(Generic[T]):
-    """A piece of work, and where its result goes once it is durable."""
+    """Queued work with the future of its result."""
 
     def __init__(self, work: Callable[[Connection], T]) -> None:
         self.work = work
         self.future: Future[T] = Future()
 
     def resolve(self, outcome: T | Exception) -> None:
-        """Hands over the result or the error; the callbacks of the future run here, in the answering thread."""
+        """Sets the result or the exception of the future; its callbacks run in the calling thread."""
         if isinstance(outcome, Exception):
             self.future.set_exception(outcome)
         else:
@@ -48,16 +48,16 @@ class _Request(Generic[T]):
 
 
 class Writer(Closing):
-    """Owns the only read-write connection; a context manager whose exit finishes what is queued."""
+    """Owner of the only read-write connection; a context manager. Closing it completes the queued work."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._failing = Repeated(log.bind(remedy="look after the ledger's disk"), "commit_failed", (SQLAlchemyError,))
+        self._failing = Repeated(log.bind(remedy="check the ledger's disk"), "commit_failed", (SQLAlchemyError,))
         self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
         self._closed = False
         self._closing = threading.Lock()
         self.damage = ""
-        """Why the database will not take anything any more; empty as long as trying again may help."""
+        """Reason why the database can no longer be written; empty while a retry may succeed."""
         self._answers: queue.SimpleQueue[tuple[_Request[Any], Any] | None] = queue.SimpleQueue()
         self._threads = (
             threading.Thread(target=self._run, name="ledger-writer"),
@@ -68,19 +68,20 @@ class Writer(Closing):
 
     @property
     def is_alive(self) -> bool:
-        """Whether its threads run."""
+        """Whether the threads run."""
         return all(thread.is_alive() for thread in self._threads)
 
     @property
     def backlog(self) -> int:
-        """Requests that wait for their turn or for their answer."""
+        """Number of requests that wait for their commit or their result."""
         return self._queue.qsize() + self._answers.qsize()
 
     def submit(self, work: Callable[[Connection], T]) -> Future[T]:
         """Queues work for the next commit.
 
         Returns:
-            Its result after COMMIT; `TransientError` when the database could not commit or the writer has closed.
+            The future of the result, resolved after COMMIT; its exception is `TransientError` if the database could not
+            commit or the writer is closed.
         """
         request = _Request(work)
         with self._closing:
@@ -91,15 +92,15 @@ class Writer(Closing):
         return request.future
 
     def call(self, work: Callable[[Connection], T]) -> T:
-        """Runs work in the next commit and waits for it.
+        """Executes work in the next commit and returns its result.
 
         Raises:
-            TransientError: the database could not commit, or the writer has closed.
+            TransientError: the database could not commit, or the writer is closed.
         """
         return self.submit(work).result()
 
     def close(self) -> None:
-        """Commits and answers what is queued, folds the log into the database and ends the threads."""
+        """Completes the queued work, checkpoints the write-ahead log and ends the threads."""
         with self._closing:
             if not self._closed:
                 self._closed = True
@@ -123,13 +124,13 @@ class Writer(Closing):
             self._answers.put(None)
 
     def _answer(self) -> None:
-        """Hands over outcomes in the order of their commits, while the next commit is under way."""
+        """Resolves results in the order of their commits, in parallel with the next commit."""
         while (answer := self._answers.get()) is not None:
             request, outcome = answer
             request.resolve(outcome)
 
     def _next_batch(self) -> tuple[list[_Request[Any]], bool]:
-        """Waits for work and takes all there is, up to a group; the flag says whether more may follow."""
+        """Waits for work and returns up to `GROUP` requests; the flag is `False` after the writer was closed."""
         batch: list[_Request[Any]] = []
         request = self._queue.get()
         while request is not None:
@@ -146,13 +147,13 @@ class Writer(Closing):
         try:
             outcomes = _run_together(connection, batch)
             self._failing.succeed()
-        except Exception:  # noqa: BLE001 - some request is poisoned: find out which one
+        except Exception:  # noqa: BLE001 - some request fails: isolate it
             outcomes = self._commit_apart(connection, batch)
         for answer in zip(batch, outcomes, strict=True):
             self._answers.put(answer)
 
     def _commit_apart(self, connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
-        """Runs each request under its own savepoint, so that a poisoned one fails alone."""
+        """Executes each request under a savepoint, so that a failing request does not affect the others."""
         try:
             with connection.begin():
                 outcomes = [_run_guarded(connection, request) for request in batch]
@@ -166,7 +167,7 @@ class Writer(Closing):
 
 
 def _is_final(error: SQLAlchemyError | WorldError) -> bool:
-    """Returns whether the database file itself is damaged; a full disk or a lost server is not."""
+    """Returns whether the database file is damaged; a full disk or a lost server connection is not damage."""
     original = error.orig if isinstance(error, DatabaseError) else None
     code = getattr(original, "sqlite_errorcode", 0)
     return code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
@@ -182,20 +183,20 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
     try:
         result = request.work(connection)
     except OperationalError:
-        raise  # a full disk or a lost server has ended the whole transaction, savepoints and all
+        raise  # a full disk or a lost server has ended the whole transaction with all savepoints
     except SQLAlchemyError as error:
         savepoint.rollback()
-        _say("request_failed", error)
+        _log_error("request_failed", error)
         return _transient(error)
-    except Exception as error:  # noqa: BLE001 - belongs to the one who asked
+    except Exception as error:  # noqa: BLE001 - passed to the caller of the request
         savepoint.rollback()
         return error
     savepoint.commit()
     return result
 
 
-def _say(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None:
-    """Logs what the database said, without the parameters of the statement: tokens are among them."""
+def _log_error(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None:
+    """Logs a database error without the parameters of the statement, which contain tokens."""
     _LIMIT.write(log.error, event, error=describe_error(getattr(error, "orig", None) or error), **fields)
 
 

@@ -1,8 +1,8 @@
-"""Who may ask, answer and be seen under which keys, as zenoh reads it: default deny, by common name. Pure.
+"""Generates zenoh's access control rules: default deny, by common name of the certificate. Opens no session.
 
-A host asks under its own name and answers in its own subtree; nobody but the router itself answers for the coordinator.
-A gateway also passes on what the workers behind it ask, under their names: it has let them in by their certificates.
-An evaluator answers what workers ask about evaluations, and sees nothing of the coordinator's own run.
+A host may send requests under its own name and serve keys in its own subtree. Only the router replies for the
+coordinator. A gateway also forwards the requests of its workers under their names, because it has admitted them by
+their certificates. An evaluator replies to requests about evaluations and has no access to the coordinator's own run.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _SERVING = ["declare_queryable", "reply", "liveliness_token"]
 
 
 def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:
-    """Returns zenoh's `access_control` section.
+    """Returns the `access_control` section of a zenoh configuration.
 
     Args:
-        admitted: common name of a certificate -> what it may do. A coordinator is named by its gateways only.
+        admitted: mapping of common name to role. Only the list of a gateway contains the role of a coordinator.
     """
     rules = list(_SHARED)
     policies = []
@@ -47,7 +47,7 @@ def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:
 
 
 def _granted(name: str, role: Role) -> tuple[list[dict[str, Any]], Sequence[str]]:
-    """Returns the rules of one name, and the shared ones that hold for it too."""
+    """Returns the rules of one name, and the ids of the shared rules that apply to it."""
     if role is Role.COORDINATOR:
         return [], _OF_CORE
     verbs = [verb_key(_ANY_RUN, name, verb) for verb in _VERBS[role]]
@@ -64,7 +64,7 @@ def _granted(name: str, role: Role) -> tuple[list[dict[str, Any]], Sequence[str]
 
 
 def _subtree(name: str) -> str:
-    """Returns all keys of all sessions of a host: `HOST.` and whatever tells its starts apart."""
+    """Returns the pattern of all keys of all sessions of a host; session ids begin with `HOST.`."""
     return bundle_key(_ANY_RUN, f"{name}.$*").rpartition("/")[0] + "/**"
 
 

@@ -1,6 +1,6 @@
-"""A file in the dataset directory that says where its running coordinator can be asked; gone when none runs.
+"""Reads and writes the file in the dataset directory with the endpoints of its running coordinator.
 
-A hint only: a killed coordinator leaves it behind, and the directory's lock has the last word.
+The file is a hint: a killed coordinator leaves it behind, so the lock of the directory decides whether one runs.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ ADDRESS_FILE = ".coordinator.json"
 
 
 class CoordinatorAddress(NamedTuple):
-    """What the file says."""
+    """Contents of the address file."""
 
     run: str
+    """Name of the run."""
     endpoints: tuple[str, ...]
+    """Endpoints of the coordinator."""
     pid: int
+    """Process id of the coordinator."""
 
 
 def write_address(root: Path, run: str, endpoints: Sequence[str]) -> None:
-    """Writes the file."""
+    """Writes the address file of this process."""
     text = json.dumps({"run": run, "endpoints": list(endpoints), "pid": os.getpid()})
     part = root / f"{ADDRESS_FILE}.part"
     part.write_text(text, encoding="utf-8")
@@ -33,12 +36,12 @@ def write_address(root: Path, run: str, endpoints: Sequence[str]) -> None:
 
 
 def remove_address(root: Path) -> None:
-    """Removes the file."""
+    """Removes the address file."""
     (root / ADDRESS_FILE).unlink(missing_ok=True)
 
 
 def read_address(root: Path) -> CoordinatorAddress | None:
-    """Reads the file; `None` when there is none that can be understood."""
+    """Reads the address file; returns `None` if it does not exist or is invalid."""
     try:
         found = json.loads((root / ADDRESS_FILE).read_text(encoding="utf-8"))
         return CoordinatorAddress(str(found["run"]), tuple(map(str, found["endpoints"])), int(found["pid"]))

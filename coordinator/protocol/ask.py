@@ -1,4 +1,4 @@
-"""One question to a running coordinator, from a client session that lives as long as the question. Writes nothing."""
+"""Sends single requests to a running coordinator, each in a temporary client session. Writes no file."""
 
 from __future__ import annotations
 
@@ -19,29 +19,30 @@ from schemas.wire import Ack, AdminReply, AdminRequest, Ping, Progress, Refusal
 __all__ = ["OPERATOR", "ask_admin", "ask_presence", "ask_progress"]
 
 OPERATOR = "operator"
+"""Default name of a requester."""
 _TIMEOUT_S = 10.0
 R = TypeVar("R", bound=Model)
 
 
 def ask_progress(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles | None = None) -> Progress:
-    """Returns where the run of a coordinator stands.
+    """Returns the progress of a coordinator's run.
 
     Args:
-        endpoints: of the coordinator.
-        name: who asks; with TLS the name in the certificate.
-        tls: to connect with.
+        endpoints: endpoints of the coordinator.
+        name: name of the requester; with TLS the common name of its certificate.
+        tls: TLS files for the connection; `None` connects without TLS.
 
     Raises:
-        TransientError: nobody answers there.
+        TransientError: no coordinator replies at the endpoints.
     """
     return _ask(endpoints, Verb.PROGRESS, None, Progress, name, tls)
 
 
 def ask_presence(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles | None = None) -> None:
-    """Makes sure that a coordinator is there and admits this side; learns nothing of its run.
+    """Checks that a coordinator replies and admits this client. Returns no information about the run.
 
     Raises:
-        TransientError: nobody answers there.
+        TransientError: no coordinator replies at the endpoints.
     """
     _ask(endpoints, Verb.PING, Ping(), Ack, name, tls)
 
@@ -49,11 +50,11 @@ def ask_presence(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles |
 def ask_admin(
     endpoints: Sequence[str], request: AdminRequest, name: str = OPERATOR, tls: TlsFiles | None = None
 ) -> AdminReply:
-    """Has a coordinator carry out an operator's wish; safe to repeat.
+    """Sends an admin request to a coordinator. The request is idempotent.
 
     Raises:
-        TransientError: nobody answers there; whether it was done is unknown.
-        WorldError: it was refused.
+        TransientError: no coordinator replies; the request may have been executed.
+        WorldError: the coordinator refuses the request.
     """
     return _ask(endpoints, Verb.ADMIN, request, AdminReply, name, tls)
 

@@ -1,6 +1,7 @@
-"""Who pulls an announced bundle: the gateway that its worker is connected to, else the coordinator itself.
+"""Assigns announced bundles to pullers: to the gateway of the worker, else to the coordinator.
 
-Keeps orders until their gateway fetches them, and nothing durable: what is forgotten, the next beat announces again.
+The module keeps orders in memory until the gateway fetches them. The next heartbeat of a worker announces a lost order
+again.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ from schemas.keys import host_of
 __all__ = ["Dispatch"]
 
 _OF_ONE_HOST = 4
-"""Orders of one host that a gateway is given at a time."""
+"""Maximum number of orders of one host per reply to a gateway."""
 _MOST_GATEWAYS = 1000
-"""Gateways that are known at a time; the one that was silent longest is forgotten."""
+"""Maximum number of known gateways; beyond it the gateway with the oldest request is removed."""
 _SILENT_S = 10.0
-"""Silence after which another gateway may name the same router; a gateway asks four times a second."""
+"""Time without a request after which another gateway may claim the same router, seconds. A gateway sends four requests
+per second."""
 
 
 class Dispatch:
-    """Orders by gateway; safe to use from any thread.
+    """Thread-safe queue of orders by gateway.
 
     Args:
-        pull_here: takes a bundle whose worker is connected to no gateway that has been heard of.
-        clock: monotonic seconds.
+        pull_here: callback for a bundle whose worker is not connected to a known gateway.
+        clock: monotonic clock, seconds.
     """
 
     def __init__(self, pull_here: Callable[[Pull], None], clock: Callable[[], float] = time.monotonic) -> None:
@@ -36,14 +38,14 @@ class Dispatch:
         self._clock = clock
         self._guard = threading.Lock()
         self._gateways: dict[str, str] = {}
-        """Zenoh's id of a router -> name of the gateway."""
+        """Mapping of zenoh router id to gateway name."""
         self._orders: dict[str, dict[int, Pull]] = {}
-        """Gateway -> episode -> what to pull."""
+        """Mapping of gateway to its orders by episode number."""
         self._heard: dict[str, float] = {}
-        """Gateway -> when it asked last; the one that was silent longest first."""
+        """Mapping of gateway to the time of its last request, oldest first."""
 
     def offer(self, pull: Pull) -> None:
-        """Gives a bundle to whoever is to pull it; who was to pull it before, is so no longer."""
+        """Assigns a bundle to a gateway or to the coordinator, and withdraws an earlier assignment."""
         index = pull.job.index
         with self._guard:
             gateway = self._gateways.get(pull.via or "")
@@ -55,22 +57,22 @@ class Dispatch:
             self._pull_here(pull)
 
     def take(self, gateway: str, router: str, most: int, busy: Collection[str] = ()) -> tuple[Pull, ...]:
-        """Hands a gateway its orders, the oldest first.
+        """Removes and returns orders of a gateway, oldest first.
 
         Args:
-            gateway: its name.
-            router: zenoh's id of its session; from now on what is announced via that is the gateway's, unless it is
-                the router of another gateway that is there.
-            most: orders it can take.
-            busy: hosts of which it has enough.
+            gateway: name of the gateway.
+            router: zenoh id of its router. Bundles announced via this router are assigned to the gateway from now on,
+                unless the router belongs to another active gateway.
+            most: maximum number of orders.
+            busy: hosts of which the gateway has enough bundles.
         """
         with self._guard:
-            self._note(gateway, router)
+            self._record_request(gateway, router)
             orders = self._orders.setdefault(gateway, {})
             return tuple(orders.pop(index) for index in _choose(orders, most, busy))
 
-    def _note(self, gateway: str, router: str) -> None:
-        """Records that a gateway is there, and its router if no other gateway that is there has named it."""
+    def _record_request(self, gateway: str, router: str) -> None:
+        """Records a request of a gateway, and its router unless the router belongs to another active gateway."""
         now = self._clock()
         self._heard.pop(gateway, None)
         self._heard[gateway] = now
@@ -88,7 +90,7 @@ class Dispatch:
 
 
 def _choose(orders: Mapping[int, Pull], most: int, busy: Collection[str]) -> list[int]:
-    """Returns which orders a gateway is given: the oldest, a few of each host."""
+    """Returns the oldest orders, limited in total and per host."""
     chosen: list[int] = []
     by_host = Counter(dict.fromkeys(busy, _OF_ONE_HOST))
     for index, pull in orders.items():

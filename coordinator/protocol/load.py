@@ -1,4 +1,4 @@
-"""How many requests, and how many bytes of them, wait for the ledger: in all, and of one host. Counts only."""
+"""Limits the number and size of requests that wait for the ledger, in total and per host. Queues no request."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections import Counter
 __all__ = ["Load"]
 
 _HOST_SHARE = 8
-"""A host may have this fraction of what may wait in all, so that several busy hosts leave room for others."""
+"""Divisor of the total limits for the limits of one host, so that several busy hosts leave capacity for others."""
 
 
 class Load:
-    """What waits now; safe to use from any thread.
+    """Thread-safe counter of waiting requests.
 
     Args:
-        requests: that may wait in all.
-        octets: bytes of messages that may wait in all.
+        requests: maximum number of waiting requests in total.
+        octets: maximum size of waiting messages in total, bytes.
     """
 
     def __init__(self, requests: int, octets: int) -> None:
@@ -29,7 +29,7 @@ class Load:
         self._all_requests = 0
 
     def enter(self, host: str, octets: int) -> bool:
-        """Counts a request in; returns whether there was room for it."""
+        """Adds a request; returns `False` if a limit is reached."""
         with self._guard:
             if self._all_requests >= self._most[0] or self._all_octets + octets > self._most[1]:
                 return False
@@ -42,7 +42,7 @@ class Load:
             return True
 
     def leave(self, host: str, octets: int) -> None:
-        """Counts a request out that was counted in."""
+        """Removes a request that was added."""
         with self._guard:
             self._requests[host] -= 1
             self._octets[host] -= octets

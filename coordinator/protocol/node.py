@@ -1,6 +1,6 @@
-"""One zenoh session that is a router: listens, asks workers for chunks, and opens anew when others are admitted.
+"""Manages a zenoh router session: listens, requests chunks from workers, and reopens when the admission list changes.
 
-Declares what it is told to and reads no message; who may do what stands in the configuration it is given.
+The module does not interpret messages. Access control is part of the configuration that the caller provides.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ __all__ = ["Admitted", "Configure", "ZenohNode"]
 
 Admitted = Mapping[str, Role]
 Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
-"""(endpoints to listen on, who is admitted) -> configuration."""
+"""Function of endpoints and admission list that returns the configuration."""
 
 _THREADS = "(rx: (worker_threads: 8), acc: (worker_threads: 32))"
-"""Threads of zenoh's runtimes. Two receiving threads freeze when two clients block. An accepting thread waits for the
-peer whenever it closes a connection that made no handshake; a single one closed 150 such connections a second."""
+"""Threads of zenoh's runtimes. Two receiving threads block if two clients block. An accepting thread waits for the peer
+when it closes a connection without a handshake; a single thread closed 150 such connections per second."""
 _ANY_PORT = ":0"
 _PORT_TRIES = 5
 _REOPEN_PAUSE_S = 0.2
@@ -38,13 +38,13 @@ log = structlog.get_logger(__name__)
 
 
 class ZenohNode(Closing):
-    """An open router session; a context manager.
+    """Open router session; a context manager.
 
     Args:
-        listen: endpoints; port 0 takes a free one.
-        configure: gives the session's configuration, again whenever it is opened.
-        admitted: looks who is admitted now.
-        declare: declares on a fresh session what it serves; by default nothing.
+        listen: endpoints; port 0 selects a free port.
+        configure: function that returns the configuration; called each time the session is opened.
+        admitted: function that returns the current admission list.
+        declare: function that declares queryables and subscribers on a new session; by default none.
 
     Raises:
         WorldError: an endpoint cannot be listened on.
@@ -60,26 +60,26 @@ class ZenohNode(Closing):
         os.environ.setdefault("ZENOH_RUNTIME", _THREADS)
         _raise_file_limit()
         self._configure = configure
-        self._look_admitted = admitted
+        self._read_admitted = admitted
         self._declare = declare
         self._admitted = admitted()
         self._opening = threading.Lock()
         self.endpoints, self._session = _listen(listen, lambda endpoints: configure(endpoints, self._admitted))
-        """Endpoints in force, with their ports."""
+        """Endpoints with their actual ports."""
         self._declare(self._session)
 
     @property
     def is_open(self) -> bool:
-        """Whether others can be heard."""
+        """Whether the session is open."""
         return not self._session.is_closed()
 
     @property
     def router_id(self) -> str:
-        """Zenoh's id of the session: what those who are connected to it know it by."""
+        """zenoh id of the session."""
         return str(self._session.zid())
 
     def ask(self, selector: str, payload: str | None, timeout_s: float) -> Iterator[bytes]:
-        """Yields the answers to a question as they come; none means unknown."""
+        """Sends a query and yields the replies; without a reply the outcome is unknown."""
         try:
             replies = self._session.get(
                 selector,
@@ -95,10 +95,12 @@ class ZenohNode(Closing):
             log.debug("ask_failed", selector=selector, error=str(error))
 
     def fetch(self, run: str, sid: str, lease: Lease, chunk: Chunk, timeout_s: float) -> bytes:
-        """Asks a worker for a part of a spooled bundle; never tries twice, so that no puller hangs on a frozen worker.
+        """Requests a chunk of a spooled bundle from a worker.
+
+        There is no retry, so that a frozen worker does not block a puller.
 
         Raises:
-            TransientError: no answer in time, or not the bytes asked for.
+            TransientError: no reply arrived in time, or the reply has the wrong length.
         """
         for data in self.ask(bundle_selector(run, sid, lease, chunk), None, timeout_s):
             if len(data) == chunk.length:
@@ -106,16 +108,16 @@ class ZenohNode(Closing):
         raise TransientError(f"worker {sid} does not serve bytes {chunk.offset}+{chunk.length} of job {lease.job_id}")
 
     def admit(self) -> bool:
-        """Opens the session anew when who is admitted has changed; workers come back by themselves.
+        """Reopens the session if it is closed or the admission list has changed; workers reconnect automatically.
 
         Returns:
-            Whether it did.
+            Whether the session was reopened.
 
         Raises:
-            UsageError: the list cannot be understood; those admitted before stay so.
-            WorldError: the endpoints cannot be listened on now; ask again.
+            UsageError: the list is invalid; the previous list stays in force.
+            WorldError: the endpoints cannot be listened on now; retry later.
         """
-        admitted = self._look_admitted()
+        admitted = self._read_admitted()
         if admitted == self._admitted and self.is_open:
             return False
         self._admitted = admitted
@@ -123,10 +125,10 @@ class ZenohNode(Closing):
         return True
 
     def reopen(self) -> None:
-        """Opens the session anew under the same endpoints; who was connected comes back by himself.
+        """Reopens the session on the same endpoints; peers reconnect automatically.
 
         Raises:
-            WorldError: the endpoints cannot be listened on now; ask again.
+            WorldError: the endpoints cannot be listened on now; retry later.
         """
         with self._opening:
             if self.is_open:
@@ -135,7 +137,7 @@ class ZenohNode(Closing):
             self._declare(self._session)
 
     def close(self) -> None:
-        """Closes the session; what zenoh runs in threads ends with it."""
+        """Closes the session and its zenoh threads."""
         with self._opening:
             if self.is_open:
                 self._session.close()
@@ -150,7 +152,7 @@ def _listen(wanted: Sequence[str], configure: Open) -> tuple[tuple[str, ...], ze
         try:
             return endpoints, zenoh.open(configure(endpoints))
         except zenoh.ZError as error:
-            # between choosing a free port and listening on it somebody else may take it
+            # another process may take the free port before the session listens on it
             if endpoints == tuple(wanted) or trial + 1 == _PORT_TRIES:
                 named, reason = ", ".join(endpoints), str(error).split(" at /")[0]  # without zenoh's source paths
                 raise WorldError(

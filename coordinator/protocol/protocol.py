@@ -1,6 +1,7 @@
-"""What the coordinator answers: each verb parsed, checked, and turned into work on the ledger. Knows no zenoh.
+"""Implements the verbs of the coordinator: parses and validates requests and executes them on the ledger.
 
-Every verb is idempotent; what follows a commit (bundles to pull) is returned, not done.
+Every verb is idempotent. The module does not use zenoh and does not pull bundles: it returns the bundles to pull after
+the commit.
 """
 
 from __future__ import annotations
@@ -59,24 +60,29 @@ _MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
         Verb.ARCHIVED: MAX_MESSAGE_BYTES,
     }
 )
-"""Most bytes of a verb's message, where that is not `_SMALL_MESSAGE_BYTES`: no larger one is read."""
+"""Maximum message size by verb, bytes; `_SMALL_MESSAGE_BYTES` for other verbs."""
 _NAME_END, _BYTES_A_NAME = b'":', 24
-"""A full beat has a name every 27 bytes; thousands of unknown names would each become an error of their own."""
+"""End of a JSON name, and least bytes per name. A full heartbeat has a name every 27 bytes. The limit prevents
+thousands of unknown names, each of which would cause a separate validation error."""
 _SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What the run holds its workers to; the flags change while it runs."""
+    """Terms of the run for its workers; the flags change while it runs."""
 
     plan: Plan
+    """Plan of the run."""
     catalog: Catalog
+    """Compiled scenes of the plan."""
     version: str
-    """Of minivla-factory; workers of another version are refused."""
+    """Version of minivla-factory; workers of another version are refused."""
     lease_ttl_s: float
+    """Duration of a lease, seconds."""
     retry_after_s: float
+    """Pause of a worker before its next claim if no job is due, seconds."""
     is_draining: Callable[[], bool] = lambda: False
-    """Whether workers shall leave when done."""
+    """Function that returns whether workers shall stop after their current jobs."""
     has_room: Callable[[], bool] = lambda: True
     """Whether the archive has room for what a new job would bring."""
     evaluation: EvalJobs | None = None
@@ -85,32 +91,42 @@ class Terms:
 
 @dataclass(frozen=True)
 class Pull:
-    """A bundle that waits in a worker's spool."""
+    """Announced bundle in a worker's spool."""
 
     lease: Lease
+    """Lease of the job."""
     sid: str
+    """Session id of the worker."""
     sha256: str
+    """Announced SHA-256."""
     size: int
+    """Announced size, bytes."""
     job: Job
+    """Job of the bundle."""
     target: Target
+    """Target in the compiled scene."""
     via: str | None = None
-    """Router that its worker is connected to, as far as that is known."""
+    """zenoh id of the router that the worker is connected to; `None` if unknown."""
 
 
 @dataclass(frozen=True)
 class ProtocolAnswer:
-    """The reply to send after COMMIT, and what has become due by then."""
+    """Reply to send after COMMIT, with the bundles to pull."""
 
     reply: Model
+    """Reply to the requester."""
     pulls: tuple[Pull, ...] = ()
+    """Bundles to pull."""
 
 
 @dataclass(frozen=True)
 class ParsedRequest:
-    """A message that has passed all checks that need no ledger."""
+    """Request that passed all checks that do not need the ledger."""
 
     host: str
+    """Host name in the request key."""
     message: Model
+    """Validated message."""
 
 
 Handler = Callable[[Connection, Any, str, Terms, datetime], ProtocolAnswer]
@@ -119,13 +135,13 @@ Handler = Callable[[Connection, Any, str, Terms, datetime], ProtocolAnswer]
 def parse(
     verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]] | None = None
 ) -> ParsedRequest | Refusal:
-    """Reads a message as it came; everything wrong with it ends in a refusal that says so.
+    """Parses and validates a message; returns a refusal with the reason if it is invalid.
 
     Args:
-        verb: last part of the key.
-        host: who asks, by the key.
-        payload: JSON, at most as many bytes as the verb may have.
-        known: what each verb carries; by default the verbs of workers and operators.
+        verb: last segment of the request key.
+        host: host name in the request key.
+        payload: JSON message.
+        known: message type by verb; by default the verbs of workers and operators.
     """
     known = known or _MESSAGES
     if verb not in known:
@@ -152,7 +168,7 @@ def parse(
 
 
 def _mistakes(error: ValidationError) -> str:
-    """Returns the first mistakes in words; of a message that is all mistakes only their number, which costs nothing."""
+    """Returns the first validation errors; for a message with many errors only their number, to limit the cost."""
     count = error.error_count()
     if count > 10 * _SHOWN_MISTAKES:
         return f"{count} mistakes"
@@ -161,12 +177,12 @@ def _mistakes(error: ValidationError) -> str:
 
 
 def serve(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
-    """Does what a request asks, within the caller's transaction."""
+    """Executes a request within the caller's transaction."""
     return _HANDLERS[type(request.message)](connection, request.message, request.host, terms, now)
 
 
 def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: datetime) -> bool:
-    """Settles a failed attempt under the terms of the run; see `outcomes.fail`."""
+    """Records a failed attempt under the terms of the run; see `outcomes.fail`."""
     return outcomes.fail(
         connection,
         report,
@@ -189,7 +205,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"{terms.version}; episodes of two versions may differ: install the same version on both"
             )
         )
-    if not workers.introduce(connection, hello, now):
+    if not workers.register(connection, hello, now):
         return ProtocolAnswer(
             Refusal(
                 error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "
@@ -274,7 +290,7 @@ _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
         Verb.PING: Ping,
     }
 )
-"""What each verb carries; `progress` carries nothing and is answered by a reader."""
+"""Message type by verb; `progress` has no message, and a reader of the ledger replies to it."""
 
 _HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
     {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin, Ping: _ping}

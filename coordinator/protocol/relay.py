@@ -1,6 +1,6 @@
-"""What a gateway and its core say to each other: bundles to pull, what became of them, what lies where. Values only.
+"""Defines the messages between a gateway and its core: orders, results and inventories. Contains no behaviour.
 
-Every message is idempotent. The gateway is named by the key it asks under, so that its certificate binds it.
+Every message is idempotent. The request key names the gateway, so that access control binds it to its certificate.
 """
 
 from __future__ import annotations
@@ -33,98 +33,123 @@ __all__ = [
 ]
 
 MAX_FILES, MAX_LOST, MAX_ORDERS = 1000, 1000, 64
+"""Maximum numbers of files per inventory, of lost episodes per reply and of orders per reply."""
 
 
 class Join(Model):
-    """A gateway looks for the run it is to serve; from now on what is announced via its router is its own to pull."""
+    """Request of a gateway to join a run; bundles announced via its router are assigned to it from then on."""
 
     version: Version
-    """Of minivla-factory."""
+    """Version of minivla-factory."""
     router: RouterId
+    """zenoh id of the gateway's router."""
 
 
 class JoinReply(Model):
-    """Which run that is."""
+    """Reply to `Join`: identity of the run."""
 
     run: Line
+    """Name of the run."""
     plan_digest: Sha256
+    """Digest of its plan."""
 
 
 class Duty(Model):
-    """A gateway asks what to pull; bundles of workers that reach the core through it are its own."""
+    """Request of a gateway for orders."""
 
     router: RouterId
+    """zenoh id of the gateway's router."""
     most: Annotated[int, Field(ge=0, le=MAX_ORDERS)]
-    """Orders it can take now."""
+    """Maximum number of orders in the reply."""
     busy: Hosts = ()
-    """Hosts of which it has bundles enough."""
+    """Hosts of which the gateway has enough bundles."""
 
 
 class RelayOrder(Model):
-    """A bundle to pull, with all that validating it needs."""
+    """Bundle to pull, with the data that its validation needs."""
 
     lease: Lease
+    """Lease of the job."""
     sid: SessionId
+    """Session id of the worker."""
     sha256: Sha256
+    """Announced SHA-256."""
     size: Annotated[Bytes, Field(ge=1)]
+    """Announced size, bytes."""
     job: Job
+    """Job of the bundle."""
     target: Target
+    """Target in the compiled scene."""
 
 
 class Orders(Model):
-    """What to pull; given out once, and again when the worker announces it again."""
+    """Reply to `Duty`: orders. Each order is sent once, and again after the worker repeats the announcement."""
 
     orders: Annotated[tuple[RelayOrder, ...], Field(max_length=MAX_ORDERS)] = ()
+    """Bundles to pull."""
 
 
 class Hold(Model):
-    """Lets a lease last at least so long from now; the answer says whether it is in force."""
+    """Request to extend a lease; the reply states whether the lease is in force."""
 
     lease: Lease
+    """Lease to extend."""
     seconds: Annotated[float, Field(gt=0, le=600)]
+    """Least remaining duration, seconds."""
 
 
 class Archived(Model):
-    """An episode is validated and durable in the gateway's directory; the answer says whether the ledger owns it."""
+    """Report of an episode that is validated and durable at the gateway; the reply states whether it was recorded."""
 
     summary: EpisodeSummary
+    """Row of the episode."""
     lease: Lease | None
-    """It was pulled under; `None` for a file that was found when the gateway started."""
+    """Lease of the bundle; `None` for a file that was found at the start of the gateway."""
 
 
 class Refused(Model):
-    """A bundle that is not what its job asked for."""
+    """Report of a bundle that failed validation."""
 
     sid: SessionId
+    """Session id of the worker."""
     lease: Lease
+    """Lease of the bundle."""
     detail: Detail
+    """Reason of the failure."""
 
 
 class Inventory(Model):
-    """The files of a gateway whose numbers lie between two bounds, both included."""
+    """Files of a gateway with episode numbers from `first` to `last`."""
 
     first: Ordinal
+    """First episode number of the range."""
     last: Ordinal
+    """Last episode number of the range."""
     files: Annotated[tuple[tuple[Ordinal, Bytes], ...], Field(max_length=MAX_FILES), FailFast()]
-    """Episode and bytes."""
+    """Episode number and size (bytes) of each file."""
     is_new: bool = False
-    """Whether its directory was just made: then nothing can be there by right, and nothing is given up either."""
+    """Whether the directory was just created. The core then refuses if it has records of the gateway, so that no
+    episode is marked as lost."""
 
 
 class Stray(Model):
-    """A file that the ledger does not own at this gateway."""
+    """File of a gateway without a record in the ledger."""
 
     index: Ordinal
+    """Episode number."""
     why: Text
+    """Reason why the ledger has no record of the file."""
     job: Job | None = None
-    """What a sound file would be of, when the ledger still wants one; nobody else wants it without."""
+    """Job that an intact file may be adopted for; `None` if the ledger does not need the file."""
     target: Target | None = None
+    """Target of the job."""
 
 
 class InventoryReply(Model):
-    """What the ledger says to an inventory."""
+    """Reply to `Inventory`."""
 
     strays: Annotated[tuple[Stray, ...], Field(max_length=2 * MAX_FILES)] = ()
+    """Files without a record at the gateway."""
     lost: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_LOST)] = ()
-    """Episodes the ledger owned there whose file is gone or of another size; they are made anew. With `MAX_LOST` of
-    them the answer is not complete and lists no strays: the gateway tells the same again."""
+    """Recorded episodes whose file is missing or has another size; they are collected again. A reply with `MAX_LOST`
+    episodes is incomplete and lists no strays: the gateway repeats the inventory."""

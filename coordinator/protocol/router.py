@@ -1,6 +1,6 @@
-"""The coordinator's door to zenoh: its session is the router, its callbacks only hand over, its pulls ask for chunks.
+"""Connects the coordinator to zenoh: declares its queryables, serves scene files and requests chunks from workers.
 
-Reads no message and knows no ledger; whatever came in is bytes until `protocol.parse` has seen it.
+The module does not parse messages and does not access the ledger; `protocol.parse` validates the received bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from schemas.wire import Lease
 __all__ = ["MAX_KEY_CHARS", "Inquiry", "Router"]
 
 MAX_KEY_CHARS = 400
-"""Of the key that something is asked under: our own have at most 300."""
+"""Maximum length of a request key, characters; the keys of this software have at most 300."""
 
 _MAX_PRESENT = 10_000
 _VERBS = frozenset(verb.value for verb in Verb)
@@ -44,7 +44,7 @@ log = structlog.get_logger(__name__)
 
 
 class Inquiry:
-    """One question from outside; it is answered once or dropped, which the asker sees as unknown."""
+    """Received request. It gets one reply or is dropped; the outcome of a dropped request is unknown to the client."""
 
     def __init__(self, run: str, query: zenoh.Query) -> None:
         *_, self.host, self.verb = str(query.key_expr).split("/")
@@ -54,37 +54,37 @@ class Inquiry:
         self._is_open = True
 
     def answer(self, reply: Model) -> None:
-        """Sends the reply, if none was sent yet; an asker that is gone is no error."""
+        """Sends the reply unless one was sent already. A disconnected client is not an error."""
         if not self._is_open:
             return
         self._is_open = False
-        # a client that does not know the run asks under a wildcard, but the reply needs a plain key
+        # a client that does not know the run sends a wildcard key, but the reply needs a concrete key
         key = verb_key(self._run, self.host, Verb(self.verb)) if self.verb in _VERBS else str(self._query.key_expr)
         try:
             with self._query:
                 self._query.reply(key, reply.model_dump_json())
         except zenoh.ZError as error:
-            log.debug("asker_gone", host=self.host, verb=self.verb, error=str(error))
+            log.debug("client_gone", host=self.host, verb=self.verb, error=str(error))
 
     def drop(self) -> None:
-        """Leaves the question unanswered; the asker repeats it."""
+        """Drops the request without a reply; the client repeats it."""
         self._is_open = False
         self._query.drop()
 
 
 class Router(Closing):
-    """An open router session that answers for the coordinator; a context manager.
+    """Open router session of the coordinator; a context manager.
 
     Args:
-        run: name of the run in every key.
-        listen: endpoints; port 0 takes a free one.
-        catalog: scenes to serve.
-        settings: the coordinator's.
-        on_inquiry: takes a question and must not block.
-        on_gone: takes the session id of a worker whose link has closed, and must not block.
-        guard: certificates and who is admitted; `None` lets in whoever can connect.
-        connect: endpoints of other routers, whose workers are reached too.
-        files: served beside the scenes, by SHA-256.
+        run: name of the run, part of every key.
+        listen: endpoints; port 0 selects a free port.
+        catalog: scenes that are served to workers.
+        settings: settings of the coordinator.
+        on_inquiry: callback for a received request; must not block.
+        on_gone: callback with the session id of a worker whose connection closed; must not block.
+        guard: TLS credentials and admission list; `None` admits every peer that can connect.
+        connect: endpoints of other routers, whose workers are reachable too.
+        files: additional served files by SHA-256.
 
     Raises:
         WorldError: an endpoint cannot be listened on.
@@ -113,24 +113,24 @@ class Router(Closing):
         self._present: set[str] = set()
         self._node = ZenohNode(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
         self.endpoints = self._node.endpoints
-        """Endpoints in force, with their ports."""
+        """Endpoints with their actual ports."""
 
     def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
-        """Returns a part of a bundle in a worker's spool; see `Node.fetch`."""
+        """Returns a chunk of a bundle in a worker's spool; see `ZenohNode.fetch`."""
         return self._node.fetch(self._run, sid, lease, chunk, self._settings.pull_timeout_s)
 
     @property
     def is_open(self) -> bool:
-        """Whether workers can be heard."""
+        """Whether the session is open."""
         return self._node.is_open
 
     @property
     def present(self) -> int:
-        """Workers that are connected."""
+        """Number of connected workers."""
         return len(self._present)
 
     def admit(self) -> bool:
-        """Opens the session anew when who is admitted has changed; see `Node.admit`."""
+        """Reopens the session if the admission list has changed; see `ZenohNode.admit`."""
         return self._node.admit()
 
     def close(self) -> None:
@@ -145,16 +145,16 @@ class Router(Closing):
         return router_config(endpoints, self._settings.transport_lease_s, files, admitted, self._connect)
 
     def _declare(self, session: zenoh.Session) -> None:
-        self._present.clear()  # whoever comes back to a new session says so
+        self._present.clear()  # workers that reconnect to a new session declare their liveliness token again
         session.declare_queryable(verb_pattern(self._run), self._take)
         session.declare_queryable(scene_pattern(self._run), self._serve_scene)
-        session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
+        session.liveliness().declare_subscriber(alive_pattern(self._run), self._on_token)
 
     def _take(self, query: zenoh.Query) -> None:
         if self._is_key_short(query):
             self._on_inquiry(Inquiry(self._run, query))
 
-    def _note_token(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         if len(key) > MAX_KEY_CHARS:
             return

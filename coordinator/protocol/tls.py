@@ -1,4 +1,4 @@
-"""Reads the TLS folder of one side: its certificate, and whom it admits. Builds no configuration, opens no socket."""
+"""Reads a TLS folder: credentials and admission list. Builds no configuration and opens no socket."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _AT_GATEWAY = frozenset({Role.WORKER, Role.COORDINATOR})
 
 @dataclass(frozen=True)
 class Guard:
-    """The door of a coordinator or gateway; `admitted` is read anew whenever asked.
+    """TLS credentials and admission list of a coordinator or gateway; each call of `admitted` reads the list again.
 
     Args:
-        folder: as `factory keys host DIR NAME --role coordinator` makes it, or `--role gateway`.
-        of_gateway: whether it is a gateway's: that knows workers and its coordinator, and nobody else.
-        listens: whether anybody is let in; who only connects needs no list.
+        folder: folder made by `factory keys host DIR NAME --role coordinator`, or `--role gateway`.
+        of_gateway: whether the folder belongs to a gateway, which admits workers and its coordinator only.
+        listens: whether the process listens; a client needs no admission list.
 
     Raises:
-        UsageError: a file is missing, or the key can be read by everybody.
+        UsageError: a file is missing, or other users can read the key.
     """
 
     folder: Path
@@ -33,7 +33,7 @@ class Guard:
     listens: bool = True
     files: TlsFiles = field(init=False)
     name: str = field(init=False)
-    """In the certificate."""
+    """Common name of the certificate."""
 
     def __post_init__(self) -> None:
         files, name = read_credentials(self.folder)
@@ -42,10 +42,10 @@ class Guard:
         self.admitted()
 
     def admitted(self) -> Mapping[str, Role]:
-        """Returns who may connect, by common name.
+        """Returns the admission list: role by common name.
 
         Raises:
-            UsageError: the list is missing or cannot be understood.
+            UsageError: the list is missing or invalid.
         """
         if not self.listens:
             return {}
@@ -65,10 +65,10 @@ class Guard:
 
 
 def read_credentials(folder: Path) -> tuple[TlsFiles, str]:
-    """Returns the files of a TLS folder and the name in its certificate.
+    """Returns the files of a TLS folder and the common name of its certificate.
 
     Raises:
-        UsageError: a file is missing, or the key can be read by everybody.
+        UsageError: a file is missing, or other users can read the key.
     """
     files = tls_files(folder)
     try:

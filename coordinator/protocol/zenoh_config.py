@@ -1,8 +1,8 @@
-"""The settings of zenoh sessions: router for those who listen, client for operators.
+"""Builds zenoh configurations: router for coordinators and gateways, client for admin commands.
 
 Reasons: docs/design/protocol.md#zenoh-settings.
 
-Builds configurations; opens nothing. Bulk travels in chunks, so that no message needs to be large.
+The module opens no session. Bundles are transferred in chunks, so that no message needs to be large.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ __all__ = ["client_config", "router_config"]
 
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000
-"""The second counts connections without a session yet; beyond it new ones are closed at once, honest ones too."""
+"""Maximum number of sessions, and of connections without a session. Beyond the second limit zenoh closes new
+connections at once, including legitimate ones."""
 _ARRIVAL_MS = 1000
-"""How long such a connection may take over its handshake. The handshake itself is two round trips. A client that is too
-slow connects again; with zenoh's 10 s, 1,500 idle connections kept everybody out for 13 s."""
+"""Timeout of the handshake of a new connection, milliseconds. The handshake takes two round trips, and a client that is
+too slow reconnects. With zenoh's default of 10 s, 1,500 idle connections blocked all clients for 13 s."""
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
-"""The second because a close waits for a reconnect under way, and a frozen router answers none: 10 s by default."""
+"""Timeouts of connecting and of opening a link, milliseconds. Closing a session waits for a reconnect in progress,
+which with a frozen router lasts for the second timeout; its default is 10 s."""
 
 
 def router_config(
@@ -34,14 +36,14 @@ def router_config(
     admitted: Mapping[str, Role] | None = None,
     connect: Sequence[str] = (),
 ) -> zenoh.Config:
-    """Returns the configuration of a session that is a router: the coordinator's, or a gateway's.
+    """Returns the configuration of the router session of a coordinator or gateway.
 
     Args:
         listen: endpoints such as `tcp/0.0.0.0:7447`.
-        lease_s: silence after which a link is closed.
-        tls: certificate to listen or connect with, asking for one of the same authority; `None` for plain TCP.
-        admitted: with TLS, who may do what when let in; everybody else nothing.
-        connect: endpoints of the core of a gateway or an evaluation, connected to again whenever the link is lost.
+        lease_s: time without traffic after which zenoh closes a link, seconds.
+        tls: TLS files for listening and connecting, with mutual authentication; `None` for plain TCP.
+        admitted: admission list with TLS: role by common name; all other peers have no permissions.
+        connect: endpoints of the core of a gateway or an evaluation; a lost link is reconnected.
     """
     values = _common("router", lease_s) | {
         "listen/endpoints": json.dumps([_with_deadline(endpoint) for endpoint in listen]),
@@ -60,7 +62,7 @@ def router_config(
 
 
 def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None = None) -> zenoh.Config:
-    """Returns the configuration of a client that gives up connecting after two seconds."""
+    """Returns the configuration of a client, with a connection timeout of two seconds."""
     values = _common("client", lease_s) | {
         "listen/endpoints": "[]",
         "connect/endpoints": json.dumps(list(connect)),
@@ -74,7 +76,7 @@ def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None =
 
 
 def _with_deadline(endpoint: str) -> str:
-    """Returns a TLS endpoint with a limit of its own handshake, which zenoh knows as a part of the endpoint only."""
+    """Adds the TLS handshake timeout to an endpoint; zenoh accepts it as a part of the endpoint only."""
     if not endpoint.startswith("tls/"):
         return endpoint
     return f"{endpoint}{';' if '#' in endpoint else '#'}tls_handshake_timeout_ms={_ARRIVAL_MS}"

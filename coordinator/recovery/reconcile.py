@@ -1,7 +1,7 @@
-"""Makes ledger and disk agree at start: adopts, quarantines or re-queues whatever the last stop left in between.
+"""Reconciles the ledger with the archive at start: adopts, quarantines or requeues episodes after an interruption.
 
-Runs before anything else writes. A ledger that was lost, or restored from an older copy, knows less than the disk:
-every whole episode of the plan is adopted. Deletes nothing that could be an episode.
+The reconciliation runs before any other writer. If the ledger was lost or restored from an older copy, every intact
+episode of the plan is adopted. The module does not delete files that could be episodes.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, diff_archive
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
-from coordinator.ledger.keepers import bring_home, recorded_files
+from coordinator.ledger.gateway_episodes import record_at_core, recorded_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.protocol.protocol import Terms
-from coordinator.recovery.judge import Draws, Foreign, StrayJudge
-from coordinator.recovery.memory import recall_failures, validated_files
+from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
+from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.puller import Checker, Judge
 from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError
@@ -36,36 +36,36 @@ __all__ = ["Reconciled", "reconcile"]
 log = structlog.get_logger(__name__)
 
 _Verdict = tuple[BundleReceipt, tuple[int, int]] | str
-"""What the ledger keeps of a whole file with its draw and attempt, or why it is none."""
+"""Receipt of an intact file with its draw and attempt, or the reason why the file is rejected."""
 
 
 @dataclass
 class Reconciled:
-    """What had to be put right, by episode number."""
+    """Result of the reconciliation."""
 
     adopted: list[int] = field(default_factory=list)
-    """On disk and whole, and unknown to the ledger."""
+    """Numbers of intact episodes that the ledger did not record."""
     quarantined: list[Place] = field(default_factory=list)
-    """Damaged, or no episodes of the plan."""
+    """New paths of files that are damaged or not episodes of the plan."""
     requeued: list[int] = field(default_factory=list)
-    """Archived, but the file is gone or damaged."""
+    """Numbers of archived episodes whose file is missing or damaged."""
     held: int = 0
-    """Leases that have got their grace."""
+    """Number of restarted leases."""
 
 
 def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, now: datetime) -> Reconciled:
-    """Brings ledger and archive to agree; the staging directory was emptied when the archive was opened.
+    """Reconciles ledger and archive; opening the archive has already emptied the staging directory.
 
     Args:
-        archive: of the run, held exclusively.
-        engine: writes the ledger, which is sound and may lag behind the archive.
-        terms: of the run.
-        checker: judges bundles that are to be adopted.
-        now: leases are granted from here on.
+        archive: archive of the run, held exclusively.
+        engine: writer engine of the ledger, which is intact and may lag behind the archive.
+        terms: terms of the run.
+        checker: validator of bundles to adopt.
+        now: start time of the restarted leases.
 
     Raises:
-        TransientError: nothing can be judged on this machine now; what was not judged is where it was.
-        UsageError: the episodes are those of another plan.
+        TransientError: no bundle can be validated on this machine now; the remaining files are unchanged.
+        UsageError: the episodes belong to another plan.
     """
     result = Reconciled()
     present = archive.present()
@@ -80,7 +80,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
         for index in difference.missing:
             _requeue(connection, index, now, GONE, result)
         for index in difference.elsewhere:
-            bring_home(connection, index)  # `factory gather` was cut off between file and ledger
+            record_at_core(connection, index)  # `factory gather` was cut off between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     changed = {index: words for index, words in difference.changed.items() if recorded[index].gateway is None}
     _settle(archive, engine, terms, now, unsure, verdicts, changed, result)
@@ -115,9 +115,11 @@ def _judge_all(
         if terms.evaluation is not None:
             return {index: _judge_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
         validated = validated_files(archive.root, terms.plan)
-        judge = StrayJudge(Draws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated)
+        judge = StrayClassifier(
+            PlannedDraws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated
+        )
         found = {
-            index: judge.judge(path, index, replaces=index in difference.changed) for index, path in unsure.items()
+            index: judge.classify(path, index, replaces=index in difference.changed) for index, path in unsure.items()
         }
     return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
 
@@ -137,12 +139,12 @@ def _judge_result(ledger: Connection, index: int, path: Place, terms: Terms, che
 
 
 def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Verdict], owned: int) -> None:
-    """Stops before anything is moved when all that is there is of another run: the plan given is wrong, not the files.
+    """Raises before files are moved if all files belong to another run: the given plan is wrong, not the files.
 
     Raises:
-        UsageError: says which run it is.
+        UsageError: all files belong to another run, which the message names.
     """
-    strange = [found for found in verdicts.values() if isinstance(found, Foreign)]
+    strange = [found for found in verdicts.values() if isinstance(found, ForeignEpisode)]
     if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
         raise UsageError(
             f"{archive.root} holds {len(strange)} episodes, none of them of run {terms.plan.run}; the first is "
@@ -163,7 +165,7 @@ def _settle(
     whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
     episodes_found = {index: found for index, found in whole.items() if isinstance(found, EpisodeSummary)}
     if terms.evaluation is None:
-        recall_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
+        restore_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
     for index, found in verdicts.items():
         refusal = found if isinstance(found, str) else _adopt(engine, terms, *found, now)
         if not refusal:

@@ -1,4 +1,4 @@
-"""What a repair finds and does, as plain models for people and for `--json`. Decides nothing, opens nothing."""
+"""Defines the models of a repair report, for text output and `--json`. Opens no file."""
 
 from __future__ import annotations
 
@@ -10,40 +10,45 @@ __all__ = ["Action", "RepairKind", "RepairReport"]
 
 
 class RepairKind(StrEnum):
-    """One kind of remedy."""
+    """Kind of a repair action."""
 
-    REBUILD = "rebuild"  # the ledger is lost or damaged: made anew from plan, tables and archive
-    RESTORE = "restore"  # a scene package is missing or damaged: taken from the cache or built again; an episode in
-    # quarantine is whole and of the plan: moved back and recorded
-    ADOPT = "adopt"  # a whole episode that the ledger does not own: validated and recorded
-    QUARANTINE = "quarantine"  # a file that is no sound episode of this plan: moved aside and kept
-    REQUEUE = "requeue"  # an episode that the ledger owns and the disk does not have: made anew, with the same content
-    REWRITE = "rewrite"  # a table that is missing or does not say what the ledger says: written anew
+    REBUILD = "rebuild"  # the ledger is lost or damaged: rebuilt from plan, tables and archive
+    RESTORE = "restore"  # a scene package is missing or damaged: taken from the cache or compiled again; an episode in
+    # quarantine is intact and of the plan: moved back and recorded
+    ADOPT = "adopt"  # an intact episode without a ledger record: validated and recorded
+    QUARANTINE = "quarantine"  # a file that is not an intact episode of this plan: moved to the quarantine folder
+    REQUEUE = "requeue"  # a recorded episode without a file: collected again, with the same content
+    REWRITE = "rewrite"  # a table that is missing or differs from the ledger: written again
 
 
 class Action(Model):
-    """One remedy."""
+    """Repair action."""
 
     kind: RepairKind
+    """Kind of the action."""
     what: str
-    """File below the dataset's directory, or the episode."""
+    """File relative to the root of the dataset, or episode id."""
     why: str
-    """Measured values, in words."""
+    """Reason, with measured values."""
 
 
 class RepairReport(Model):
-    """What was wrong with a dataset directory."""
+    """Report of a repair."""
 
     dataset: str
+    """Root of the dataset."""
     run: str
+    """Name of the run."""
     applied: bool
-    """Whether the actions were carried out; not so in a dry run."""
+    """Whether the actions were applied; `False` for a dry run."""
     actions: tuple[Action, ...]
+    """Actions in the order of their application."""
     episodes: int
-    """Archived when done, or as it would be."""
+    """Number of archived episodes after the actions."""
     planned: int
+    """Number of planned episodes."""
 
     @property
     def is_sound(self) -> bool:
-        """Whether there was nothing to do."""
+        """Whether the dataset needs no action."""
         return not self.actions

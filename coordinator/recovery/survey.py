@@ -1,4 +1,4 @@
-"""What is wrong between archive, ledger and plan, and what would put it right. Reads and hashes; changes nothing."""
+"""Compares archive, ledger and plan, and determines the repair actions. Reads and hashes files, and changes nothing."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.contract import index_of_file
 from coordinator.archive.difference import GONE, ListedFile, RecordedFile, diff_archive
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.keepers import recorded_files
-from coordinator.recovery.judge import Draws, StrayJudge
-from coordinator.recovery.memory import validated_files
+from coordinator.ledger.gateway_episodes import recorded_files
+from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
+from coordinator.recovery.table_records import validated_files
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import EPISODES, QUARANTINE
@@ -28,41 +28,48 @@ ProgressCallback = Callable[[int, int], None]
 
 @dataclass
 class Survey:
-    """Findings by what is to be done about them; `why` is in words."""
+    """Findings by repair action."""
 
     whole: int = 0
-    """Episodes on disk that the ledger owns, bit for bit."""
+    """Number of episode files that equal their ledger record."""
     adopt: list[EpisodeSummary] = field(default_factory=list)
-    """Whole episodes of the plan that the ledger does not own as they are."""
+    """Intact episodes of the plan without an equal ledger record."""
     restore: list[tuple[Place, EpisodeSummary]] = field(default_factory=list)
-    """Whole episodes of the plan that are in quarantine and nowhere else."""
+    """Intact episodes of the plan that exist in the quarantine folder only, with their paths."""
     quarantine: list[tuple[Place, str]] = field(default_factory=list)
+    """Files to quarantine, with the reason."""
     requeue: list[tuple[int, str]] = field(default_factory=list)
+    """Episodes to collect again, with the reason."""
 
 
 def survey_archive(
-    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: ProgressCallback
+    root: Place,
+    plan: Plan,
+    catalog: Catalog,
+    ledger: Connection | None,
+    checker: Checker,
+    on_progress: ProgressCallback,
 ) -> Survey:
-    """Compares every file of a dataset with the ledger, and what the ledger does not own with the plan.
+    """Compares every file of a dataset with the ledger, and files without a record with the plan.
 
     Args:
-        root: of the dataset.
-        plan: of the run.
-        catalog: of its scenes.
-        ledger: open for reading; `None` when it is lost.
-        checker: validates what might be adopted.
-        tell: told how many files of how many are done.
+        root: root of the dataset.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        ledger: connection for reading; `None` if the ledger is lost.
+        checker: validator of files to adopt.
+        on_progress: progress callback with the number of processed files and the total.
     """
     result = Survey()
     recorded = recorded_files(ledger) if ledger is not None else {}
     files, foreign = _listing(root)
     result.quarantine += [(path, "no episode by its name") for path in foreign]
-    judge = StrayJudge(Draws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
-    difference = diff_archive(_read_files(files, recorded, tell), recorded)
+    judge = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
+    difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
     result.whole = len(difference.same) + len(difference.elsewhere)
     for done, index in enumerate(difference.strays, result.whole + 1):
         _judge(files[index], index, difference.changed.get(index), judge, result, recorded.get(index))
-        tell(done, len(files))
+        on_progress(done, len(files))
     missing = set(difference.missing)
     found = {summary.index for summary in result.adopt} | (recorded.keys() - missing)
     result.restore += _restorable(root, judge, found)
@@ -73,14 +80,14 @@ def survey_archive(
 
 
 def _read_files(
-    files: Mapping[int, Place], recorded: Mapping[int, RecordedFile], tell: ProgressCallback
+    files: Mapping[int, Place], recorded: Mapping[int, RecordedFile], on_progress: ProgressCallback
 ) -> dict[int, ListedFile]:
     """Returns what was found, with the digest of each file whose size is as recorded; tells each whole one."""
     found, done = {}, count(1)
     for index, path in files.items():
         found[index] = _read_file(path, recorded.get(index))
         if index in recorded and found[index].sha256 == recorded[index].sha256:
-            tell(next(done), len(files))
+            on_progress(next(done), len(files))
     return found
 
 
@@ -107,9 +114,9 @@ def _is_episode(path: Place, folder: Place) -> bool:
 
 
 def _judge(
-    path: Place, index: int, change: str | None, judge: StrayJudge, result: Survey, record: RecordedFile | None
+    path: Place, index: int, change: str | None, judge: StrayClassifier, result: Survey, record: RecordedFile | None
 ) -> None:
-    verdict = judge.judge(path, index, replaces=change is not None)
+    verdict = judge.classify(path, index, replaces=change is not None)
     if not isinstance(verdict, str):
         result.adopt.append(verdict)
         return
@@ -118,15 +125,15 @@ def _judge(
         result.requeue.append((index, change))
 
 
-def _restorable(root: Place, judge: StrayJudge, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
-    """Yields what was put aside although it is a whole episode of the plan, where the dataset has none."""
+def _restorable(root: Place, judge: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
+    """Yields quarantined files that are intact episodes of the plan and missing in the dataset."""
     had = set(found)
     for path in children(root / QUARANTINE):
         name, _, mark = path.name.rpartition(".")
         index = index_of_file(name) if mark != "txt" else None
         if index is None or index in had or not path.is_file() or path.is_symlink():
             continue
-        verdict = judge.judge(path, index, replaces=True)
+        verdict = judge.classify(path, index, replaces=True)
         if not isinstance(verdict, str):
             had.add(index)
             yield path, verdict

@@ -1,4 +1,7 @@
-"""Where the status pages may be served, and under which names: loopback by itself, elsewhere only behind a token."""
+"""Parses and checks the address of the status pages: loopback without a token, other addresses with a token only.
+
+The module opens no socket.
+"""
 
 from __future__ import annotations
 
@@ -15,26 +18,28 @@ _MIN_TOKEN = 16
 
 
 class HttpAddress(NamedTuple):
-    """A host and a port; port 0 takes a free one."""
+    """Host and port of the status pages; port 0 selects a free port."""
 
     host: str
+    """Host name or address."""
     port: int
+    """TCP port."""
 
 
 def parse_address(text: str, token: str | None) -> HttpAddress:
-    """Reads HOST:PORT.
+    """Parses HOST:PORT.
 
     Args:
-        text: such as `127.0.0.1:9464`, `[::1]:9464` or `:9464`, which means every address of this machine.
-        token: that `/metrics` will ask for; without one only loopback is allowed.
+        text: address such as `127.0.0.1:9464`, `[::1]:9464` or `:9464`, which is every address of this machine.
+        token: token that `/metrics` requires; `None` allows loopback only.
 
     Raises:
-        UsageError: malformed, reachable from other machines without a token, or a token that can be guessed.
+        UsageError: the address is malformed, other machines can reach it without a token, or the token is too short.
     """
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdigit() or int(port) > 65535:
         raise UsageError(f"{text!r} is not HOST:PORT; example: 127.0.0.1:9464")
-    host = host.strip("[]") or "0.0.0.0"  # noqa: S104 - asked for, and only behind a token
+    host = host.strip("[]") or "0.0.0.0"  # noqa: S104 - requested by the user, and requires a token
     if token is not None and len(token) < _MIN_TOKEN:
         raise UsageError(
             f"the token has {len(token)} characters, at least {_MIN_TOKEN} are required; create one with: openssl "
@@ -49,14 +54,14 @@ def parse_address(text: str, token: str | None) -> HttpAddress:
 
 
 def is_own_name(host: str, address: HttpAddress) -> bool:
-    """Returns whether a request's `Host` names this server: by a loopback name, or by the address it was given.
+    """Returns whether the `Host` header of a request names this server by a loopback name or its configured address.
 
-    Where it listens on every address of this machine, each numeric address and the machine's own name are meant too. A
-    web page that has its name point here (DNS rebinding) is asked for by that name.
+    If the server listens on every address of this machine, each numeric address and the machine's host name match too.
+    The check prevents DNS rebinding: the requests of a web page whose name resolves to this machine carry that name.
 
     Args:
-        host: the header's value, with or without a port.
-        address: as configured.
+        host: value of the header, with or without a port.
+        address: configured address.
     """
     try:
         name = (urlsplit(f"//{host}").hostname or "").rstrip(".").lower()

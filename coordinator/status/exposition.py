@@ -1,4 +1,4 @@
-"""The door to prometheus-client: a snapshot of a coordinator as Prometheus reads it. Computes nothing of its own."""
+"""Exports the metrics of a coordinator in Prometheus' text format. All other modules avoid prometheus-client."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from coordinator.meters import Meter
-from coordinator.status.vitals import Snapshot
+from coordinator.status.health import Snapshot
 from coordinator.validation.sandbox import RLIMITS, SECCOMP
 from schemas.support.extras import missing_package
 from schemas.wire import Progress
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 __all__ = ["Exposition"]
 
 _COUNTERS = (
-    (Meter.CLAIMS, "minivla_claims", "Jobs given out by this process."),
+    (Meter.CLAIMS, "minivla_claims", "Jobs leased by this process."),
     (Meter.ARCHIVED, "minivla_archived", "Episodes archived by this process."),
-    (Meter.PULLED_BYTES, "minivla_pull_bytes", "Bytes of bundles fetched by this process."),
-    (Meter.PULLS_FAILED, "minivla_pulls_failed", "Fetches that broke off; they are repeated."),
-    (Meter.REFUSED, "minivla_bundles_refused", "Bundles that validation refused."),
-    (Meter.EXPIRED, "minivla_lease_expiries", "Leases that ran out while this process watched."),
+    (Meter.PULLED_BYTES, "minivla_pull_bytes", "Bytes of bundles pulled by this process."),
+    (Meter.PULLS_FAILED, "minivla_pulls_failed", "Failed transfers; they are repeated."),
+    (Meter.REFUSED, "minivla_bundles_refused", "Bundles that failed validation."),
+    (Meter.EXPIRED, "minivla_lease_expiries", "Leases that expired during this process."),
 )
 
 
 class Exposition:
-    """Renders figures when asked.
+    """Prometheus collector of one process.
 
     Args:
-        snapshot: takes the figures.
+        snapshot: function that returns the metrics.
 
     Raises:
         UsageError: prometheus-client is not installed.
@@ -46,21 +46,21 @@ class Exposition:
         self._core: Any = core
         self._generate = prometheus_client.generate_latest
         self.content_type: str = prometheus_client.CONTENT_TYPE_LATEST
-        """Of `page`."""
+        """Content type of `page`."""
         self._registry = prometheus_client.CollectorRegistry()
         prometheus_client.ProcessCollector(registry=self._registry)
         self._registry.register(self)
 
     def page(self) -> bytes:
-        """Returns the figures of now in Prometheus' text format."""
+        """Returns the current metrics in Prometheus' text format."""
         return bytes(self._generate(self._registry))
 
     def describe(self) -> list[Metric]:
-        """Tells the registry no names beforehand, so that registering takes no figures."""
+        """Returns no metric descriptions, so that registration does not read the metrics."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """Yields every metric; called by the registry."""
+        """Yields all metrics; called by the registry."""
         snapshot = self._snapshot()
         if snapshot.progress is not None:
             yield from self._of_ledger(snapshot, snapshot.progress)
@@ -71,28 +71,32 @@ class Exposition:
         cells = {
             (scene, state): count for scene, states in progress.by_scene.items() for state, count in states.items()
         }
-        by_scene = self._core.GaugeMetricFamily("minivla_scene_jobs", "The same by scene.", labels=("scene", "state"))
+        by_scene = self._core.GaugeMetricFamily(
+            "minivla_scene_jobs", "Episodes by scene and state of their current draw.", labels=("scene", "state")
+        )
         for labels, count in cells.items():
             by_scene.add_metric(labels, count)
         yield by_scene
         yield self._gauge("minivla_episodes_planned", "Episodes of the plan.", progress.planned)
         yield self._gauge("minivla_episodes", "Episodes archived.", progress.jobs.get("archived", 0))
         kept = progress.by_gateway
-        yield self._gauges("minivla_gateway_episodes", "Of these, those that a gateway keeps.", "gateway", kept)
+        yield self._gauges("minivla_gateway_episodes", "Archived episodes that a gateway stores.", "gateway", kept)
         yield self._gauge("minivla_frames", "Frames archived.", snapshot.frames)
         yield self._gauges("minivla_attempts", "Attempts by outcome.", "outcome", progress.attempts)
-        yield self._gauge("minivla_draws_given_up", "Draws replaced as hopeless.", progress.redrawn)
+        yield self._gauge("minivla_draws_given_up", "Draws replaced after their attempts failed.", progress.redrawn)
         alive = [worker for worker in progress.workers if worker.alive]
-        yield self._gauge("minivla_workers_alive", "Workers heard of within a lease.", len(alive))
-        yield self._gauge("minivla_slots_alive", "Simulations those workers run.", sum(w.slots for w in alive))
+        yield self._gauge("minivla_workers_alive", "Workers with a heartbeat within one lease duration.", len(alive))
+        yield self._gauge("minivla_slots_alive", "Simulation slots of those workers.", sum(w.slots for w in alive))
         if progress.episodes_per_hour is not None:
-            yield self._gauge("minivla_episodes_per_hour", "Over ten minutes.", progress.episodes_per_hour)
+            yield self._gauge(
+                "minivla_episodes_per_hour", "Rate of archived episodes over ten minutes.", progress.episodes_per_hour
+            )
         if progress.eta_s is not None:
-            yield self._gauge("minivla_eta_seconds", "To the end at that rate.", progress.eta_s)
-        yield self._gauge("minivla_finished", "1 when no job can change any more.", float(progress.finished))
+            yield self._gauge("minivla_eta_seconds", "Estimated remaining time at that rate.", progress.eta_s)
+        yield self._gauge("minivla_finished", "1 if no job can change any more.", float(progress.finished))
 
     def _of_process(self, snapshot: Snapshot) -> Iterator[Metric]:
-        requests = self._core.CounterMetricFamily("minivla_requests", "Questions of workers.", labels=("verb",))
+        requests = self._core.CounterMetricFamily("minivla_requests", "Requests by verb.", labels=("verb",))
         for verb, count in sorted(snapshot.requests.items()):
             requests.add_metric((verb,), count)
         yield requests
@@ -104,11 +108,13 @@ class Exposition:
             count_value=snapshot.sums[Meter.VALIDATIONS],
             sum_value=snapshot.sums[Meter.VALIDATION_S],
         )
-        yield self._gauge("minivla_disk_free_bytes", "Free on the archive's disk.", snapshot.free_bytes)
-        yield self._gauge("minivla_disk_reserve_bytes", "Below this, no jobs are assigned.", snapshot.reserve_bytes)
+        yield self._gauge("minivla_disk_free_bytes", "Free space of the archive's disk.", snapshot.free_bytes)
+        yield self._gauge(
+            "minivla_disk_reserve_bytes", "Free space below which no job is leased.", snapshot.reserve_bytes
+        )
         if snapshot.sandbox:
             active = {layer: int(layer in snapshot.sandbox) for layer in (RLIMITS, SECCOMP)}
-            text = "1 where the layer confines the processes that validate bundles."
+            text = "1 if the sandbox layer is active in the validating processes."
             yield self._gauges("minivla_validator_sandbox", text, "layer", active)
         yield self._gauge("minivla_ledger_backlog", "Requests that wait for the ledger.", snapshot.backlog)
 

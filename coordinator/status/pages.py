@@ -1,4 +1,7 @@
-"""The status pages: health in one word to any prober, figures to the owner of the token, if there is one."""
+"""Renders the status pages: health and readiness for all clients, metrics for clients with the token, if one is set.
+
+The module opens no socket.
+"""
 
 from __future__ import annotations
 
@@ -7,32 +10,32 @@ from collections.abc import Callable
 from http import HTTPStatus
 
 from coordinator.status.exposition import Exposition
-from coordinator.status.vitals import Watched
+from coordinator.status.health import StatusSource
 
-__all__ = ["Page", "Pages", "say"]
+__all__ = ["Page", "Pages", "plain_page"]
 
 _INDEX = "minivla-factory: /healthz /readyz /metrics\n"
 _PLAIN = "text/plain; charset=utf-8"
 
 Page = tuple[HTTPStatus, str, bytes]
-"""Status, content type, body."""
+"""HTTP status, content type and body."""
 
 
 class Pages:
-    """The pages of one process.
+    """Status pages of one process.
 
     Args:
-        vitals: of the coordinator, or of a gateway.
-        token: that `/metrics` asks for; `None` asks for none.
+        source: health and metrics of a coordinator or gateway.
+        token: token that `/metrics` requires; `None` requires none.
 
     Raises:
         UsageError: the extra `metrics` is not installed.
     """
 
-    def __init__(self, vitals: Watched, token: str | None) -> None:
-        self._vitals = vitals
+    def __init__(self, source: StatusSource, token: str | None) -> None:
+        self._source = source
         self._token = token
-        self._exposition = Exposition(vitals.snapshot)
+        self._exposition = Exposition(source.snapshot)
         self._pages: dict[str, Callable[[], Page]] = {
             "/": lambda: (HTTPStatus.OK, _PLAIN, _INDEX.encode()),
             "/healthz": self._health,
@@ -41,33 +44,35 @@ class Pages:
         }
 
     def answer(self, path: str, authorization: str) -> Page:
-        """Returns the page of a path; may wait for the ledger."""
+        """Returns the page of a path. The call may block while the ledger is read."""
         page = self._pages.get(path)
         if page is None:
-            return say(HTTPStatus.NOT_FOUND, _INDEX)
-        if path == "/metrics" and not self._is_let_in(authorization):
-            return say(HTTPStatus.UNAUTHORIZED, "a bearer token is required")
+            return plain_page(HTTPStatus.NOT_FOUND, _INDEX)
+        if path == "/metrics" and not self._is_authorised(authorization):
+            return plain_page(HTTPStatus.UNAUTHORIZED, "a bearer token is required")
         return page()
 
-    def _is_let_in(self, authorization: str) -> bool:
+    def _is_authorised(self, authorization: str) -> bool:
         wanted = f"Bearer {self._token}".encode()
         return self._token is None or hmac.compare_digest(authorization.encode("utf-8", "replace"), wanted)
 
     def _health(self) -> Page:
-        if self._vitals.is_alive():
-            return say(HTTPStatus.OK, "ok")
-        return say(HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it")
+        if self._source.is_alive():
+            return plain_page(HTTPStatus.OK, "ok")
+        return plain_page(
+            HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it"
+        )
 
     def _readiness(self) -> Page:
-        troubles = self._vitals.troubles()
+        troubles = self._source.troubles()
         if troubles:
-            return say(HTTPStatus.SERVICE_UNAVAILABLE, "\n".join(troubles))
-        return say(HTTPStatus.OK, "ready")
+            return plain_page(HTTPStatus.SERVICE_UNAVAILABLE, "\n".join(troubles))
+        return plain_page(HTTPStatus.OK, "ready")
 
     def _metrics(self) -> Page:
         return HTTPStatus.OK, self._exposition.content_type, self._exposition.page()
 
 
-def say(status: HTTPStatus, text: str) -> Page:
-    """Returns a page of plain text."""
+def plain_page(status: HTTPStatus, text: str) -> Page:
+    """Returns a plain text page."""
     return status, _PLAIN, f"{text.rstrip()}\n".encode()

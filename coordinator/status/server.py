@@ -1,7 +1,7 @@
-"""The door to tornado: serves the status pages from one thread, to a bounded number of clients for a bounded time.
+"""Serves the status pages with tornado in one thread, with limits on connections and their duration.
 
-GET and HEAD only, and only under the names of this machine, so that no web page can have a browser read them (DNS
-rebinding). Tornado was chosen for its deadline over a whole request; other servers limit the pause between two bytes.
+The server accepts GET and HEAD only, and only for the names of this machine, to prevent DNS rebinding. Tornado supports
+a deadline for a whole request; other servers limit the pause between two bytes. No other module uses tornado.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from tornado.iostream import IOStream
 from tornado.web import Application, RequestHandler
 
 from coordinator.status.address import HttpAddress, is_own_name
-from coordinator.status.pages import Pages, say
-from coordinator.status.vitals import Watched
+from coordinator.status.health import StatusSource
+from coordinator.status.pages import Pages, plain_page
 from schemas.errors import WorldError
 from schemas.support.closing import Closing
 
 __all__ = ["StatusServer"]
 
 _REQUEST_S = 5.0
-"""Until a request must be here as a whole."""
+"""Timeout for receiving a whole request, seconds."""
 _CONNECTION_S = 15.0
-"""Until an answer must have been taken; a look at a slow ledger takes up to 5 s."""
+"""Timeout of a connection, seconds; reading a slow ledger takes up to 5 s."""
 _MOST_CONNECTIONS = 256
-"""When there are more the oldest is closed: an honest client has its answer within milliseconds."""
+"""Maximum number of connections; beyond it the oldest is closed. A normal request completes within milliseconds."""
 _MOST_HEADER_BYTES = 16 << 10
 _THREADS = 8
 
@@ -38,20 +38,20 @@ log = structlog.get_logger(__name__)
 
 
 class StatusServer(Closing):
-    """An open server; a context manager whose exit closes it.
+    """Running HTTP server; a context manager.
 
     Args:
-        address: where to listen.
-        vitals: of the coordinator, or of a gateway.
-        token: that `/metrics` asks for as `Authorization: Bearer TOKEN`; `None` asks for none.
+        address: address to listen on.
+        source: health and metrics of a coordinator or gateway.
+        token: token that `/metrics` requires as `Authorization: Bearer TOKEN`; `None` requires none.
 
     Raises:
-        WorldError: the address is taken.
+        WorldError: the address is in use.
         UsageError: the extra `metrics` is not installed.
     """
 
-    def __init__(self, address: HttpAddress, vitals: Watched, token: str | None = None) -> None:
-        pages = Pages(vitals, token)
+    def __init__(self, address: HttpAddress, source: StatusSource, token: str | None = None) -> None:
+        pages = Pages(source, token)
         try:
             listening = create_server((address.host, address.port), family=AF_INET6 if ":" in address.host else AF_INET)
         except OSError as error:
@@ -62,7 +62,7 @@ class StatusServer(Closing):
         listening.setblocking(False)
         host, port = listening.getsockname()[:2]
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
-        """Where it listens."""
+        """URL of the server."""
         self._loop = asyncio.new_event_loop()
         self._closing = asyncio.Event()
         serve = self._serve(listening, address, pages)
@@ -79,7 +79,7 @@ class StatusServer(Closing):
         threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="http-page")
         settings = {"pages": pages, "threads": threads, "address": address}
         server = _Server(
-            Application([(".*", _Handler, settings)], log_function=_note),
+            Application([(".*", _Handler, settings)], log_function=_log_request),
             no_keep_alive=True,
             idle_connection_timeout=_REQUEST_S,
             body_timeout=_REQUEST_S,
@@ -94,7 +94,7 @@ class StatusServer(Closing):
 
 
 class _Server(HTTPServer):
-    """Closes a connection that lasts too long, and the oldest where there are too many."""
+    """HTTP server that limits the number of connections and their duration."""
 
     def initialize(self, *args: object, **kwargs: object) -> None:
         super().initialize(*args, **kwargs)  # type: ignore[arg-type]
@@ -110,7 +110,7 @@ class _Server(HTTPServer):
 
 
 class _Handler(RequestHandler):
-    """Answers one request."""
+    """Request handler of the status pages."""
 
     def initialize(self, pages: Pages, threads: ThreadPoolExecutor, address: HttpAddress) -> None:
         self._pages, self._threads, self._address = pages, threads, address
@@ -121,7 +121,9 @@ class _Handler(RequestHandler):
     async def get(self) -> None:
         host = self.request.headers.get("Host")
         if host is not None and not is_own_name(host, self._address):
-            status, kind, body = say(HTTPStatus.MISDIRECTED_REQUEST, f"not served as {host[:80]}: ask by the address")
+            status, kind, body = plain_page(
+                HTTPStatus.MISDIRECTED_REQUEST, f"not served as {host[:80]}: ask by the address"
+            )
         else:
             status, kind, body = await self._answer()
         self.set_status(status)
@@ -135,17 +137,17 @@ class _Handler(RequestHandler):
     async def _answer(self) -> tuple[HTTPStatus, str, bytes]:
         asked = (self.request.path, self.request.headers.get("Authorization", ""))
         if self.request.path == "/healthz":
-            return self._pages.answer(*asked)  # at once, whatever the threads wait for
+            return self._pages.answer(*asked)  # independent of threads that wait for the ledger
         try:
             return await asyncio.get_running_loop().run_in_executor(self._threads, self._pages.answer, *asked)
         except Exception:
             log.exception("status_page_failed", path=self.request.path[:80])
-            return say(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; see the coordinator's log")
+            return plain_page(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; see the coordinator's log")
 
     def compute_etag(self) -> None:
-        """Gives none: figures change with every answer."""
+        """Returns no entity tag, because the metrics change with every response."""
 
 
-def _note(handler: RequestHandler) -> None:
+def _log_request(handler: RequestHandler) -> None:
     request = handler.request
     log.debug("http", status=handler.get_status(), method=request.method, uri=request.uri, client=request.remote_ip)

@@ -1,12 +1,12 @@
-"""The dataset card (`README.md` of a dataset): what it holds, how to read it, in the form of the hubs. Text only."""
+"""Renders the dataset card, the `README.md` of a dataset, in the format of the Hugging Face Hub. Writes no file."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable
 
-from coordinator.tables.card_configs import spell_configs, split_configs
-from coordinator.tables.tally import Sums, Tally
+from coordinator.tables.aggregates import EpisodeSums, TableAggregates
+from coordinator.tables.card_configs import configs_to_yaml, split_configs
 from schemas.dataset_meta import DatasetMeta
 from schemas.language import TEMPLATES
 from schemas.terms import Split, Tier
@@ -123,16 +123,16 @@ _STRAIGHT = (
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
 
-def dataset_card(meta: DatasetMeta, tally: Tally, with_tables: Collection[str] = ()) -> str:
-    """Returns the card.
+def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Collection[str] = ()) -> str:
+    """Returns the text of the card.
 
     Args:
-        meta: of the dataset.
-        tally: of all its rows.
-        with_tables: splits that have split tables.
+        meta: metadata of the dataset.
+        aggregates: aggregates of all rows of its tables.
+        with_tables: splits with split tables.
     """
     return _CARD.format(
-        configs=spell_configs(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
+        configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
         pretty=f"MiniVLA-Nav, {meta.plan.name}",
         run=meta.run,
@@ -147,44 +147,44 @@ def dataset_card(meta: DatasetMeta, tally: Tally, with_tables: Collection[str] =
         radius=meta.plan.task.success_radius_m,
         hz=meta.plan.task.control_hz,
         failed=meta.failed_attempts,
-        scenes=_scene_table(tally),
-        tiers=_tier_table(tally),
-        splits=_split_part(meta, tally),
-        categories=", ".join(f"{name} {n}" for name, n in sorted(tally.categories.items())) or "none yet",
+        scenes=_scene_table(aggregates),
+        tiers=_tier_table(aggregates),
+        splits=_split_part(meta, aggregates),
+        categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT,
         templates=len(TEMPLATES),
     )
 
 
-def _scene_table(tally: Tally) -> str:
+def _scene_table(aggregates: TableAggregates) -> str:
     rows = []
-    for scene in sorted(tally.scenes.keys() | tally.refused.keys()):
-        found, refused = tally.scenes[scene], tally.refused[scene]
+    for scene in sorted(aggregates.scenes.keys() | aggregates.refused.keys()):
+        found, refused = aggregates.scenes[scene], aggregates.refused[scene]
         share = f"{100 * found.episodes / (found.episodes + refused):.0f} %" if found.episodes + refused else "-"
         rows.append((scene, *_means(found), str(found.episodes + refused), share))
     head = ("scene", "episodes", "steps", "start m", "TL m", "NE m", "attempts", "succeeded")
     return "Means of the episodes; attempts are those that the world decided.\n\n" + _table(head, rows)
 
 
-def _tier_table(tally: Tally) -> str:
-    rows = [(str(tier), *_means(tally.tiers[str(tier)])) for tier in Tier if str(tier) in tally.tiers]
+def _tier_table(aggregates: TableAggregates) -> str:
+    rows = [(str(tier), *_means(aggregates.tiers[str(tier)])) for tier in Tier if str(tier) in aggregates.tiers]
     return _table(("spawn tier", "episodes", "steps", "start m", "TL m", "NE m"), rows)
 
 
-def _split_part(meta: DatasetMeta, tally: Tally) -> str:
-    scenes = sorted({scene for scene, _, _ in tally.counts})
+def _split_part(meta: DatasetMeta, aggregates: TableAggregates) -> str:
+    scenes = sorted({scene for scene, _, _ in aggregates.counts})
     count: Counter[tuple[str, str]] = Counter()
-    for (scene, split, _), number in tally.counts.items():
+    for (scene, split, _), number in aggregates.counts.items():
         count[scene, split] += number
     rows = []
     for split, meaning in _SPLITS.items():
         numbers = [count[scene, str(split)] for scene in scenes]
         if sum(numbers):
             rows.append((str(split), meaning, *map(str, [*numbers, sum(numbers)])))
-    return "## Splits\n" + _table(("split", "what", *scenes, "all"), rows) + "\n\n" + _say_sides(meta)
+    return "## Splits\n" + _table(("split", "what", *scenes, "all"), rows) + "\n\n" + _side_paragraph(meta)
 
 
-def _say_sides(meta: DatasetMeta) -> str:
+def _side_paragraph(meta: DatasetMeta) -> str:
     if meta.shared_instances is None:
         return "Training and evaluation may name the same instances; `factory stats` counts how many they share."
     kept = "No instance that `train_id` names is named by `val_id`, `test_id` or `test_paraphrase_ood`"
@@ -195,7 +195,7 @@ def _say_sides(meta: DatasetMeta) -> str:
     return f"{kept}, but where a scene has too few of a category ({places}): there `instance_side` is `shared`."
 
 
-def _means(sums: Sums) -> tuple[str, ...]:
+def _means(sums: EpisodeSums) -> tuple[str, ...]:
     n = sums.episodes
     if n == 0:
         return ("0", "-", "-", "-", "-")

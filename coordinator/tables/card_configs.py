@@ -1,6 +1,7 @@
-"""The `configs` of a dataset card: which files are which configuration and split. Text, and a look at file names.
+"""Generates the `configs` section of a dataset card, which maps files to configurations and splits.
 
-`datasets` and the Hub's viewer read them: a split that is listed must have files, a split without files is left out.
+`datasets` and the Hub's viewer read the section. Every listed split must have files, so splits without files are
+omitted. The module reads file names only.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from schemas.terms import Split
 
 __all__ = [
     "Configs",
+    "configs_to_yaml",
     "names_split_tables",
-    "spell_configs",
     "split_configs",
     "splits_at",
     "with_configs",
@@ -26,16 +27,16 @@ __all__ = [
 _BEGIN, _END = "configs:", "---\n"
 
 Configs = Mapping[str, Mapping[str, str]]
-"""Name of a configuration -> split -> path or pattern of its files; the first configuration is the default."""
+"""Mapping of configuration name to split to path or pattern of its files; the first configuration is the default."""
 
 
 def split_configs(splits: Collection[str], episodes: int, failed_attempts: int) -> Configs:
-    """Returns the configurations of a dataset; those without rows, which `datasets` cannot load, are left out.
+    """Returns the configurations of a dataset, without those that have no rows, which `datasets` cannot load.
 
     Args:
-        splits: that have split tables; without any the default is `metadata.parquet`, whose rows are all `train`.
-        episodes: rows of `metadata.parquet`.
-        failed_attempts: rows of `attempts.parquet`.
+        splits: splits with split tables; if empty, the default is `metadata.parquet` with all rows as `train`.
+        episodes: number of rows of `metadata.parquet`.
+        failed_attempts: number of rows of `attempts.parquet`.
     """
     everything = {"train": "metadata.parquet"}
     files = {split: f"{SPLITS_FOLDER}/{split}-*.parquet" for split in splits} or everything
@@ -44,13 +45,13 @@ def split_configs(splits: Collection[str], episodes: int, failed_attempts: int) 
 
 
 def splits_at(root: Place) -> tuple[str, ...]:
-    """Returns the splits that have split tables in a dataset, in the order of `Split`."""
+    """Returns the splits with split tables in a dataset, in the order of `Split`."""
     names = [place.name for place in children(root / SPLITS_FOLDER)]
     return tuple(str(split) for split in Split if any(name.startswith(f"{split}-") for name in names))
 
 
-def spell_configs(configs: Configs) -> str:
-    """Returns the lines of a card's front matter."""
+def configs_to_yaml(configs: Configs) -> str:
+    """Returns the configurations as YAML for the card's front matter."""
     entries: list[dict[str, Any]] = []
     for name, files in configs.items():
         first = {} if entries else {"default": True}
@@ -60,10 +61,10 @@ def spell_configs(configs: Configs) -> str:
 
 
 def with_configs(card: str, configs: Configs) -> str:
-    """Returns a card with other configurations; a card without any is returned as it is."""
+    """Returns a card with its configurations replaced; a card without configurations is returned unchanged."""
     before, begin, rest = card.partition(_BEGIN)
     _, end, after = rest.partition(_END)
-    return before + spell_configs(configs) + end + after if begin and end else card
+    return before + configs_to_yaml(configs) + end + after if begin and end else card
 
 
 def names_split_tables(card: str) -> bool:

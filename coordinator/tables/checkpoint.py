@@ -1,4 +1,4 @@
-"""Writes the dataset's tables as the ledger stands: every archived episode, every attempt that brought none."""
+"""Writes the dataset's tables, archived episodes and failed attempts, from the ledger. Does not change the ledger."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def write_checkpoint(
     *,
     anew: bool = True,
 ) -> DatasetMeta:
-    """Writes the tables, each replaced as a whole; arguments as of `write_tables`.
+    """Writes the tables and replaces each file as a whole; for the arguments see `write_tables`.
 
     Raises:
-        WorldError: the disk is full or gone; the tables are as they were.
+        WorldError: the disk is full or unavailable; the tables are unchanged.
     """
     scenes = {name: entry.sha256 for name, entry in catalog.items()}
     sides = all_sides(plan, catalog)
@@ -61,7 +61,7 @@ def write_checkpoint(
 
 
 def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
-    """Whether the tables lag behind the ledger: the last coordinator was killed, or its store away, at the end."""
+    """Returns whether the tables lag behind the ledger, e.g. because the last coordinator was killed."""
     archived = connection.execute(select(func.count()).select_from(episodes)).scalar_one()
     counts = (archived, count_failures(connection))
     try:
@@ -74,13 +74,13 @@ def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
 
 
 def count_failures(connection: Connection) -> int:
-    """Returns how many attempts brought no episode."""
+    """Returns the number of attempts without an episode."""
     failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
     return int(connection.execute(failed).scalar_one())
 
 
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:
-    """Yields the attempts that brought no episode, in the order of episode, attempt and time."""
+    """Yields the attempts without an episode, ordered by episode, attempt and time."""
     query = (
         select(attempts, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.category, jobs.c.target_id)
         .join(jobs, jobs.c.id == attempts.c.job_id)

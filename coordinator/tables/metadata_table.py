@@ -1,7 +1,7 @@
-"""`metadata.parquet`: written in row groups of the plan's numbers; a group whose files are unchanged is taken as it is.
+"""Writes `metadata.parquet` in row groups by episode number, and reuses the groups whose episode files are unchanged.
 
-What decides is the SHA-256 of each episode's file, which all of its row follows from. So the same ledger gives the same
-bytes, whatever was written before, and nothing has to be remembered between two writings.
+The SHA-256 of an episode's file determines its whole row. Therefore the same ledger gives the same bytes, independently
+of earlier versions of the table, and no state is kept between two calls.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
-from coordinator.tables.tally import Tally
+from coordinator.tables.aggregates import TableAggregates
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary
 from schemas.storage.place import Place, table_of
@@ -25,26 +25,26 @@ from schemas.support.foreign import PARSER_ERRORS
 __all__ = ["GROUP_ROWS", "Episodes", "ListedEpisodes", "plain_row", "write_metadata"]
 
 GROUP_ROWS = 2000
-"""Numbers of the plan that share a row group."""
+"""Number of episode numbers per row group."""
 _SUMS = ("num_steps", "spawn_dist_m", "trajectory_length_m", "final_ne_m")
 _CELL = ["scene", "split", "spawn_tier"]
 
 
 class Episodes(Protocol):
-    """The archived episodes of a run, in the order of the plan."""
+    """Source of the archived episodes of a run, ordered by number."""
 
     def digests(self) -> Iterator[tuple[int, str]]:
-        """Yields number and SHA-256 of the file of each, in ascending order."""
+        """Yields number and file SHA-256 of each episode, ascending."""
 
     def rows(self, first: int, last: int) -> Iterable[EpisodeSummary]:
-        """Returns the rows of those between two numbers, both included, in ascending order."""
+        """Returns the rows of the episodes from `first` to `last`, ascending."""
 
 
 class ListedEpisodes:
-    """Episodes that are at hand.
+    """Source of episodes from a list in memory.
 
     Args:
-        rows: in ascending order.
+        rows: rows in ascending order of their episode numbers.
     """
 
     def __init__(self, rows: Iterable[EpisodeSummary]) -> None:
@@ -66,27 +66,27 @@ def write_metadata(
     side_column: str,
     episodes: Episodes,
     sides: Mapping[str, Sides],
-    tally: Tally,
+    aggregates: TableAggregates,
     *,
     anew: bool,
 ) -> int:
-    """Writes the table, group by group, and counts what it says.
+    """Writes the table by row groups and updates the aggregates.
 
     Args:
-        archive: open, and thereby ours.
-        name: of the file.
-        schema: of its columns.
-        side_column: column that says who may name the target.
-        episodes: of the ledger.
-        sides: scene name -> side of each instance.
-        tally: adds up what the rows say.
-        anew: whether to take nothing from the table that is there.
+        archive: archive of the dataset, held exclusively.
+        name: file name of the table.
+        schema: schema of the table.
+        side_column: name of the column with the side of the target.
+        episodes: archived episodes.
+        sides: mapping of scene name to the side of each instance.
+        aggregates: aggregates to update with the rows.
+        anew: whether to ignore the existing table.
 
     Returns:
-        How many rows it has.
+        The number of rows.
 
     Raises:
-        WorldError: the disk is full or gone; the former table is as it was.
+        WorldError: the disk is full or unavailable; the previous table is unchanged.
     """
     former, count = None if anew else _Former(archive.root / name, schema), 0
     with archive.replacing(name) as path, pq.ParquetWriter(path, schema, compression="zstd") as writer:
@@ -98,19 +98,19 @@ def write_metadata(
                 plain = [{**plain_row(row), side_column: _side(sides, row)} for row in rows]
                 table = pa.Table.from_pylist(plain, schema=schema)
             writer.write_table(table, row_group_size=GROUP_ROWS)
-            _add(tally, table)
+            _add(aggregates, table)
             count += len(digests)
     return count
 
 
 def plain_row(row: Model) -> dict[str, Any]:
-    """Returns a model of flat fields as a row of a table."""
+    """Returns a model without nested models as a row of a table."""
     values = {name: getattr(row, name) for name in type(row).model_fields}
     return {name: str(value) if isinstance(value, enum.StrEnum) else value for name, value in values.items()}
 
 
 class _Former:
-    """The groups of the table that is there; none when it cannot be read or has other columns."""
+    """Row groups of the existing table; empty if the table is unreadable or has other columns."""
 
     def __init__(self, path: Place, schema: pa.Schema) -> None:
         self._schema = schema
@@ -123,7 +123,7 @@ class _Former:
             self._places = {}
 
     def group(self, digests: Sequence[tuple[int, str]]) -> pa.Table | None:
-        """Returns the rows of those episodes, if a group holds them and no others."""
+        """Returns the row group that contains exactly these episodes, or `None`."""
         place = self._places.get(digests[0][0])
         if place is None:
             return None
@@ -136,7 +136,7 @@ class _Former:
             return None
 
     def _firsts(self) -> Iterator[tuple[int, int]]:
-        """Yields each group with its first number, as the statistics of the file say."""
+        """Yields each row group with its first episode number, from the statistics of the file."""
         column = self._schema.get_field_index("index")
         for group in range(self._file.metadata.num_row_groups):
             known = self._file.metadata.row_group(group).column(column).statistics
@@ -149,21 +149,21 @@ def _side(sides: Mapping[str, Sides], row: EpisodeSummary) -> str | None:
     return None if side is None else str(side)
 
 
-def _add(tally: Tally, table: pa.Table) -> None:
+def _add(aggregates: TableAggregates, table: pa.Table) -> None:
     names, digests = table["episode_id"].to_pylist(), table["content_digest"].to_pylist()
-    tally.digests.extend(zip(names, digests, strict=True))
-    tally.renderers.update(table["renderer"].unique().to_pylist())
+    aggregates.digests.extend(zip(names, digests, strict=True))
+    aggregates.renderers.update(table["renderer"].unique().to_pylist())
     for row in _sums(table, ["target_category"], ()):
-        tally.categories[row["target_category"]] += row["count_all"]
+        aggregates.categories[row["target_category"]] += row["count_all"]
     for row in _sums(table, _CELL, ()):
-        tally.counts[row["scene"], row["split"], row["spawn_tier"]] += row["count_all"]
-    for key, sums in (("scene", tally.scenes), ("spawn_tier", tally.tiers)):
+        aggregates.counts[row["scene"], row["split"], row["spawn_tier"]] += row["count_all"]
+    for key, sums in (("scene", aggregates.scenes), ("spawn_tier", aggregates.tiers)):
         for row in _sums(table, [key], _SUMS):
             sums[row[key]].add(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
 
 
 def _sums(table: pa.Table, keys: list[str], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """Returns the rows counted and columns added up by key; one thread, so that sums of floats repeat."""
+    """Returns row counts and column sums by key; with one thread, so that floating-point sums are reproducible."""
     grouped = table.group_by(keys, use_threads=False)
     found: list[dict[str, Any]] = grouped.aggregate(
         [*((name, "sum") for name in columns), ([], "count_all")]

@@ -1,4 +1,4 @@
-"""What is wrong with the split tables of a dataset. Reads only."""
+"""Finds faults in the split tables of a dataset. Reads files only."""
 
 from __future__ import annotations
 
@@ -29,30 +29,31 @@ _OTHER_ROWS = f"its rows are not those of {METADATA_FILE}"
 
 
 class FaultKind(StrEnum):
-    """What is wrong with a split table."""
+    """Kind of a split table fault."""
 
-    ABSENT = "absent"  # rows ask for it, and there is no such file
-    SURPLUS = "surplus"  # no row asks for it
-    DAMAGED = "damaged"  # it or one of its thumbnails cannot be read
-    OUTDATED = "outdated"  # other rows than `metadata.parquet`, or a thumbnail is missing that can be made
+    ABSENT = "absent"  # the file is missing and has rows
+    SURPLUS = "surplus"  # the file exists and has no rows
+    DAMAGED = "damaged"  # the file or one of its thumbnails is unreadable
+    OUTDATED = "outdated"  # rows differ from `metadata.parquet`, or a thumbnail is missing whose episode file exists
 
 
 class SplitFault(NamedTuple):
-    """One thing that is wrong."""
+    """Fault of a split table."""
 
     name: str
-    """Of the file, below the dataset's directory."""
+    """Path relative to the root of the dataset."""
     kind: FaultKind
+    """Kind of the fault."""
     text: str
-    """What was found."""
+    """Description of the fault."""
 
 
 def find_faults(root: Place, deep: bool = False) -> Iterator[SplitFault]:
-    """Yields what is wrong with the split tables.
+    """Yields the faults of the split tables.
 
     Args:
-        root: of the dataset.
-        deep: whether to read every row and decode every thumbnail, rather than what each file says of itself.
+        root: root of the dataset.
+        deep: whether to read every row and decode every thumbnail, instead of the metadata of each file only.
 
     Raises:
         ArchiveCorrupt: `metadata.parquet` cannot be read.
@@ -68,15 +69,15 @@ def find_faults(root: Place, deep: bool = False) -> Iterator[SplitFault]:
 
 
 def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
-    """Returns what is in the folder of split tables and has none of the wanted names."""
+    """Returns the paths in the folder of split tables with other names than the wanted ones."""
     return [place for place in children(root / SPLITS_FOLDER) if f"{SPLITS_FOLDER}/{place.name}" not in wanted]
 
 
 def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault | None:
-    """Returns what is wrong with one of them, if anything is; arguments as `find_faults`."""
+    """Returns the fault of a split table, or `None`; for the arguments see `find_faults`."""
     try:
-        text = _see_rows(root, table) if deep else _see_footer(root, table)
-        damage = _see_thumbnails(root, table) if deep and not text else ""
+        text = _check_rows(root, table) if deep else _check_footer(root, table)
+        damage = _check_thumbnails(root, table) if deep and not text else ""
     except FileNotFoundError:
         return SplitFault(table.name, FaultKind.ABSENT, "is not there")
     except UNREADABLE as error:
@@ -86,31 +87,31 @@ def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault |
     return SplitFault(table.name, FaultKind.OUTDATED, text) if text else None
 
 
-def _see_footer(root: Place, table: SplitTable) -> str:
+def _check_footer(root: Place, table: SplitTable) -> str:
     said = pq.read_metadata(table_of(root / table.name)).metadata or {}
     if said.get(DIGEST_KEY, b"").decode() != table.digest:
         return _OTHER_ROWS
     if int(said.get(PICTURES_KEY, b"0")) == table.rows.num_rows:
         return ""
-    return _say_missing(root, table, read_pictures(root / table.name))
+    return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
 
-def _see_rows(root: Place, table: SplitTable) -> str:
+def _check_rows(root: Place, table: SplitTable) -> str:
     found = pq.read_table(table_of(root / table.name), page_checksum_verification=True)
     if not found.drop_columns([THUMBNAIL]).replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
         return _OTHER_ROWS
-    return _say_missing(root, table, read_pictures(root / table.name))
+    return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
 
-def _see_thumbnails(root: Place, table: SplitTable) -> str:
+def _check_thumbnails(root: Place, table: SplitTable) -> str:
     pictures = read_pictures(root / table.name)
     names = {row["content_digest"]: row["episode_id"] for row in table.sources()}
     broken = [names[digest] for digest, picture in pictures.items() if not _is_image(picture)]
     return f"the thumbnail of {broken[0]} is not an image" if broken else ""
 
 
-def _say_missing(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
-    """A thumbnail may be missing as long as a gateway keeps the episode."""
+def _missing_thumbnails(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
+    """Returns a message on missing thumbnails whose episode files exist; a gateway may store the other files."""
     lacking = [row for row in table.sources() if row["content_digest"] not in pictures]
     names = [row["episode_id"] for row in lacking if (root / row["file_name"]).is_file()]
     return f"no thumbnail of {names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}" if names else ""

@@ -1,4 +1,7 @@
-"""Which split tables a dataset should have: the rows of `metadata.parquet` by split and range. Reads that file only."""
+"""Determines the split tables of a dataset: the rows of `metadata.parquet` by split and range of episode numbers.
+
+The module reads `metadata.parquet` and thumbnails, and writes no file.
+"""
 
 from __future__ import annotations
 
@@ -19,26 +22,26 @@ from schemas.terms import Split
 __all__ = ["DIGEST_KEY", "PICTURES_KEY", "THUMBNAIL", "UNREADABLE", "SplitTable", "read_pictures", "split_tables_of"]
 
 THUMBNAIL = "thumbnail"
-"""Last column: frame 0 as `datasets.Image` stores it; null where the episode's file was not there."""
+"""Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available."""
 DIGEST_KEY, PICTURES_KEY = b"minivla_rows", b"minivla_thumbnails"
-"""Keys of a file's own metadata: digest of its rows, number of its thumbnails."""
+"""Keys of the file metadata: digest of the rows and number of thumbnails."""
 UNREADABLE = (pa.ArrowException, OSError, KeyError, ValueError)
-"""What reading a damaged table raises."""
+"""Exceptions of reading a damaged table."""
 _SHARD_EPISODES = 10_000
-"""Planned episodes whose rows share files: of 60 % in one split, 6000 rows, some 30 MB."""
+"""Number of planned episodes per shard. A split with 60 % of them has 6000 rows per file, about 30 MB."""
 
 
 class SplitTable(NamedTuple):
-    """A file that a dataset should have."""
+    """Expected split table of a dataset."""
 
     name: str
-    """Below the dataset's directory."""
+    """Path relative to the root of the dataset."""
     rows: pa.Table
-    """Of `metadata.parquet`, in its order."""
+    """Rows of `metadata.parquet`, in its order."""
 
     @property
     def digest(self) -> str:
-        """XXH3-128 of the rows."""
+        """XXH3-128 of the rows, hexadecimal."""
         sink = pa.BufferOutputStream()
         whole = self.rows.replace_schema_metadata().combine_chunks()
         with pa.ipc.new_stream(sink, whole.schema) as stream:
@@ -46,7 +49,7 @@ class SplitTable(NamedTuple):
         return xxhash.xxh3_128_hexdigest(sink.getvalue())
 
     def sources(self) -> list[dict[str, Any]]:
-        """Returns, row by row, what names and finds the episode."""
+        """Returns id, content digest, file name and length of the episode of each row."""
         found: list[dict[str, Any]] = self.rows.select(
             ["episode_id", "content_digest", "file_name", "num_steps"]
         ).to_pylist()
@@ -54,11 +57,11 @@ class SplitTable(NamedTuple):
 
 
 def split_tables_of(root: Place, shard_episodes: int = _SHARD_EPISODES) -> Iterator[SplitTable]:
-    """Yields the split tables of a dataset, one range of episode numbers after the other.
+    """Yields the split tables of a dataset by range of episode numbers.
 
     Args:
-        root: of the dataset.
-        shard_episodes: planned episodes whose rows share files.
+        root: root of the dataset.
+        shard_episodes: number of planned episodes per shard.
 
     Raises:
         ArchiveCorrupt: `metadata.parquet` cannot be read, or its episodes are not in ascending order.
@@ -93,7 +96,7 @@ def _slices(file: pq.ParquetFile, shard_episodes: int) -> Iterator[tuple[int, pa
 
 
 def read_pictures(path: Place) -> dict[str, bytes]:
-    """Returns the thumbnails of a split table by the content digest of their episode; none where it cannot be read."""
+    """Returns the thumbnails of a split table by content digest of the episode; empty if the table is unreadable."""
     columns = ["content_digest", THUMBNAIL]
     try:
         found = pq.read_table(table_of(path), columns=columns, page_checksum_verification=True).to_pylist()

@@ -1,7 +1,7 @@
-"""Writes the split tables, `data/<split>-<number>.parquet`: rows of `metadata.parquet`, each with a thumbnail.
+"""Writes the split tables, `data/<split>-<number>.parquet`: rows of `metadata.parquet` with thumbnails.
 
-`datasets.load_dataset` takes the splits from these files. They are made from `metadata.parquet` and the episodes alone,
-when a run ends and by `factory repair` and `factory gather`; a file that is up to date is not touched.
+`datasets.load_dataset` reads the splits from these files. The module generates them from `metadata.parquet` and the
+episode files at the end of a run, in `factory repair` and in `factory gather`. It does not rewrite current files.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ log = structlog.get_logger(__name__)
 
 
 def write_split_tables(archive: Archive, seconds: float | None = None, deep: bool = False) -> None:
-    """Writes the split tables that are absent, damaged or out of date, then names them in the card.
+    """Writes the split tables that are missing, damaged or outdated, then lists them in the card.
 
     Args:
-        archive: open, with a `metadata.parquet` that is up to date.
-        seconds: after which no more thumbnails are made; they are null until the next call makes them.
-        deep: whether to look for damage in every row and thumbnail, rather than in what each file says of itself.
+        archive: archive of the dataset, with a current `metadata.parquet`.
+        seconds: time limit for thumbnails, seconds; the remaining ones are null until the next call. `None` for none.
+        deep: whether to check every row and thumbnail for damage, instead of the metadata of each file only.
 
     Raises:
-        WorldError: the disk is full or gone; each file is whole, as it was or new.
+        WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.
         ArchiveCorrupt: `metadata.parquet` cannot be read.
     """
     deadline = float("inf") if seconds is None else time.monotonic() + seconds
@@ -132,7 +132,7 @@ def _name_in_card(archive: Archive) -> None:
         card = (archive.root / CARD_FILE).read_text(encoding="utf-8")
         meta = read_dataset_meta(archive.root)
     except (FileNotFoundError, WorldError):
-        return  # whoever writes the card lists the tables that are there
+        return  # the writer of the card lists the existing tables
     named = with_configs(card, split_configs(splits_at(archive.root), meta.episodes, meta.failed_attempts))
     if named != card:
         with archive.replacing(CARD_FILE) as part:

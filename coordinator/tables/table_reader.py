@@ -1,4 +1,4 @@
-"""Reads the dataset's tables back, whole or not: a repair takes from them what the ledger has lost. Writes nothing."""
+"""Reads the dataset's tables, including damaged ones, to restore lost records of the ledger. Writes no file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["read_column", "read_failed_attempts"]
 
 
 def read_column(path: Place, name: str) -> list[str] | str:
-    """Returns a column of text, or why it cannot be read, in words."""
+    """Returns the values of a column as strings, or the reason why the column cannot be read."""
     try:
         return [str(value) for value in pq.read_table(table_of(path), columns=[name])[name].to_pylist()]
     except FileNotFoundError:
@@ -24,7 +24,7 @@ def read_column(path: Place, name: str) -> list[str] | str:
 
 
 def read_failed_attempts(path: Place) -> list[FailedAttempt]:
-    """Returns the rows of `attempts.parquet` that can be understood; none when the file cannot be read."""
+    """Returns the valid rows of `attempts.parquet`; empty if the file cannot be read."""
     try:
         rows = pq.read_table(table_of(path)).to_pylist()
     except (pa.ArrowException, *PARSER_ERRORS):

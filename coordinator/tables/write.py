@@ -1,6 +1,7 @@
-"""The tables beside the episodes: `metadata.parquet`, `attempts.parquet`, `dataset_meta.json` and the card.
+"""Writes `metadata.parquet`, `attempts.parquet`, `dataset_meta.json` and the dataset card.
 
-Written anew from the ledger whenever asked, each file replaced as a whole; the ledger stays the truth.
+Each call generates the files from the ledger, which stays authoritative, and replaces each file as a whole. The module
+does not change the ledger.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
+from coordinator.tables.aggregates import TableAggregates
 from coordinator.tables.card import dataset_card
 from coordinator.tables.card_configs import splits_at
 from coordinator.tables.metadata_table import Episodes, ListedEpisodes, plain_row, write_metadata
-from coordinator.tables.tally import Tally
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
@@ -34,7 +35,8 @@ from schemas.storage.place import Place
 __all__ = ["SIDE_COLUMN", "parquet_schema", "write_tables"]
 
 SIDE_COLUMN = "instance_side"
-"""Last column of `metadata.parquet`: who may name the target: `train`, `evaluation`, `shared`; null without promise."""
+"""Name of the last column of `metadata.parquet`, the side of the target: `train`, `evaluation` or `shared`; null if the
+plan does not separate the sides."""
 _BATCH_ROWS = 2000
 _TYPES = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 
@@ -52,33 +54,35 @@ def write_tables(
     *,
     anew: bool = True,
 ) -> DatasetMeta:
-    """Writes all four files; streams the rows, so that memory grows by some hundred bytes an episode only.
+    """Writes all four files. The rows are streamed: the memory use is a few hundred bytes per episode.
 
     Args:
-        archive: open, and thereby ours.
-        plan: of the run.
-        scenes: scene name -> digest of its compiled package.
-        episodes: rows of all archived episodes in ascending order.
-        failures: rows of all failed attempts, in the order they shall have.
+        archive: archive of the dataset, held exclusively.
+        plan: plan of the run.
+        scenes: mapping of scene name to SHA-256 of its compiled package.
+        episodes: rows of all archived episodes, ordered by number.
+        failures: rows of all failed attempts, in the order of the table.
         now: the time of writing, UTC.
-        sides: scene name -> side of each instance, where the plan keeps training and evaluation apart.
-        shared: scene name -> categories whose instances they share nevertheless; `None` without such a plan.
-        gate: what the pilot found; empty keeps what the directory's description says already.
-        anew: whether to make every row from the ledger; else those of `metadata.parquet` whose files are unchanged are
-            taken from the table that is there, which this process has written.
+        sides: mapping of scene name to the side of each instance, for plans with disjoint instances.
+        shared: mapping of scene name to the categories with shared instances; `None` for other plans.
+        gate: results of the pilot; empty keeps the results in the existing metadata.
+        anew: whether to generate every row from the ledger. Otherwise the rows with unchanged episode files are copied
+            from the existing table, which this process has written.
 
     Returns:
-        The description as written; `complete` and `dataset_digest` tell whether and with what the dataset is whole.
+        The written metadata; `complete` states whether all planned episodes are archived.
 
     Raises:
-        WorldError: the disk is full or gone; the files are as they were.
+        WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.
     """
-    tally, former = Tally(), _former(archive.root)
+    aggregates, former = TableAggregates(), _former(archive.root)
     listed = ListedEpisodes(episodes) if isinstance(episodes, Iterable) else episodes
-    written = write_metadata(archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, tally, anew=anew)
-    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, tally.watch_failures(failures)))
+    written = write_metadata(
+        archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, aggregates, anew=anew
+    )
+    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, aggregates.count_failures(failures)))
     meta = DatasetMeta(
-        **_of_plan(plan, written, tally),
+        **_of_plan(plan, written, aggregates),
         scenes=dict(scenes),
         failed_attempts=failed,
         software=software_versions(),
@@ -88,12 +92,12 @@ def write_tables(
         shared_instances=None if shared is None else dict(shared),
         gate=tuple(gate) or (former.gate if former else ()),
     )
-    _write_text(archive, CARD_FILE, dataset_card(meta, tally, splits_at(archive.root)))
-    _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last: it describes the others
+    _write_text(archive, CARD_FILE, dataset_card(meta, aggregates, splits_at(archive.root)))
+    _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last, because it describes the other files
     return meta
 
 
-def _of_plan(plan: Plan, written: int, tally: Tally) -> dict[str, Any]:
+def _of_plan(plan: Plan, written: int, aggregates: TableAggregates) -> dict[str, Any]:
     """Returns the fields of the description that follow from the plan and the written rows."""
     complete = written == plan.episodes
     return {
@@ -104,18 +108,18 @@ def _of_plan(plan: Plan, written: int, tally: Tally) -> dict[str, Any]:
         "episodes": written,
         "planned": plan.episodes,
         "complete": complete,
-        "dataset_digest": dataset_digest(tally.digests) if complete else None,
-        "renderers": tuple(sorted(tally.renderers)),
+        "dataset_digest": dataset_digest(aggregates.digests) if complete else None,
+        "renderers": tuple(sorted(aggregates.renderers)),
     }
 
 
 def parquet_schema(model: type[Model]) -> pa.Schema:
-    """Returns the columns of a model of flat fields, in the order of the fields."""
+    """Returns the schema of a model without nested models, with the columns in the order of the fields."""
     return pa.schema([(name, _column_type(info.annotation)) for name, info in model.model_fields.items()])
 
 
 def _column_type(annotation: Any) -> pa.DataType:
-    if type(None) in get_args(annotation):  # a column may be empty anyway
+    if type(None) in get_args(annotation):  # every column is nullable
         annotation = next(kind for kind in get_args(annotation) if kind is not type(None))
     kind = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
     if isinstance(kind, type) and issubclass(kind, enum.StrEnum):

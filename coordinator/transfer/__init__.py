@@ -1,1 +1,1 @@
-"""Fetches announced bundles from workers, and has them validated, archived and recorded."""
+"""Transfers announced bundles from workers, validates them, archives them and records them in the ledger."""

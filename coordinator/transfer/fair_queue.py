@@ -1,4 +1,4 @@
-"""A queue of work by owner: whoever was served for the shortest time is served next. Runs nothing itself."""
+"""Implements a fair queue of items by owner: the owner with the least service time is next. Runs no thread."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ T = TypeVar("T")
 
 
 class FairQueue(Generic[T]):
-    """Work that waits, safe to use from any thread.
+    """Thread-safe fair queue.
 
-    An owner has a second item under way only while nobody else waits. One that comes anew counts as served for as long
-    as the least served one, so that it has no debt and no credit.
+    An owner has a second item in service only while no other owner waits. The service time of a new owner starts at the
+    minimum of the others, so that it is neither preferred nor delayed.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class FairQueue(Generic[T]):
         self._waiting: dict[str, deque[T]] = {}
         self._under_way: Counter[str] = Counter()
         self._served: dict[str, float] = {}
-        """Seconds, of every owner that has something here."""
+        """Service time of each owner with items, seconds."""
         self._is_open = True
 
     def put(self, owner: str, item: T) -> None:
@@ -35,7 +35,10 @@ class FairQueue(Generic[T]):
             self._changed.notify()
 
     def take(self) -> tuple[str, T] | None:
-        """Waits for an item of the least served owner; `None` when the queue was closed. `give` must follow."""
+        """Waits for an item of the owner with the least service time; returns `None` if the queue is closed.
+
+        The caller must call `give` afterwards.
+        """
         with self._changed:
             while self._is_open:
                 owner = self._next()
@@ -52,9 +55,9 @@ class FairQueue(Generic[T]):
         """Ends the service of an item.
 
         Args:
-            owner: of the item.
-            seconds: that it was served.
-            unfinished: the item, when it goes on in a later turn.
+            owner: owner of the item.
+            seconds: service time, seconds.
+            unfinished: the item, if its service continues later.
         """
         with self._changed:
             self._served[owner] += seconds
@@ -71,12 +74,12 @@ class FairQueue(Generic[T]):
             return len(self._waiting) > (owner in self._waiting)
 
     def sizes(self) -> Mapping[str, int]:
-        """Returns how many items of each owner wait or are under way."""
+        """Returns the number of waiting and served items by owner."""
         with self._changed:
             return {owner: len(self._waiting.get(owner, ())) + self._under_way[owner] for owner in self._served}
 
     def close(self) -> list[T]:
-        """Ends every `take` and returns what waits."""
+        """Ends every `take` and returns the waiting items."""
         with self._changed:
             self._is_open = False
             self._changed.notify_all()

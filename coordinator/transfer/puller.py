@@ -1,6 +1,6 @@
-"""Fetches announced bundles chunk by chunk, has them validated, publishes them and has the ledger own them.
+"""Transfers announced bundles in chunks, validates and publishes them, and records them in the ledger.
 
-Fails fast and forgets: whatever goes wrong on the way, the worker's next beat announces the bundle again.
+The module does not retry a failed transfer: the worker's next heartbeat announces the bundle again.
 """
 
 from __future__ import annotations
@@ -29,88 +29,91 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import Lease
 
-__all__ = ["Book", "Checker", "Judge", "Nearby", "Pullers", "nothing_nearby"]
+__all__ = ["Checker", "Judge", "LedgerClient", "Nearby", "Pullers", "nothing_nearby"]
 
 _VALIDATION_S = 120.0
-"""Lease granted once a bundle is here whole: its worker may die now."""
+"""Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
 _TURN_S = 0.25
-"""How long a bundle is fetched while others wait."""
+"""Duration of a turn of one bundle while others wait, seconds."""
 _FAILURES = 5
-"""Failed transfers after which a bundle may be refused as not served."""
+"""Number of failed transfers after which a bundle may be refused."""
 _QUEUED = 2
-"""Bundles of one host that may wait for each puller of a gateway, the one under way included."""
+"""Maximum number of bundles of one host per puller of a gateway, including the current one."""
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
-"""Between two log lines about refused bundles of one host."""
+"""First and longest pause between two log lines about refused bundles of one host, seconds."""
 
 log = structlog.get_logger(__name__)
 
 Fetch = Callable[[str, Lease, Chunk], bytes]
 Nearby = Callable[[Lease], Path | None]
-"""Tells where the bundle made under a lease lies on this machine, if it is known to."""
+"""Function that returns the path of a lease's bundle on this machine, or `None` if unknown."""
 
 
 def nothing_nearby(_lease: Lease) -> None:
-    """Knows of no bundle on this machine."""
+    """Finds no bundle on this machine."""
 
 
 class Judge(Protocol):
-    """What judges bundles, from several threads at a time."""
+    """Interface of thread-safe bundle validators."""
 
     def check(self, path: Path, job: Job, target: Target | None = None) -> BundleReceipt:
-        """Returns what the ledger keeps of it, or raises `InvalidBundle` or `TransientError`."""
+        """Validates a bundle and returns its receipt, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
-        """Ends what runs for it; a check under way raises `TransientError`."""
+        """Ends the validator; a running check raises `TransientError`."""
 
 
 class Checker(Judge, Protocol):
-    """A judge of collected episodes."""
+    """Interface of validators of collected episodes."""
 
     def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
-        """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
+        """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
-class Book(Protocol):
-    """The ledger as pullers need it: at hand in a coordinator, asked from afar in a gateway.
+class LedgerClient(Protocol):
+    """Interface of the ledger for pullers: local in a coordinator, remote in a gateway.
 
-    All but `refuse` may be said twice; all of it raises `TransientError` when the ledger cannot be had.
+    All methods except `refuse` are idempotent. All methods raise `TransientError` if the ledger is unavailable.
     """
 
     def keep(self, pull: Pull, seconds: float) -> bool:
-        """Lets the lease last at least so long from now; returns whether it is in force."""
+        """Extends the lease to at least `seconds` from now; returns whether it is in force."""
 
     def is_owned(self, index: int) -> bool:
-        """Returns whether the episode that lies here is the ledger's, so that nobody may delete it."""
+        """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
 
     def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
+        """Records a published episode if the lease is in force; returns whether the ledger records the file."""
 
     def refuse(self, pull: Pull, detail: str) -> None:
-        """Reports a bundle that is not what was asked for."""
+        """Reports a bundle that failed validation."""
 
 
 @dataclass
 class _Failures:
-    """Failed transfers of a bundle that its worker goes on announcing."""
+    """Failed transfers of a bundle whose worker repeats the announcement."""
 
     lease: Lease
+    """Lease of the bundle."""
     since: float
-    """Monotonic time of the first one, seconds."""
+    """Monotonic time of the first failure, seconds."""
     count: int = 0
+    """Number of failures."""
     most_bytes: int = 0
-    """Most that one of them has brought."""
+    """Size of the longest partial transfer, bytes."""
 
 
 @dataclass
 class _Transfer:
-    """A bundle on its way; it may take several turns."""
+    """Transfer of a bundle, which may take several turns."""
 
     pull: Pull
+    """Announced bundle."""
     staged: Staged | None = None
-    """Its part file, once that is open."""
+    """Part file; `None` before the first turn."""
     seconds: float = 0.0
-    """Spent on fetching."""
+    """Transfer time so far, seconds."""
 
     @property
     def open_file(self) -> Staged:
@@ -118,21 +121,21 @@ class _Transfer:
         return self.staged
 
     def abandon(self) -> None:
-        """Deletes the part file, unless it was published."""
+        """Deletes the part file unless it is published."""
         if self.staged is not None:
             self.staged.abandon()
 
 
 class Pullers(Closing):
-    """A few threads that fetch bundles, one of an episode at a time; a context manager.
+    """Pool of threads that transfer bundles, one per episode at a time; a context manager.
 
-    Hosts take turns, so that those which serve slowly do not delay the others.
+    Hosts take turns, so that slow hosts do not delay the others.
     """
 
     def __init__(
         self,
         archive: Archive,
-        book: Book,
+        ledger: LedgerClient,
         fetch: Fetch,
         checker: Judge,
         settings: CoordinatorSettings,
@@ -141,7 +144,7 @@ class Pullers(Closing):
         nearby: Nearby = nothing_nearby,
     ) -> None:
         self._archive = archive
-        self._book = book
+        self._ledger = ledger
         self._fetch = fetch
         self._nearby = nearby
         self._checker = checker
@@ -152,9 +155,9 @@ class Pullers(Closing):
         self._failing = Repeated(log, "pull_failed")
         self._limit = LogLimit(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
         self._busy: dict[int, int] = {}
-        """Episode -> bytes of its bundle that are still to come."""
+        """Mapping of episode number to remaining bytes of its bundle."""
         self._failed: dict[int, _Failures] = {}
-        """Episode -> the failed transfers of its bundle."""
+        """Mapping of episode number to the failed transfers of its bundle."""
         self._guard = threading.Lock()
         self._stop = threading.Event()
         self._threads = [
@@ -164,7 +167,7 @@ class Pullers(Closing):
             thread.start()
 
     def offer(self, pull: Pull) -> None:
-        """Queues a bundle; one of an episode that is queued or under way already is left to the next beat."""
+        """Queues a bundle unless its episode is queued or in transfer; the next heartbeat repeats the announcement."""
         with self._guard:
             if pull.job.index in self._busy or self._stop.is_set():
                 return
@@ -173,17 +176,17 @@ class Pullers(Closing):
 
     @property
     def waiting(self) -> int:
-        """Bundles that are queued or under way."""
+        """Number of bundles that are queued or in transfer."""
         with self._guard:
             return len(self._busy)
 
     @property
     def busy_hosts(self) -> tuple[str, ...]:
-        """Hosts of which so many bundles are queued that more would only wait."""
+        """Hosts with the maximum number of queued bundles."""
         return tuple(host for host, count in self._queue.sizes().items() if count >= _QUEUED * self._settings.pullers)
 
     def close(self) -> None:
-        """Stops at the next chunk; part files are removed."""
+        """Stops transfers at the next chunk and removes their part files."""
         self._stop.set()
         for transfer in self._queue.close():
             transfer.abandon()
@@ -202,11 +205,11 @@ class Pullers(Closing):
             self._queue.give(host, time.monotonic() - begun, None if is_over else transfer)
 
     def _serve(self, host: str, transfer: _Transfer) -> bool:
-        """Goes on with a bundle for a turn; returns whether it is over, one way or another."""
+        """Continues a transfer for one turn; returns whether it has ended, successfully or not."""
         pull = transfer.pull
         try:
             return self._stop.is_set() or self._bring(host, transfer)
-        except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next beat
+        except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
             if isinstance(error, FactoryError):
                 self._meters.add(Meter.PULLS_FAILED)
             self._failing.fail(error, episode=episode_id(pull.job.index), worker=pull.sid)
@@ -228,35 +231,35 @@ class Pullers(Closing):
         elif staged.sha256 != pull.sha256:
             self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
         else:
-            self._book.keep(pull, _VALIDATION_S)
+            self._ledger.keep(pull, _VALIDATION_S)
             summary = self._judge(pull, staged.path)
             if summary is not None:
                 self._publish(pull, staged, summary)
         return True
 
     def _begin(self, transfer: _Transfer) -> bool:
-        """Opens the part file of a bundle that is wanted; returns whether it is."""
+        """Opens the part file of a bundle; returns `False` if the bundle is not needed."""
         pull = transfer.pull
-        if not self._book.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
+        if not self._ledger.keep(pull, self._settings.lease_ttl_s) or not self._prepare_destination(pull.job.index):
             return False
         if pull.size > MAX_BUNDLE_BYTES:
             self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
             return False
-        self._demand_room(pull)
+        self._require_free_space(pull)
         transfer.staged = self._archive.stage(pull.job.index)
         self._take_nearby(pull, transfer.staged)
         return True
 
-    def _is_way_clear(self, index: int) -> bool:
-        """Whether the episode's place is free; what an unfinished commit left there is removed."""
+    def _prepare_destination(self, index: int) -> bool:
+        """Removes a file that an unfinished commit left at the episode's path; returns whether the path is free."""
         if not self._archive.path_of(index).exists():
             return True
-        if self._book.is_owned(index):
+        if self._ledger.is_owned(index):
             return False
         self._archive.unpublish(index)
         return True
 
-    def _demand_room(self, pull: Pull) -> None:
+    def _require_free_space(self, pull: Pull) -> None:
         with self._guard:
             to_come = sum(self._busy.values())
             free, wanted = self._archive.free_bytes(), pull.size + to_come + self._settings.reserve_bytes
@@ -269,7 +272,7 @@ class Pullers(Closing):
             self._busy[pull.job.index] = pull.size
 
     def _transfer(self, host: str, transfer: _Transfer) -> bool:
-        """Fetches for one turn; returns whether no more is to be fetched: all is here, or it comes too slowly."""
+        """Transfers chunks for one turn; returns whether the transfer has ended: it is complete or too slow."""
         pull, staged, begun = transfer.pull, transfer.open_file, time.monotonic()
         earlier_s = transfer.seconds
         while staged.size < pull.size:
@@ -279,7 +282,7 @@ class Pullers(Closing):
             try:
                 data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
             except TransientError:
-                self._note_failure(pull, staged.size)
+                self._record_failure(pull, staged.size)
                 raise
             self._meters.add(Meter.PULLED_BYTES, len(data))
             staged.write(data)
@@ -293,8 +296,8 @@ class Pullers(Closing):
                 return False
         return True
 
-    def _note_failure(self, pull: Pull, size: int) -> None:
-        """Refuses a bundle of which, however often it is asked for, less comes than a slow worker has to serve."""
+    def _record_failure(self, pull: Pull, size: int) -> None:
+        """Records a failed transfer; refuses the bundle if repeated transfers fall below the least rate."""
         now = time.monotonic()
         with self._guard:
             failures = self._failed.get(pull.job.index)
@@ -311,7 +314,7 @@ class Pullers(Closing):
             )
 
     def _take_nearby(self, pull: Pull, staged: Staged) -> None:
-        """Spares a bundle on the archive's own disk the way over the network and the second copy."""
+        """Links a bundle on the archive's disk instead of transferring and copying it."""
         try:
             source = self._nearby(pull.lease)
             if source is not None and source.stat().st_size == pull.size:
@@ -335,7 +338,7 @@ class Pullers(Closing):
         self._meters.add(Meter.REFUSED)
         episode, host = episode_id(pull.job.index), host_of(pull.sid)
         self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
-        self._book.refuse(pull, detail)
+        self._ledger.refuse(pull, detail)
 
     def _forget_failures(self, pull: Pull) -> None:
         with self._guard:
@@ -345,10 +348,10 @@ class Pullers(Closing):
         index = pull.job.index
         self._forget_failures(pull)
         self._archive.publish(staged, index)
-        if self._book.own(pull, receipt):
+        if self._ledger.own(pull, receipt):
             self._meters.add(Meter.ARCHIVED)
             self._failing.succeed()
             log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)
             self._on_archived()
         else:
-            self._archive.unpublish(index)  # the lease was lost meanwhile, and nobody else has brought it
+            self._archive.unpublish(index)  # the lease was lost meanwhile, and no other worker delivered the episode

@@ -1,1 +1,1 @@
-"""Validates bundles in a sandboxed child process. Never archives one."""
+"""Validates bundles in sandboxed child processes. Does not archive them."""

@@ -1,6 +1,6 @@
-"""Every frame decoded once: digests, bounds, known ids, emptiness that agrees, a camera that is not frozen.
+"""Validates the frames of a bundle: digests, value ranges, instance ids, agreement of depth and ids, frozen images.
 
-Keeps two frames in memory at a time; renders nothing and judges no motion.
+The module decodes every frame once and keeps two frames in memory. It does not render and does not validate motion.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from schemas.measure import yaw_of
 __all__ = ["FrameSurvey", "survey_frames"]
 
 EMPTY_SLACK_SHARE = 0.001
-"""Share of pixels that may have depth without id or id without depth: the two may be rasterised in two passes."""
+"""Tolerated share of pixels with depth and no id or the reverse, because two passes may rasterise them."""
 FROZEN_DEPTH = (0.005, 0.005)
-"""Metres and radians after which depth must differ: a float32 of any surface in view changes with far less."""
+"""Motion (metres, radians) after which depth must differ: the float32 depth of any surface changes with far less."""
 FROZEN_COLOUR = (0.15, 0.10)
-"""The same for colour, which may stay the same for a while before a plain wall."""
+"""Motion (metres, radians) after which colour must differ: it may stay equal for a while in front of a plain wall."""
 DEPTH_SLACK_M = 1e-3
-"""Depth beyond the camera's clip range: rounding of the projection."""
+"""Tolerated depth beyond the camera's far plane, metres: rounding of the projection."""
 MAX_FINDINGS = 20
-"""Findings about single frames after which the survey stops counting them out."""
+"""Maximum number of listed findings about single frames; further ones are counted only."""
 
 _GLANCE = 64
 
@@ -38,21 +38,22 @@ Image = NDArray[np.generic]
 
 @dataclass(frozen=True)
 class FrameSurvey:
-    """What all frames of an episode say."""
+    """Result of the validation of all frames."""
 
     digests: tuple[str, ...]
-    """Of every frame that could be decoded."""
+    """Digest of every decodable frame."""
     target_pixels: tuple[int, ...]
-    """Pixels of the target in every frame that could be decoded."""
+    """Number of pixels of the target in every decodable frame."""
     findings: tuple[str, ...]
+    """Violations."""
 
 
 def survey_frames(bundle: BundleReader, on_frame: Callable[[int], None] = lambda _t: None) -> FrameSurvey:
-    """Decodes every frame and returns what they say.
+    """Decodes and validates every frame.
 
     Args:
-        bundle: an open bundle.
-        on_frame: called with the number of each frame done.
+        bundle: open bundle.
+        on_frame: progress callback with the number of each processed frame.
     """
     survey = _Survey(bundle.meta, bundle.arrays.poses)
     for t in range(bundle.length):
@@ -88,7 +89,7 @@ class _Survey:
         self.note(*(f"frame {t}: {text}" for text in self._image_findings(depth, ids)))
 
     def _image_findings(self, depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[str]:
-        """Looks at the extremes first: what they prove needs no second look at every pixel."""
+        """Checks the extreme values first, and examines all pixels only if the extremes are inconclusive."""
         nearest, farthest = float(depth.min()), float(depth.max())
         found = DEPTH_FRAME.range_violations(nearest, farthest)
         if not self._known[: int(ids.max()) + 1].all():
@@ -121,13 +122,13 @@ def _disagreement(depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[s
 
 
 def _ends_of_runs(ids: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Returns every id the image shows, most of them once a run of equal pixels; much cheaper than all pixels."""
+    """Returns one id per run of equal pixels, which covers all ids of the image at a lower cost than all pixels."""
     flat = ids.reshape(-1)
     return np.append(flat[np.flatnonzero(flat[1:] != flat[:-1])], flat[-1:])
 
 
 class _Stuck:
-    """Notices an image that stays the same while the robot moves on."""
+    """Detector of images that do not change while the robot moves."""
 
     def __init__(self, name: str, poses: NDArray[np.float32], move_m: float, turn_rad: float) -> None:
         self._name = name
@@ -140,7 +141,7 @@ class _Stuck:
 
     def take(self, t: int, image: Image) -> list[str]:
         if self._last is None or not _are_same(image, self._last) or not image.any():
-            self._last, self._since, self._told = image, t, False  # nothing in view looks the same from everywhere
+            self._last, self._since, self._told = image, t, False  # an empty image is equal from every pose
             return []
         moved_m = float(np.hypot(*(self._xy[t] - self._xy[self._since])))
         turned = abs(float((self._yaw[t] - self._yaw[self._since] + np.pi) % (2 * np.pi) - np.pi))
@@ -152,5 +153,5 @@ class _Stuck:
 
 
 def _are_same(image: Image, other: Image) -> bool:
-    """Compares one row in 64 first: two frames nearly always differ there."""
+    """Returns whether two images are equal. Every 64th row is compared first, because most frames differ there."""
     return np.array_equal(image[::_GLANCE], other[::_GLANCE]) and np.array_equal(image, other)

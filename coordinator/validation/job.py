@@ -1,4 +1,7 @@
-"""Whether a bundle is what was asked for: its metadata against the job, the language and its own tables. Pure."""
+"""Compares the metadata of a bundle with its job, the language templates, the scene and its own tables.
+
+The functions read no file.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,11 @@ from schemas.scene import Target
 __all__ = ["job_findings", "table_findings", "target_findings"]
 
 CENTROID_SLACK_M = 1e-6
-"""Between the centroid in meta.json and in the scene: both are the same float64, written as JSON."""
+"""Tolerance between the centroids in meta.json and in the scene, metres: both are the same float64 written as JSON."""
 
 
 def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
-    """Returns every field in which the bundle's job differs from the job that was leased."""
+    """Returns a finding per field in which the bundle's job differs from the leased job."""
     return [
         f"job.{name}: the bundle says {_show(getattr(meta.job, name))}, the ledger leased {_show(getattr(job, name))}"
         for name in Job.model_fields
@@ -26,7 +29,7 @@ def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
 
 
 def table_findings(meta: EpisodeMeta) -> list[str]:
-    """Returns every contradiction within the metadata itself: id, instruction, instance table, digests."""
+    """Returns the contradictions within the metadata: episode id, instruction, instance table and frame digests."""
     found = []
     if meta.episode_id != meta.job.episode_id:
         found.append(f"episode_id {meta.episode_id!r}, its job's index gives {meta.job.episode_id!r}")
@@ -36,7 +39,7 @@ def table_findings(meta: EpisodeMeta) -> list[str]:
 
 
 def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
-    """Returns every field in which the bundle's target differs from the compiled scene's."""
+    """Returns a finding per field in which the bundle's target differs from the target in the compiled scene."""
     job = meta.job
     pairs = {
         "target_id": (job.target_id, target.target_id),

@@ -1,6 +1,7 @@
-"""Laws of motion: whether the recorded poses can have come from the recorded commands. Pure; every tolerance is named.
+"""Checks whether the recorded poses are consistent with the recorded commands.
 
-It bounds what a differential drive can do in a period; it never simulates, and a robot held by an obstacle passes.
+The module bounds the motion of a differential drive per period, with named tolerances. It does not simulate, and
+accepts a robot that an obstacle blocks.
 """
 
 from __future__ import annotations
@@ -19,48 +20,50 @@ __all__ = ["motion_findings"]
 F64 = NDArray[np.float64]
 
 COMMAND_SLACK = 1e-4
-"""m/s and rad/s: float32 rounding of a command and of the one before it."""
+"""Tolerance of commands, m/s and rad/s: float32 rounding of a command and of the previous one."""
 QUATERNION_SLACK = 1e-3
-"""Deviation of the norm from 1: float32 rounding is 1e-7, physics renormalises every step."""
+"""Tolerated deviation of a quaternion's norm from 1: float32 rounding is 1e-7, and physics normalises every step."""
 HEIGHT_SLACK_M = 0.03
-"""Rise or fall of base_link against frame 0: the floor is flat and springs give millimetres."""
+"""Tolerated height change of base_link from frame 0, metres: the floor is flat, and springs give millimetres."""
 MAX_TILT_RAD = 0.10
-"""Lean of base_link: braking at 8 m/s2 pitches it by about 0.01 rad, leaning on an obstacle by a few hundredths."""
+"""Maximum tilt of base_link, radians: braking at 8 m/s2 gives about 0.01, contact with an obstacle a few hundredths."""
 LAG_STEPS = 6
-"""Periods (0.1 s) for which the wheels may still follow an older command."""
+"""Number of periods (0.1 s) for which the wheels may follow an older command."""
 STEP_SLACK_M = 0.003
-"""Displacement a step beyond the command: measured below 0.001 m without contact."""
+"""Tolerated displacement per step beyond the command, metres: measured below 0.001 without contact."""
 CONTACT_STEP_SLACK_M = 0.02
-"""The same while something is touched: the solver pushes overlaps apart; measured below 0.011 m."""
+"""The same with contact, metres: the solver separates overlaps; measured below 0.011."""
 SIDE_SLACK_M = 0.003
-"""Sideways displacement a step; measured below 0.0005 m in successes without contact."""
+"""Tolerated lateral displacement per step, metres: measured below 0.0005 in successes without contact."""
 YAW_STEP_SLACK_RAD = 0.015
-"""Turn a step beyond the command and the skid, without contact; measured up to 0.0063 in 220 successes."""
+"""Tolerated turn per step beyond command and skid without contact, radians: measured up to 0.0063 in 220 successes."""
 CONTACT_YAW_STEP_SLACK_RAD = 0.08
-"""The same while something is touched: an off-centre push turns the robot; measured below 0.034 rad."""
+"""The same with contact, radians: an off-centre push turns the robot; measured below 0.034."""
 PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
-"""Distance driven over a window against the distance commanded, without contact: wheels follow to 0.2 %."""
+"""Tolerance (metres, share) of the driven distance in a window without contact: wheels follow commands to 0.2 %."""
 TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.10, 0.10
-"""Angle turned over a window against the angle commanded, without contact and without skid."""
+"""Tolerance (radians, share) of the turned angle in a window without contact and skid."""
 SKID_TURN = 4.0
-"""Radians of extra turn for each rad of turn commanded at 1 m/s: the tail-heavy robot oversteers in fast bends and can
-spin at 5 rad/s (4 of 700 drives, all timeouts); slow turns and straight lines get no allowance."""
+"""Additional turn, radians, per radian of turn commanded at 1 m/s. The tail-heavy robot oversteers in fast bends and
+can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and straight motion have no allowance."""
 SKID_PATH_M = 1.0
-"""Metres by which a second of such a bend may shorten the way; measured up to 0.65 while spinning."""
+"""Tolerated reduction of the distance per second of such a bend, metres: measured up to 0.65 while spinning."""
 SKID_STEP_M = 0.008
-"""Metres of displacement a step, sideways or backwards, for each m/s2 of such a bend."""
+"""Tolerated lateral or backward displacement per step, metres per m/s2 of such a bend."""
 SKID_STEPS = 90
-"""Periods for which a skid may outlast the bend that caused it."""
+"""Number of periods for which a skid may outlast its bend."""
 WINDOW_STEPS = 60
-"""Periods over which distance and angle are summed up."""
+"""Number of periods over which distance and angle are summed."""
 
 
 @dataclass(frozen=True)
 class _Drive:
-    """Commands and increments of an episode; increment t leads from pose t to pose t + 1 under command t."""
+    """Commands and increments of an episode; increment t is the motion from pose t to pose t + 1 under command t."""
 
     v: F64
+    """(T,) commanded speed, m/s."""
     w: F64
+    """(T,) commanded yaw rate, rad/s."""
     along: F64
     """(T - 1,) displacement along the heading, metres."""
     aside: F64
@@ -68,20 +71,21 @@ class _Drive:
     turned: F64
     """(T - 1,) change of heading, radians."""
     bend: F64
-    """(T - 1,) sharpest recent bend: commanded speed times yaw rate, m/s2."""
+    """(T - 1,) recent maximum of commanded speed times yaw rate, m/s2."""
     hz: int
+    """Control frequency, Hz."""
     touched: bool
     """Whether the episode reports any contact."""
 
 
 def motion_findings(arrays: EpisodeArrays, robot: RobotConfig, control_hz: int, collision_count: int) -> list[str]:
-    """Returns all that contradicts the robot's limits and the recorded commands.
+    """Returns the violations of the robot's limits and the contradictions between poses and commands.
 
     Args:
-        arrays: of the episode, already within their specs.
-        robot: limits of speed and of its change.
-        control_hz: periods a second.
-        collision_count: steps with contact the episode reports; with contact the bounds are wider.
+        arrays: arrays of the episode, which satisfy their specs.
+        robot: limits of speed and acceleration.
+        control_hz: control frequency, Hz.
+        collision_count: recorded number of steps with contact; with contact the bounds are wider.
     """
     drive = _drive_of(arrays, control_hz, collision_count > 0)
     return [
@@ -122,7 +126,7 @@ def _stance_findings(poses: NDArray[np.float32]) -> list[str]:
     norm_error = np.abs(np.linalg.norm(quaternions, axis=1) - 1)
     found = _beyond("deviation of the quaternion's norm from 1", "", norm_error, QUATERNION_SLACK, 0.0)
     up_z = np.clip(1 - 2 * (quaternions[:, 1] ** 2 + quaternions[:, 2] ** 2), -1, 1)
-    if not found:  # a tilt means nothing for a quaternion that is none
+    if not found:  # the tilt of an invalid quaternion is meaningless
         found = _beyond("tilt", "rad", np.arccos(up_z), MAX_TILT_RAD, 0.0)
     heights = poses[:, 2].astype(np.float64)
     return found + _beyond("height above the first frame", "m", np.abs(heights - heights[0]), HEIGHT_SLACK_M, 0.0)
@@ -172,7 +176,7 @@ def _window_sums(values: F64) -> F64:
 
 
 def _beyond(what: str, unit: str, values: F64, limit: float, slack: float) -> list[str]:
-    """One sentence that names the worst value and how many are beyond the limit, or none."""
+    """Returns a finding with the worst value and the number of violations, or an empty list."""
     bad = ~(values <= limit + slack)
     if not bad.any():
         return []

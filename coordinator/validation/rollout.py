@@ -1,4 +1,4 @@
-"""Rollout statistics computed again from the poses, and whether the episode ends in a true success. Pure."""
+"""Compares the recorded rollout statistics with those of the poses and checks the success criterion. Reads no file."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from schemas.tokens import tokens_of
 __all__ = ["rollout_findings", "visibility_findings"]
 
 DISTANCE_SLACK_M = 1e-6
-"""Between a recorded distance and the one the poses give; both come from the float32 poses by one formula."""
+"""Tolerance between recorded and recomputed distances, metres; both use the same formula on the float32 poses."""
 POSE_SLACK = 1e-6
-"""Metres and radians between the recorded spawn pose and pose 0; the same formula again."""
+"""Tolerance between the recorded spawn pose and pose 0, metres and radians; both use the same formula."""
 SPEED_SLACK_MPS = 1e-3
-"""Between the speed the rollout measured and the one of the float32 poses: 4e-6 m at 50 m, times 60 Hz."""
+"""Tolerance between measured speed and speed of the float32 poses, m/s: 4e-6 m at 50 m, times 60 Hz."""
 RADIUS_SLACK_M = 1e-5
-"""Between a distance in float64 and in float32 poses."""
+"""Tolerance between distances of float64 and float32 poses, metres."""
 
 
 def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
-    """Returns all in which the recorded statistics differ from what the arrays say, and what denies the success."""
+    """Returns the differences between recorded and recomputed statistics and violations of the success criterion."""
     track = measure_track(arrays.poses, meta.target_centroid_m)
     return [
         *_statistics_findings(meta, track, len(arrays.poses)),
@@ -38,11 +38,11 @@ def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
 
 
 def visibility_findings(meta: EpisodeMeta, target_pixels: Sequence[int]) -> list[str]:
-    """Returns whether the recorded visibility differs from the id images.
+    """Returns a finding if the recorded visibility differs from the id images.
 
     Args:
-        meta: of the episode.
-        target_pixels: pixels of the target in every frame.
+        meta: metadata of the episode.
+        target_pixels: number of pixels of the target in every frame.
     """
     least = meta.job.gains.min_mask_px
     visible = sum(pixels >= least for pixels in target_pixels)
@@ -76,7 +76,7 @@ def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
     if meta.rollout.spawn_draws > meta.job.spawn.physics_draws:
         found.append(f"spawn_draws {meta.rollout.spawn_draws}, the job allows {meta.job.spawn.physics_draws}")
     low, high = TIER_RANGE_M.get(meta.job.tier, (0.0, math.inf))
-    slack = meta.job.spawn.max_displacement_m  # the warm-up may carry the robot so far from where it was drawn
+    slack = meta.job.spawn.max_displacement_m  # the warm-up may move the robot this far from the sampled pose
     if not low - slack <= track.spawn_dist_m <= high + slack:
         found.append(f"spawn distance {track.spawn_dist_m:.3f} m is outside tier {meta.job.tier} ({low:g}-{high:g} m)")
     return found
@@ -89,7 +89,7 @@ def _success_findings(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[str
     if len(poses) <= task.hold_steps:
         return [f"{len(poses)} frames are too few for a success, which needs {task.hold_steps} stationary steps"]
     found = []
-    hold = poses[-task.hold_steps - 1 :, :2]  # one more, as a speed takes two poses
+    hold = poses[-task.hold_steps - 1 :, :2]  # one more pose, because a speed needs two
     farthest = float(np.linalg.norm(hold[1:] - np.asarray(meta.target_centroid_m[:2]), axis=1).max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
         found.append(f"no success: {farthest:.4f} m from the target in the hold, radius {task.success_radius_m:g} m")

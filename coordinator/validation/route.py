@@ -1,4 +1,4 @@
-"""The way an episode claims to the target: the geodesic distance and the planner's path, against the poses. Pure."""
+"""Compares the recorded geodesic distance and planned path with the poses. Reads no file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from schemas.terms import ExpertName
 __all__ = ["route_findings"]
 
 GEODESIC_SLACK_M = 0.05
-"""One cell: a way along the floor ends on a cell, a straight line on the circle."""
+"""Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell and not on the circle."""
 START_SLACK_M = 1e-4
-"""Between the path's first pose in float64 and pose 0 in float32."""
+"""Tolerance between the path's first pose in float64 and pose 0 in float32, metres."""
 STRIDE_M = 0.2 + 1e-6
-"""Longest step between two poses of a path."""
+"""Longest step between two poses of a path, metres."""
 
 
 def route_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
-    """Returns all in which the recorded route contradicts the poses, the target or itself."""
+    """Returns the contradictions between the recorded route, the poses and the target."""
     return [*_geodesic_findings(meta, arrays), *_path_findings(meta, arrays)]
 
 

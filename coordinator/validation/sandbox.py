@@ -1,8 +1,8 @@
-"""Confines a validating process before it reads a bundle: resource limits, and no system call that it does not need.
+"""Sandboxes a validating process before it reads a bundle, with resource limits and a system call filter.
 
-With seccomp (the package `pyseccomp` and the system's libseccomp) the process opens no file and no socket, starts no
-program, signals nobody and maps no new code; it reads what it is handed as open descriptors and answers through a pipe.
-A system call outside the list fails with EPERM. Works without privileges and inside containers.
+With seccomp (the package `pyseccomp` and the system's libseccomp) the process cannot open files or sockets, start
+programs, send signals or map executable memory. It reads open descriptors that it receives and replies through a pipe.
+Other system calls fail with EPERM. The sandbox needs no privileges and works inside containers.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ __all__ = ["RLIMITS", "SECCOMP", "confine"]
 
 RLIMITS, SECCOMP = "rlimits", "seccomp"
 _AT_EMPTY_PATH = 0x1000
-_ANYHOW = (
+_UNCONDITIONAL = (
     *("read", "pread64", "readv", "lseek", "write", "writev", "close", "fstat", "recvfrom", "recvmsg"),
     *("brk", "munmap", "mremap", "madvise", "futex", "sched_yield", "sched_getaffinity", "getrandom"),
     *("clock_gettime", "clock_getres", "gettimeofday", "getrusage", "getpid", "gettid", "sysinfo"),
     *("rt_sigaction", "rt_sigprocmask", "rt_sigreturn", "sigaltstack", "restart_syscall", "exit", "exit_group"),
 )
-"""Allowed with any arguments: reading, answering, memory, time, the end."""
+"""System calls that are allowed with any arguments."""
 
 
 def confine(memory_bytes: int) -> tuple[str, ...]:
-    """Confines this process for the rest of its life.
+    """Applies the sandbox to this process permanently.
 
     Args:
-        memory_bytes: largest address space.
+        memory_bytes: limit of the address space, bytes.
 
     Returns:
-        What is in force: `RLIMITS`, and `SECCOMP` where library and kernel have it.
+        The active layers: `RLIMITS`, and `SECCOMP` if library and kernel support it.
     """
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -50,19 +50,19 @@ def _filter_system_calls() -> bool:
         rules.set_attr(seccomp.Attr.CTL_TSYNC, 1)
         _allow(rules, seccomp)
         rules.load()
-    except OSError:  # the kernel, or the container around us, has no filters
+    except OSError:  # the kernel or the container does not support filters
         return False
     return True
 
 
 def _allow(rules: Any, seccomp: Any) -> None:
-    for name in _ANYHOW:
+    for name in _UNCONDITIONAL:
         rules.add_rule(seccomp.ALLOW, name)
     arg = seccomp.Arg
     for name in ("mmap", "mprotect"):
         rules.add_rule(seccomp.ALLOW, name, arg(2, seccomp.MASKED_EQ, mmap.PROT_EXEC, 0))
-    # how glibc asks for the state of an open descriptor
+    # glibc uses it for fstat
     rules.add_rule(seccomp.ALLOW, "newfstatat", arg(3, seccomp.MASKED_EQ, _AT_EMPTY_PATH, _AT_EMPTY_PATH))
-    # this process's own limit of CPU time, which rises with every task
+    # the CPU time limit of this process, which increases with every task
     own_cpu = (arg(0, seccomp.EQ, 0), arg(1, seccomp.EQ, resource.RLIMIT_CPU))
     rules.add_rule(seccomp.ALLOW, "prlimit64", *own_cpu)

@@ -1,4 +1,4 @@
-"""Validation: all that a bundle must be before it may enter the dataset, every violation at once. Pure."""
+"""Validates a whole bundle and lists all violations. Does not archive the bundle."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def validate(
     target: Target | None = None,
     on_frame: Callable[[int], None] = lambda _t: None,
 ) -> list[str]:
-    """Decodes a whole bundle and returns every violation, in words that name values and units.
+    """Decodes a whole bundle and returns all violations, with values and units.
 
     Args:
-        bundle: an open bundle; opening it has checked members, shapes, dtypes and bounds of the arrays.
-        job: what was asked for; `None` judges the bundle against the job it carries.
-        target: the target as the compiled scene has it; `None` where the scene is not at hand.
-        on_frame: called with the number of each frame done.
+        bundle: open bundle; opening it has checked members, shapes, dtypes and bounds of the arrays.
+        job: leased job; `None` validates the bundle against its recorded job.
+        target: target in the compiled scene; `None` skips the comparison.
+        on_frame: progress callback with the number of each processed frame.
 
     Returns:
-        Nothing when the bundle may enter the dataset.
+        The violations; empty if the bundle is valid.
     """
     meta, arrays, task = bundle.meta, bundle.arrays, bundle.meta.job.task
     findings = job_findings(meta, job) if job is not None else []
@@ -43,7 +43,7 @@ def validate(
     survey = survey_frames(bundle, on_frame)
     findings += survey.findings
     if len(survey.digests) < bundle.length:
-        return findings  # what follows needs every frame
+        return findings  # the remaining checks need every frame
     findings += visibility_findings(meta, survey.target_pixels)
     digest = bundle.content_digest(survey.digests)
     if digest != meta.content_digest:

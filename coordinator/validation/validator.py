@@ -1,9 +1,9 @@
-"""Validation in sandboxed child processes, so that a hostile bundle costs bounded memory and time.
+"""Validates bundles in sandboxed child processes, which bounds the memory and time that a hostile bundle uses.
 
 Design: docs/design/protocol.md#security.
 
-A child (`coordinator.validation.validator_child`) gets each bundle as an open file and answers with a line of JSON. One
-that dies, hangs or says too much is replaced.
+A child (`coordinator.validation.validator_child`) receives each bundle as an open file and replies with a line of JSON.
+The pool replaces a child that terminates, hangs or replies with too much data.
 """
 
 from __future__ import annotations
@@ -49,49 +49,53 @@ __all__ = [
 log = structlog.get_logger(__name__)
 
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
-"""Of one verdict; a child that ran a hostile bundle is believed no further."""
+"""Maximum number and length of the findings of a verdict; the output of a child with a hostile bundle is untrusted."""
 _TRIES = 2
 _LONGEST_PAUSE_S = 60.0
-"""Between two log lines about children that died."""
+"""Longest pause between two log lines about terminated children, seconds."""
 _STARTUP_S = 60.0
 _MOST_ANSWER_BYTES = 4 << 20
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP})
 HEADER = struct.Struct("!I")
-"""Before a task: its length in bytes. The open bundle is sent with it."""
+"""Header of a task: its length, bytes. The descriptor of the open bundle is sent with the header."""
 
 
 class ValidatorLimits(Model):
-    """What one child may use."""
+    """Resource limits of a child."""
 
     memory_bytes: Annotated[int, Field(ge=256 << 20)] = 1536 << 20
-    """Address space (RLIMIT_AS)."""
+    """Limit of the address space (RLIMIT_AS), bytes."""
     cpu_s: Annotated[int, Field(ge=1)] = 120
-    """CPU time a bundle; 1000 frames take 4 to 7 s."""
+    """CPU time per bundle, seconds; 1000 frames take 4 to 7 s."""
     wall_s: Annotated[float, Field(gt=0)] = 300.0
-    """Wall time a bundle."""
+    """Wall time per bundle, seconds."""
 
 
 class ValidationTask(Model):
-    """What a child is asked about the open bundle that comes with it."""
+    """Task of a child for the bundle whose descriptor is sent with it."""
 
     job: Job
+    """Leased job."""
     target: Target | None = None
+    """Target in the compiled scene; `None` skips the comparison."""
 
 
 class Verdict(Model):
-    """What a child answers: one line of JSON; exactly one of the two says something."""
+    """Reply of a child: one line of JSON with either a summary or findings."""
 
     summary: EpisodeSummary | None = None
+    """Row of the episode; `None` if the bundle is invalid."""
     findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
+    """Violations."""
 
 
 class Validator(Closing):
-    """A pool of validating children; `check` may be called from many threads and waits for a free child.
+    """Thread-safe pool of validating child processes; `check` waits for a free child.
 
     Args:
-        children: how many.
-        limits: of each.
-        clock: monotonic seconds, by which log lines are limited.
+        children: number of children.
+        limits: resource limits of each child.
+        clock: monotonic clock for the rate limit of log lines, seconds.
 
     Raises:
         TransientError: a child cannot be started.
@@ -109,19 +113,19 @@ class Validator(Closing):
             self._free.put(child)
 
     def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
-        """Validates a whole bundle against the job it was asked for.
+        """Validates a whole bundle against its job.
 
         Args:
-            path: of the bundle, usually a part file.
-            job: as leased.
-            target: as the compiled scene has it; `None` leaves the comparison out.
+            path: path of the bundle, usually a part file.
+            job: leased job.
+            target: target in the compiled scene; `None` skips the comparison.
 
         Returns:
-            The row of the episode; its SHA-256 and size are those of the file as read.
+            The row of the episode, with SHA-256 and size of the file.
 
         Raises:
-            InvalidBundle: with every violation; also when the bundle brought two children down.
-            TransientError: no child can be started, or the file not be opened, on this machine now.
+            InvalidBundle: the bundle has violations, or two children terminated while they validated it.
+            TransientError: no child can be started on this machine now, or the file cannot be opened now.
         """
         task = ValidationTask(job=job, target=target)
         with self._child() as child:
@@ -139,12 +143,12 @@ class Validator(Closing):
             verdict = child.ask(task, bundle)
         if child.layers and not self._layers:
             self._layers = child.layers
-            _tell_sandbox(child.layers)
+            _log_sandbox(child.layers)
         return verdict
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """What confines its processes, e.g. `rlimits` and `seccomp`; empty before the first bundle."""
+        """Active sandbox layers of the children, e.g. `rlimits` and `seccomp`; empty before the first bundle."""
         return self._layers
 
     @contextlib.contextmanager
@@ -156,13 +160,13 @@ class Validator(Closing):
             self._free.put(child)
 
     def close(self) -> None:
-        """Ends all children; one that is at work is killed."""
+        """Kills all children, including busy ones."""
         for child in self._all:
             child.end()
 
 
 class _Child:
-    """One process, started when first needed and again after every death."""
+    """Child process, started on first use and again after each termination."""
 
     def __init__(self, limits: ValidatorLimits) -> None:
         self._limits = limits
@@ -171,10 +175,10 @@ class _Child:
         self._ended = False
         self.last_words = ""
         self.layers: tuple[str, ...] = ()
-        """What confines it, once it has been started."""
+        """Active sandbox layers; empty before the start."""
 
     def ask(self, task: ValidationTask, bundle: int) -> Verdict | None:
-        """Returns the verdict, or `None` when the child died or had to be killed."""
+        """Returns the verdict, or `None` if the child terminated or was killed."""
         process = self._started()
         line = self._exchange(process, self._limits.wall_s, (task.model_dump_json().encode(), bundle))
         try:
@@ -255,11 +259,11 @@ def _opened(path: Path) -> Iterator[int]:
     """Opens a bundle for the child, which cannot open files itself.
 
     Raises:
-        InvalidBundle: there is no regular file of that name.
-        TransientError: it cannot be opened now.
+        InvalidBundle: the path is not a regular file.
+        TransientError: the file cannot be opened now.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would be waited for
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # opening a pipe would block
     except OSError as error:
         if error.errno in _GONE:
             raise InvalidBundle("bundle refused", [f"cannot be read: {error}"]) from error
@@ -273,11 +277,11 @@ def _opened(path: Path) -> Iterator[int]:
 
 
 def sandbox_of(judge: object) -> tuple[str, ...]:
-    """Returns what confines the processes of a judge; empty before the first bundle, or without processes."""
+    """Returns the active sandbox layers of a validator; empty before the first bundle, or without child processes."""
     return judge.layers if isinstance(judge, Validator) else ()
 
 
-def _tell_sandbox(layers: Sequence[str]) -> None:
+def _log_sandbox(layers: Sequence[str]) -> None:
     active = ", ".join(layers)
     if SECCOMP in layers:
         log.info("validator_sandbox", active=active)

@@ -1,6 +1,6 @@
-"""The sandboxed side of validation: takes tasks and open files from a socket, writes verdicts as JSON lines.
+"""Sandboxed child process of the validator: receives tasks and open files from a socket, writes verdicts as JSON lines.
 
-Writes no file, opens no socket, and is expected to be killed at any moment.
+The process writes no file and opens no socket. It may be killed at any time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import socket
 import sys
 from typing import BinaryIO
 
-import numpy.ma  # noqa: F401 - like the encodings: once the process is confined nothing can be imported
+import numpy.ma  # noqa: F401 - like the encodings, imported before the sandbox forbids imports
 
 from coordinator.validation.sandbox import confine
 from coordinator.validation.validate import validate
@@ -33,7 +33,7 @@ __all__ = ["judge", "main"]
 
 
 def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
-    """Validates one open bundle in this very process."""
+    """Validates an open bundle in the current process."""
     try:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
         size = file.seek(0, os.SEEK_END)
@@ -51,14 +51,14 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
 
 
 def _allow_cpu(limits: ValidatorLimits) -> None:
-    """Grants the CPU time of one more task; the limit counts over the whole life of the process."""
+    """Raises the CPU time limit by the time of one task; the limit applies to the total time of the process."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     resource.setrlimit(resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + 1 + limits.cpu_s, hard))
 
 
 def _receive(orders: socket.socket) -> tuple[ValidationTask, BinaryIO] | None:
-    """Returns the next task and its file, or `None` when there are no more."""
+    """Returns the next task and its file, or `None` at the end of the input."""
     header, descriptors, _, _ = socket.recv_fds(orders, HEADER.size, 1)
     if len(header) < HEADER.size or not descriptors:
         return None
@@ -77,7 +77,7 @@ def _open(descriptor: int) -> BinaryIO:
 
 
 def main(arguments: list[str]) -> int:
-    """Serves tasks from standard input, a socket, until it ends."""
+    """Executes tasks from standard input, a socket, until it is closed."""
     limits = ValidatorLimits.model_validate_json(arguments[0])
     orders = socket.socket(fileno=0)
     layers = confine(limits.memory_bytes)

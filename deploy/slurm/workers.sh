@@ -2,8 +2,8 @@
 # Runs workers as a Slurm array job. The coordinator runs elsewhere, e.g. on the login node or with systemd.
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
-# A task that is preempted or reaches its time limit returns its jobs and requeues itself. When the run is finished, the
-# worker exits and the task ends.
+# A task that is preempted or reaches its time limit gives its jobs back and queues itself again; the run is finished
+# when a worker leaves by itself, and then the task ends without requeuing.
 #SBATCH --job-name=minivla
 #SBATCH --ntasks=1
 #SBATCH --cpus-per-task=4
@@ -32,9 +32,9 @@ trap stop TERM INT
 
 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600 &
 worker=$!
-# the signal arrived before the worker was started
+# signalled before the worker was started
 if [ -n "${told_to_stop}" ]; then kill -TERM "${worker}" 2>/dev/null; fi
-# a signal interrupts the wait; wait again until the worker has exited
+# a signal interrupts the wait; repeat until the worker has exited, which may be before the first check
 wait "${worker}"
 status=$?
 while kill -0 "${worker}" 2>/dev/null; do

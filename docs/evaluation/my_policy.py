@@ -1,4 +1,4 @@
-"""A policy of one's own: a class with `reset` and `act`, no base class, nothing to register.
+"""Example policy: a class with `reset` and `act`, no base class, nothing to register.
 
 Run it from the folder that this file is in:  factory eval DIR --policy my_policy:TowardsOpenFloor
 """

@@ -1,4 +1,4 @@
-"""A policy behind a websocket, the way openpi serves its models. Needs numpy, msgpack and websockets, nothing of ours.
+"""A policy behind a websocket, with the protocol of openpi. Needs numpy, msgpack and websockets, but not this project.
 
 python policy_server.py 8000            then:  factory eval DIR --policy ws://127.0.0.1:8000
 """

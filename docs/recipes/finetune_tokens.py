@@ -1,7 +1,7 @@
-"""Fine-tune a vision-language model on the action tokens of a dataset, the way OpenVLA does it.
+"""Fine-tune a vision-language model on the action tokens of a dataset, as OpenVLA does.
 
-    python finetune_tokens.py --data dataset --model tiny -o tiny                  # minutes on a CPU, proves the pipe
-    python finetune_tokens.py --data dataset --model openvla/openvla-7b -o adapted   # transformers, peft, a GPU
+    python finetune_tokens.py --data dataset --model tiny -o tiny                  # minutes on a CPU, tests the steps
+    python finetune_tokens.py --data dataset --model openvla/openvla-7b -o adapted   # transformers, peft, GPU
 
 Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval dataset --policy finetune_tokens:VlaPolicy
 
@@ -26,7 +26,7 @@ PROMPT = "In: What action should the robot take to {instruction}?\nOut:"
 
 
 def prompt_of(instruction):
-    """Returns the question of OpenVLA; its instructions are in lower case, without a full stop."""
+    """Returns the prompt of OpenVLA; its instructions are in lower case, without a full stop."""
     return PROMPT.format(instruction=instruction.lower().rstrip(". "))
 
 
@@ -36,7 +36,7 @@ def to_vocabulary(tokens, vocabulary):
 
 
 def from_logits(logits, place, vocabulary):
-    """Returns the likeliest token 0..6 of one place (0 is v, 1 is w), whatever else the model would rather say."""
+    """Returns the likeliest token 0..6 of one place (0 is v, 1 is w), ignoring all other tokens."""
     first = vocabulary - 2 * GRID + place * GRID
     return int(logits[first : first + GRID].argmax())
 
@@ -60,7 +60,7 @@ class TinyVla(nn.Module):
         return list(prompt.encode())
 
     def pixels(self, rgb):
-        """Returns (N, 640, 640, 3) uint8 as the model wants it."""
+        """Returns (N, 640, 640, 3) uint8 as input of the model."""
         every = rgb.shape[1] // self.size
         return rgb[:, ::every, ::every].permute(0, 3, 1, 2).float() / 127.5 - 1
 
@@ -77,7 +77,7 @@ class TinyVla(nn.Module):
 
     @classmethod
     def load(cls, out):
-        """Reads them again."""
+        """Reads the weights."""
         model = cls()
         model.load_state_dict(torch.load(Path(out) / "tiny.pt", weights_only=True))
         return model
@@ -112,7 +112,7 @@ class PretrainedVla(nn.Module):
         return self.processor.image_processor(images, return_tensors="pt")["pixel_values"].to("cuda", torch.bfloat16)
 
     def forward(self, pixels, ids):
-        """Returns logits (N, L, vocabulary); the patches stand behind the first token and are cut out again."""
+        """Returns logits (N, L, vocabulary); the image patches after the first token are removed."""
         ids = ids.to("cuda")
         logits = self.model(input_ids=ids, pixel_values=pixels, attention_mask=torch.ones_like(ids)).logits
         return torch.cat([logits[:, :1], logits[:, logits.shape[1] - ids.shape[1] + 1 :]], dim=1).float().cpu()
@@ -123,7 +123,7 @@ class PretrainedVla(nn.Module):
 
 
 def batches(dataset, size, seed):
-    """Yields frames of one length of prompt together, so that nothing needs filling up; without end."""
+    """Yields batches of frames with equal prompt length, so that no padding is needed. Endless."""
     rng = np.random.default_rng(seed)
     while True:
         samples = dataset.__getitems__(rng.integers(0, len(dataset), size).tolist())

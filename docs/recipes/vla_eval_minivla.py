@@ -1,4 +1,4 @@
-"""MiniVLA-Nav as a benchmark of allenai's vla-eval: its orchestrator drives our simulator, its servers give actions.
+"""MiniVLA-Nav as a benchmark of allenai's vla-eval: its orchestrator runs the simulator, its servers return actions.
 
 pip install vla-eval 'PATH_OF_A_CLONE[eval]'; then, from the folder of this file (vla_eval.yaml names the dataset):
 
@@ -59,23 +59,23 @@ class MiniVLANav(StepBenchmark):
         ]
 
     def reset(self, task: dict[str, Any]) -> dict[str, Any]:
-        """Begins the episode of that name."""
+        """Starts the episode of that name."""
         observation, self._info = self._env.reset(options={"episode": task["name"]})
         return observation
 
     def step(self, action: dict[str, Any]) -> StepResult:
-        """Carries one (v, w) out."""
+        """Executes one action (v, w)."""
         twist = np.asarray(action["actions"], np.float32).reshape(-1)[:2]
         observation, reward, terminated, truncated, self._info = self._env.step(twist)
         return StepResult(obs=observation, reward=reward, done=terminated or truncated, info=self._info)
 
     def make_obs(self, raw_obs: dict[str, Any], task: dict[str, Any]) -> dict[str, Any]:  # noqa: ARG002
-        """Returns what a model server is sent."""
+        """Returns the observation for a model server."""
         sent = {"images": {"front": raw_obs["rgb"]}, "task_description": raw_obs["instruction"]}
         return {**sent, "depth": raw_obs["depth"]} if self._send_depth else sent
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:  # noqa: ARG002
-        """Returns the measures of an episode; `spl` is 0 where it did not come to its end."""
+        """Returns the measures of an episode; `spl` is 0 if the episode did not end."""
         info = self._info
         return {
             "success": bool(info["success"]),
@@ -85,16 +85,16 @@ class MiniVLANav(StepBenchmark):
         }
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Returns how vla-eval sums episodes up."""
+        """Returns how vla-eval aggregates episodes."""
         return {"success": "mean", "spl": "mean", "navigation_error_m": "mean", "collision": "mean"}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Returns what an action is."""
+        """Returns the action specification."""
         about = "v in m/s, 0 to 1, and w in rad/s, -1.5 to 1.5, at 60 Hz"
         return {"base": DimSpec("base", 2, "twist_v_mps_w_rps", (-1.5, 1.5), description=about)}
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
-        """Returns what an observation is."""
+        """Returns the observation specification."""
         return {"image": IMAGE_RGB, "language": LANGUAGE}
 
     def get_metadata(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class MiniVLANav(StepBenchmark):
         return {"max_steps": self._env.specs.settings.task.max_steps}
 
     def get_hold_action(self, last_action: dict[str, Any] | None) -> dict[str, Any]:  # noqa: ARG002
-        """Returns standstill: a stale twist would drive on."""
+        """Returns a stop: holding the last twist would continue the motion."""
         return {"actions": np.zeros(2, np.float32)}
 
     def cleanup(self) -> None:

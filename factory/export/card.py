@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.tables.card_configs import Configs, spell_configs
+from coordinator.tables.card_configs import Configs, configs_to_yaml
 from schemas.dataset_meta import DatasetMeta
 
 __all__ = ["CARD_FILE", "TAGS", "export_card"]
@@ -58,7 +58,7 @@ def export_card(
         title=meta.run,
         tags="\n".join(f"- {tag}" for tag in (*tags, *TAGS)),
         size=next((name for limit, name in _SIZES if episodes < limit), "n>1M"),
-        configs=spell_configs(configs) if configs else "",
+        configs=configs_to_yaml(configs) if configs else "",
     )
     origin = (
         f"{episodes} episodes of language-conditioned robot navigation, made with minivla-factory from seed "

@@ -9,8 +9,8 @@ from pathlib import Path
 from coordinator.archive.staging import is_held
 from coordinator.ledger.engine import has_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
-from coordinator.ledger.reading.look import Connection, look_into
 from coordinator.ledger.reading.progress import read_progress
+from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
 from schemas.dataset_files import EPISODES, LEDGER_FILE, META_FILE
 from schemas.dataset_meta import read_dataset_meta
@@ -43,7 +43,7 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
             "continue the run with "
             "the command that started it"
         )
-    return look_into(ledger_url_of(site.home, url))
+    return open_ledger(ledger_url_of(site.home, url))
 
 
 def plan_of(site: Site) -> Plan | None:
@@ -67,7 +67,7 @@ def _noted_plan(home: Path) -> Plan | None:
     if not (home / LEDGER_FILE).is_file():
         return None
     try:
-        with look_into(ledger_url_of(home)) as connection:
+        with open_ledger(ledger_url_of(home)) as connection:
             return read_info(connection).plan if holds_run(connection) else None
     except WorldError:
         return None  # damaged: it is rebuilt when a coordinator starts

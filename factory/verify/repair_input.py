@@ -11,9 +11,9 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, require_plan
-from coordinator.ledger.reading.look import look_into
-from coordinator.recovery.judge import count_plans
-from coordinator.recovery.mend import RepairInput
+from coordinator.ledger.reading.reader import open_ledger
+from coordinator.recovery.repair_dataset import RepairInput
+from coordinator.recovery.stray_files import count_plans
 from factory.dataset.packages import package_file
 from factory.runs.catalog import open_catalog
 from schemas.dataset_files import SCENES
@@ -90,7 +90,7 @@ def _settle_plan(
 
 def _from_ledger(url: str) -> _Record | None:
     try:
-        with look_into(url) as connection:
+        with open_ledger(url) as connection:
             info = read_info(connection) if holds_run(connection) else None
     except WorldError:
         return None

@@ -1,4 +1,4 @@
-"""One calm dataset for all acceptance tests, and the command line that made it."""
+"""A shared dataset for the acceptance tests, and the command line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def factory(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[F
 
 @pytest.fixture(scope="session")
 def plan(factory: FactoryCli, shared: Path) -> Path:
-    """A small plan, whose scenes are compiled by the first process that asks for it."""
+    """A small plan; the first process that requests it compiles the scenes."""
 
     def build(folder: Path) -> None:
         folder.mkdir()
@@ -33,18 +33,18 @@ def plan(factory: FactoryCli, shared: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def calm(factory: FactoryCli, plan: Path, shared: Path) -> Path:
-    """A dataset made by one worker that nobody disturbed; shared by all processes, so that no test may change it."""
-    return build_once(shared / "calm", lambda root: factory("run", plan, "--out", root, "--workers", 1))
+def reference(factory: FactoryCli, plan: Path, shared: Path) -> Path:
+    """A dataset of one undisturbed worker, shared by all processes; tests only read it."""
+    return build_once(shared / "reference", lambda root: factory("run", plan, "--out", root, "--workers", 1))
 
 
 @pytest.fixture
-def own_calm(calm: Path, tmp_path: Path) -> Path:
-    """A copy of it, for a test that starts a coordinator there."""
-    return Path(shutil.copytree(calm, tmp_path / "calm"))
+def reference_copy(reference: Path, tmp_path: Path) -> Path:
+    """A copy for tests that start a coordinator on it."""
+    return Path(shutil.copytree(reference, tmp_path / "reference"))
 
 
 @pytest.fixture(scope="session")
 def drives(shared: Path) -> Path:
-    """A dataset of two drives in a room of boxes; no test changes it."""
+    """A dataset of two episodes in a room of boxes; tests only read it."""
     return build_once(shared / "drives-2", lambda root: archive_drives(root, episodes=2))

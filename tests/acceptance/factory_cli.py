@@ -1,4 +1,4 @@
-"""Runs the installed `factory` as a user would: a process of its own, with a home that holds nothing."""
+"""Runs the installed `factory` in a separate process with an empty home."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ episodes = 2
 
 
 class FactoryCli:
-    """`factory` with a cache and home of its own; keeps what it started and kills the rest at the end."""
+    """`factory` with a private cache and home; kills the remaining processes at the end."""
 
     def __init__(self, home: Path, cache: Path, variables: Mapping[str, str] = MappingProxyType({})) -> None:
         self._environment = {**os.environ, "HOME": str(home), "MINIVLA_CACHE": str(cache), **variables}

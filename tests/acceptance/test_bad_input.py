@@ -1,4 +1,4 @@
-"""What users get wrong: each a clear message with the remedy, the right exit code, and nothing lost."""
+"""User errors: each gives a message with the remedy and the right exit code, and changes no data."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def test_an_unknown_scene_option_names_the_scenes_of_the_plan(factory, tmp_path)
     assert "office" in err
 
 
-def test_a_misspelt_scene_of_the_jobs_is_no_empty_list(factory, calm):
-    err = factory("jobs", "list", calm, "--scene", "hospitl", expect=2).stderr
+def test_an_unknown_scene_filter_of_jobs_is_an_error(factory, reference):
+    err = factory("jobs", "list", reference, "--scene", "hospitl", expect=2).stderr
     assert "did you mean 'hospital'" in err
 
 
@@ -51,21 +51,21 @@ def test_an_output_that_is_a_file_is_refused(factory, plan, tmp_path):
     assert (tmp_path / "x").read_text() == "mine"
 
 
-def test_a_directory_of_another_plan_is_left_alone(factory, calm, tmp_path):
-    before = episodes_in(calm)
-    err = factory("run", "demo", "--scene", "hospital", "--out", calm, expect=2).stderr
+def test_a_directory_of_another_plan_is_not_changed(factory, reference, tmp_path):
+    before = episodes_in(reference)
+    err = factory("run", "demo", "--scene", "hospital", "--out", reference, expect=2).stderr
     assert "choose another --out" in err
-    assert "building" not in err  # it is told before anything is done
-    assert episodes_in(calm) == before
+    assert "building" not in err  # reported before any work
+    assert episodes_in(reference) == before
 
 
-def test_a_directory_within_a_dataset_is_refused(factory, plan, calm):
-    err = factory("run", plan, "--out", calm / "episodes" / "x", expect=2).stderr
-    assert f"is inside the dataset {calm}" in err
-    assert not (calm / "episodes" / "x").exists()
+def test_a_directory_within_a_dataset_is_refused(factory, plan, reference):
+    err = factory("run", plan, "--out", reference / "episodes" / "x", expect=2).stderr
+    assert f"is inside the dataset {reference}" in err
+    assert not (reference / "episodes" / "x").exists()
 
 
-def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(factory, tmp_path):
+def test_an_unknown_part_of_a_dataset_is_refused_before_a_dataset_is_written(factory, tmp_path):
     plan, out = tmp_path / "impossible.toml", tmp_path / "x"
     plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 1\nseen = ["sofa"]\n')
     out.mkdir()
@@ -74,7 +74,7 @@ def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(facto
     assert "files that do not belong to a dataset; `factory verify` will report them: thesis.tex" in err
 
 
-def test_a_worker_without_a_coordinator_says_how_to_start_one(factory):
+def test_a_worker_without_a_coordinator_prints_the_start_command(factory):
     err = factory("worker", "--connect", free_endpoint(), "--wait", 2, expect=1).stderr
     assert "no coordinator" in err
     assert "factory coordinator start" in err
@@ -85,11 +85,11 @@ def test_listening_beyond_loopback_is_refused(factory, plan, tmp_path):
     assert "factory keys" in factory(*words, expect=2).stderr
 
 
-def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, own_calm, plan, tmp_path):
+def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, reference_copy, plan, tmp_path):
     endpoint = free_endpoint()
-    first = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
-    wait_for(lambda: (own_calm / ".coordinator.json").exists())
-    err = factory("run", "--out", own_calm, expect=1).stderr
+    first = factory.start("coordinator", "start", "--out", reference_copy, "--listen", endpoint, "--stay")
+    wait_for(lambda: (reference_copy / ".coordinator.json").exists())
+    err = factory("run", "--out", reference_copy, expect=1).stderr
     assert "another coordinator works on" in err
     words = ("coordinator", "start", plan, "--out", tmp_path / "x", "--listen", endpoint)
     err = factory(*words, expect=1).stderr
@@ -99,9 +99,9 @@ def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, own_
     assert first.wait(60) == 0
 
 
-def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, calm, tmp_path):
+def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, reference, tmp_path):
     root = tmp_path / "newer"
-    shutil.copytree(calm, root)
+    shutil.copytree(reference, root)
     meta = json.loads((root / "dataset_meta.json").read_text())
     key = next(key for key in meta if "format" in key and isinstance(meta[key], int))
     (root / "dataset_meta.json").write_text(json.dumps({**meta, key: 99}))
@@ -110,9 +110,9 @@ def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, calm, tmp_path)
     assert "newer" in err or "upgrade" in err
 
 
-def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(factory, calm, tmp_path):
+def test_truncated_and_foreign_files_among_the_episodes_are_found_and_repaired(factory, reference, tmp_path):
     root = tmp_path / "hurt"
-    shutil.copytree(calm, root)
+    shutil.copytree(reference, root)
     episode = root / "episodes" / "ep_000002.zip"
     episode.write_bytes(episode.read_bytes()[:-1000])
     (root / "episodes" / "ep_000009.zip").write_bytes(b"PK\x03\x04 not ours")
@@ -120,22 +120,22 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(fac
     assert {"episodes/ep_000002.zip", "episodes/ep_000009.zip"} <= {finding["file"] for finding in report["findings"]}
     factory("run", "--out", root, "--workers", 1)
     mended = factory.json("verify", root, "--deep")
-    assert mended["digest"] == factory.json("verify", calm)["digest"]
+    assert mended["digest"] == factory.json("verify", reference)["digest"]
     assert len(list((root / "quarantine").glob("ep_*"))) >= 2
 
 
-def test_an_episode_that_is_not_there_says_what_is(factory, calm):
-    assert "holds 5 episodes" in factory("replay", calm, 77, expect=2).stderr
-    assert "is not a dataset" in factory("replay", calm.parent, 1, expect=2).stderr
+def test_a_missing_episode_is_answered_with_the_existing_ones(factory, reference):
+    assert "holds 5 episodes" in factory("replay", reference, 77, expect=2).stderr
+    assert "is not a dataset" in factory("replay", reference.parent, 1, expect=2).stderr
 
 
-def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, calm):
-    reply = factory.json("jobs", "retry", calm, 1, expect=1)
+def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, reference):
+    reply = factory.json("jobs", "retry", reference, 1, expect=1)
     assert reply["changed"] == []
     assert "archived" in reply["refused"]["1"]
 
 
-def test_a_scene_without_the_targets_of_the_plan_is_refused_before_anything_is_made(factory, tmp_path):
+def test_a_scene_without_the_targets_of_the_plan_is_refused_before_simulation(factory, tmp_path):
     plan = tmp_path / "ask.toml"
     plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 5\nseen = ["sofa", "chair"]\n')
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
@@ -144,7 +144,7 @@ def test_a_scene_without_the_targets_of_the_plan_is_refused_before_anything_is_m
     assert not (tmp_path / "x").exists()
 
 
-def test_an_expert_that_nobody_knows_is_refused_with_the_known_ones(factory, tmp_path):
+def test_an_unknown_expert_is_refused_with_the_known_ones(factory, tmp_path):
     err = factory("run", "demo", "--expert", "wizard", "--out", tmp_path / "x", expect=2).stderr
     assert "planner" in err
     assert not (tmp_path / "x").exists()

@@ -1,4 +1,4 @@
-"""`factory eval` as a user runs it: tables, files, resuming, and what it says when it cannot."""
+"""`factory eval` from the command line: tables, files, resuming, and errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 
 @pytest.fixture(scope="module")
 def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Replay and a stop over two episodes, kept."""
+    """Results of `replay` and `stop` on two episodes."""
     folder = tmp_path_factory.mktemp("eval") / "out"
     specs = folder.parent / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
@@ -28,13 +28,13 @@ def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFact
 
 
 def shorten(path: Path, steps: int) -> None:
-    """Lowers the limit of steps in a file of specs; the CPU of the tests is not free."""
+    """Lowers the step limit in a spec file to save time."""
     data = json.loads(path.read_text())
     data["settings"]["task"]["max_steps"] = steps
     path.write_text(json.dumps(data))
 
 
-def test_replay_succeeds_everywhere_and_stop_nowhere(out: Path) -> None:
+def test_replay_succeeds_in_every_episode_and_stop_in_none(out: Path) -> None:
     results = json.loads((out / "results.json").read_text())
     replay, stop = results["policies"]
     assert results["complete"] is True
@@ -43,7 +43,7 @@ def test_replay_succeeds_everywhere_and_stop_nowhere(out: Path) -> None:
     assert {group["group"] for group in replay["groups"] if group["by"] == "split"} == {"train_id", "test_id"}
 
 
-def test_the_files_are_what_they_are_called(out: Path) -> None:
+def test_the_result_files_have_the_expected_content(out: Path) -> None:
     table = pq.read_table(out / "episodes.parquet")
     assert table.num_rows == 4
     assert {"spec_id", "policy", "success", "spl", "final_ne_m", "track_x_m"} <= set(table.column_names)
@@ -54,7 +54,7 @@ def test_the_files_are_what_they_are_called(out: Path) -> None:
     assert "Failures of stop" in page
 
 
-def test_the_page_is_written_again_byte_for_byte(factory: FactoryCli, drives: Path, out: Path) -> None:
+def test_the_page_is_rewritten_byte_for_byte(factory: FactoryCli, drives: Path, out: Path) -> None:
     before = (out / "index.html").read_bytes()
     shutil.rmtree(out / "policies" / "stop" / "videos")
     specs = out.parent / "specs.json"
@@ -63,7 +63,7 @@ def test_the_page_is_written_again_byte_for_byte(factory: FactoryCli, drives: Pa
     assert (out / "index.html").read_bytes() == before
 
 
-def test_the_same_command_drives_nothing_twice(factory: FactoryCli, drives: Path, out: Path) -> None:
+def test_a_repeated_command_runs_no_episode_twice(factory: FactoryCli, drives: Path, out: Path) -> None:
     before = {path: path.read_bytes() for path in out.rglob("episodes.jsonl")}
     specs = out.parent / "specs.json"
     found = factory.json(
@@ -73,15 +73,15 @@ def test_the_same_command_drives_nothing_twice(factory: FactoryCli, drives: Path
     assert {path: path.read_bytes() for path in out.rglob("episodes.jsonl")} == before
 
 
-def test_two_policies_are_compared_pair_by_pair(factory: FactoryCli, out: Path) -> None:
+def test_two_policies_are_compared_by_paired_episodes(factory: FactoryCli, out: Path) -> None:
     found = factory.json("eval", "compare", out / "policies" / "stop", out / "policies" / "replay")
     assert (found["pairs"], found["only_second"], found["only_first"]) == (2, 2, 0)
     assert found["success_difference"]["mean"] == 1.0
     assert found["p"] == pytest.approx(2 * 0.5**2)
 
 
-def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
-    slow = "tests.builders.policies:Dawdles"  # so that the second episode is still driven when the first is written
+def test_ctrl_c_keeps_finished_episodes(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
+    slow = "tests.builders.policies:Slow"  # so that the second episode still runs when the first is written
     words = ("--data", drives, "--specs", out.parent / "specs.json", "--policy", slow, "--workers", 1)
     process = factory.start("eval", *words, "-o", tmp_path / "out")
     wait_for(lambda: any(log.stat().st_size for log in tmp_path.rglob("episodes.jsonl")))
@@ -94,7 +94,7 @@ def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path,
     assert log.read_bytes().endswith(b"\n")
 
 
-def test_a_policy_that_always_raises_is_quoted_and_can_be_driven_anew(
+def test_the_error_of_a_failing_policy_is_quoted_and_the_policy_can_be_run_again(
     factory: FactoryCli, drives: Path, out: Path, tmp_path: Path
 ) -> None:
     specs = out.parent / "specs.json"
@@ -111,7 +111,7 @@ def test_a_policy_that_always_raises_is_quoted_and_can_be_driven_anew(
     assert log.read_bytes().count(b"\n") == 2
 
 
-def test_unfiltered_starts_are_a_file_of_specs(factory: FactoryCli, drives: Path, tmp_path: Path) -> None:
+def test_unfiltered_starts_are_written_as_a_spec_file(factory: FactoryCli, drives: Path, tmp_path: Path) -> None:
     path = tmp_path / "u.json"
     found = factory.json("eval", "specs", drives, "--split", "all", "--unfiltered", "--episodes", 2, "-o", path)
     assert (found["episodes"], found["starts"]) == (2, {"drawn": 2})

@@ -1,4 +1,4 @@
-"""`factory eval --listen`: an evaluation by workers, whatever is killed meanwhile, has the numbers of one machine."""
+"""`factory eval --listen`: an evaluation on workers under kills has the numbers of one machine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import pytest
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
 from tests.builders.ports import free_endpoint
 
-SLOW = "tests.builders.policies:Dawdles"  # last, so that the kill of the coordinator comes before the end
+SLOW = "tests.builders.policies:Slow"  # last, so that the coordinator is killed before the end
 POLICIES = ("expert", "replay", "random", SLOW)
 
 
 @pytest.fixture(scope="module")
 def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both as episodes of evaluation, cut short."""
+    """Specs of both episodes with a low step limit."""
     path = tmp_path_factory.mktemp("specs") / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "-o", path)
     data = json.loads(path.read_text())
@@ -29,12 +29,12 @@ def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture
 def endpoint() -> str:
-    """An address that stays the same when the evaluation is started again."""
+    """An address that stays the same after a restart of the evaluation."""
     return free_endpoint()
 
 
 def rows_in(out: Path) -> Iterator[dict[str, Any]]:
-    """Yields the finished episodes, without the clocks."""
+    """Yields the finished episodes without wall times."""
     for log in sorted(out.glob("policies/*/episodes.jsonl")):
         for line in log.read_bytes().splitlines(keepends=True):
             if line.endswith(b"\n"):
@@ -49,14 +49,14 @@ def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
     return found
 
 
-def test_killed_workers_and_coordinators_lose_no_episode_and_double_none(
+def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:
     words: tuple[object, ...] = ("eval", "--data", drives, "--specs", specs, "--videos", 0)
     words += tuple(word for policy in POLICIES for word in ("--policy", policy))
     worker: tuple[object, ...] = ("worker", "--cores", 1, "--connect", endpoint, "--spool", tmp_path / "spool")
     worker += ("--wait", 120, "--import-policies")
-    out, calm = tmp_path / "fleet", tmp_path / "calm"
+    out, reference = tmp_path / "fleet", tmp_path / "reference"
 
     run = factory.start(*words, "--listen", endpoint, "-o", out)
     first = factory.start(*worker)
@@ -70,15 +70,15 @@ def test_killed_workers_and_coordinators_lose_no_episode_and_double_none(
     said, log = run.communicate(timeout=240)
     assert run.returncode == 0, log
     assert "All episodes" in said
-    assert second.wait(60) == 0  # it was told that all is done
-    factory(*words, "--workers", 1, "-o", calm)
+    assert second.wait(60) == 0  # it was informed of the end
+    factory(*words, "--workers", 1, "-o", reference)
 
-    assert by_name(out) == by_name(calm)
+    assert by_name(out) == by_name(reference)
     assert len(by_name(out)) == 8
-    assert [path.name for path in sorted(out.iterdir())] == [path.name for path in sorted(calm.iterdir())]
+    assert [path.name for path in sorted(out.iterdir())] == [path.name for path in sorted(reference.iterdir())]
 
 
-def test_a_policy_that_no_worker_can_make_ends_the_evaluation_with_the_reason(
+def test_a_policy_that_no_worker_can_construct_ends_the_evaluation_with_the_reason(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:
     words = ("eval", "--data", drives, "--specs", specs, "--episodes", 1, "--policy", "nowhere.to_be:Found")

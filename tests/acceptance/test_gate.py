@@ -1,4 +1,4 @@
-"""`factory gate` as a user runs it: real attempts, a verdict, and nothing left behind."""
+"""`factory gate` from the command line: real attempts, a verdict, and no leftover files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ episodes = 50
 """
 
 
-def test_gate_passes_a_pilot_that_reaches_the_share(factory, tmp_path):
+def test_gate_passes_a_pilot_that_reaches_the_required_share(factory, tmp_path):
     plan = tmp_path / "pilot.toml"
     plan.write_text(PILOT)
     report = factory.json(
@@ -28,7 +28,7 @@ def test_gate_passes_a_pilot_that_reaches_the_share(factory, tmp_path):
     assert list(tmp_path.iterdir()) == [plan]
 
 
-def test_gate_fails_under_the_share_and_names_the_reasons(factory, tmp_path):
+def test_gate_fails_below_the_required_share_and_names_the_reasons(factory, tmp_path):
     plan = tmp_path / "hasty.toml"
     plan.write_text("[task]\nmax_steps = 20\n" + PILOT)
     done = factory("gate", "--scene", "hospital", "--plan", plan, "--episodes", 2, "--workers", 1, expect=1)
@@ -45,7 +45,7 @@ HASTY = "[task]\nmax_steps = 20\n[budget]\nattempts_per_draw = 1\ndraws = 1\n" +
 
 
 @pytest.mark.parametrize("verb", [("run", "--workers", 2), ("coordinator", "start", "--listen", "tcp/127.0.0.1:0")])
-def test_an_enforced_gate_keeps_a_hopeless_plan_from_being_handed_out(factory, tmp_path, verb):
+def test_an_enforced_gate_blocks_a_plan_with_a_low_success_rate(factory, tmp_path, verb):
     plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
     plan.write_text(HASTY)
     err = factory(*verb, plan, "--out", root, "--gate", "enforce", expect=1).stderr
@@ -55,7 +55,7 @@ def test_an_enforced_gate_keeps_a_hopeless_plan_from_being_handed_out(factory, t
     assert not (root / "ledger.db").exists()
 
 
-def test_a_reported_gate_is_written_down_and_not_held_again(factory, tmp_path):
+def test_a_reported_gate_is_recorded_and_not_repeated(factory, tmp_path):
     plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
     plan.write_text(HASTY)
     factory("run", plan, "--out", root, "--workers", 2, "--gate", "report", expect=1)

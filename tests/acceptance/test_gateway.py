@@ -1,4 +1,4 @@
-"""A run whose episodes end up at two gateways, brought together again: all as a user calls it, with real physics."""
+"""A run with two gateways and `factory gather` from the command line, with real physics."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
-def test_what_two_gateways_keep_is_gathered_into_the_dataset_that_one_worker_makes(
-    factory: FactoryCli, plan: Path, calm: Path, tmp_path: Path
+def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
+    factory: FactoryCli, plan: Path, reference: Path, tmp_path: Path
 ):
     out, core, doors = tmp_path / "out", free_endpoint(), [free_endpoint(), free_endpoint()]
     hub = factory.start("coordinator", "start", plan, "--out", out, "--listen", core)
@@ -35,11 +35,11 @@ def test_what_two_gateways_keep_is_gathered_into_the_dataset_that_one_worker_mak
     whole = factory.json("gather", out, *kept)
     assert (whole["gathered"], whole["missing"], whole["episodes"]) == (5, [], 5)
     verdict = factory.json("verify", out, "--deep")
-    assert verdict["digest"] == factory.json("verify", calm)["digest"]
+    assert verdict["digest"] == factory.json("verify", reference)["digest"]
     assert factory.json("status", out)["by_gateway"] == {}
 
 
-def test_a_gateway_without_a_core_waits_for_it_until_it_is_told_to_stop(factory: FactoryCli, tmp_path: Path):
+def test_a_gateway_without_a_coordinator_waits_until_it_is_stopped(factory: FactoryCli, tmp_path: Path):
     words = ("--connect", free_endpoint(), "--out", tmp_path / "gw", "--listen", free_endpoint(), "--name", "gw1")
     waiting = factory.start("gateway", "start", *words)
     wait_for(lambda: (tmp_path / "gw" / "episodes").exists())

@@ -1,4 +1,4 @@
-"""A finished run that lacks episodes ends with 1 and says why, whichever command ends it."""
+"""A finished run with missing episodes ends with exit code 1 and the reason, for each command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 ENDPOINT = ("--listen", "tcp/127.0.0.1:0")
 
 
-def test_missing_episodes_end_a_run_with_1_and_the_reason(factory: FactoryCli, plan: Path, tmp_path: Path) -> None:
+def test_missing_episodes_end_a_run_with_exit_code_1_and_the_reason(
+    factory: FactoryCli, plan: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     hub = factory.start("coordinator", "start", plan, "--out", out, *ENDPOINT)
     wait_for((out / ".coordinator.json").exists, 400)  # scenes are built first
@@ -22,5 +24,5 @@ def test_missing_episodes_end_a_run_with_1_and_the_reason(factory: FactoryCli, p
         assert "5 of 5 episodes are missing" in factory(*words, expect=1).stderr
 
 
-def test_a_whole_run_ends_with_0(factory: FactoryCli, own_calm: Path) -> None:
-    assert "missing" not in factory("coordinator", "start", "--out", own_calm, *ENDPOINT).stderr
+def test_a_complete_run_ends_with_exit_code_0(factory: FactoryCli, reference_copy: Path) -> None:
+    assert "missing" not in factory("coordinator", "start", "--out", reference_copy, *ENDPOINT).stderr

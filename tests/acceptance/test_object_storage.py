@@ -1,4 +1,4 @@
-"""A run whose dataset lies in a bucket, as a user makes and reads it."""
+"""A run with a dataset in a bucket, from the command line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from tests.acceptance.factory_cli import FactoryCli
 
 
-def test_a_run_into_a_bucket_is_made_resumed_checked_and_told(plan, cache, object_store, tmp_path):
+def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(plan, cache, object_store, tmp_path):
     state = tmp_path / "state"
     variables = {**object_store.variables(), "MINIVLA_STATE": str(state)}
     factory = FactoryCli(tmp_path, cache, variables)

@@ -1,4 +1,4 @@
-"""`factory plan` as a user runs it on a plan that its scene cannot fulfil."""
+"""`factory plan` from the command line on infeasible plans."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ held_out = ["barrel"]
 """
 
 
-def test_an_impossible_plan_is_refused_with_the_nearest_possible_one(factory, tmp_path):
+def test_an_infeasible_plan_is_refused_with_the_nearest_feasible_plan(factory, tmp_path):
     plan, better = tmp_path / "plan.toml", tmp_path / "better.toml"
     plan.write_text(IMPOSSIBLE)
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
@@ -38,7 +38,7 @@ def test_an_impossible_plan_is_refused_with_the_nearest_possible_one(factory, tm
     assert "feasible without changes: 10 episodes" in again
 
 
-def test_a_plan_of_which_nothing_is_there_is_answered_with_what_is(factory, tmp_path):
+def test_a_plan_without_any_available_category_is_refused_with_the_available_ones(factory, tmp_path):
     plan = tmp_path / "plan.toml"
     plan.write_text("[splits]\ntrain_id = 1.0\n" + IMPOSSIBLE.replace('"chair", ', ""))
     for verb in (("run", plan, "--out", tmp_path / "x"), ("plan", "nearest", plan)):
@@ -48,7 +48,7 @@ def test_a_plan_of_which_nothing_is_there_is_answered_with_what_is(factory, tmp_
         assert "can be reached" not in err
 
 
-def test_showing_a_plan_whose_stage_is_missing_says_where_it_was_looked_for(factory, tmp_path):
+def test_showing_a_plan_with_a_missing_stage_names_the_expected_path(factory, tmp_path):
     plan = tmp_path / "mine.toml"
     plan.write_text(
         '[splits]\ntrain_id = 1.0\n[[scenes]]\nname = "lab"\nusd = "lab/w.usda"\nseen = ["chair"]\nepisodes = 2\n'
@@ -56,7 +56,7 @@ def test_showing_a_plan_whose_stage_is_missing_says_where_it_was_looked_for(fact
     assert f"no USD file at {tmp_path}/lab/w.usda" in factory("plan", "show", plan, expect=2).stderr
 
 
-def test_every_verb_that_takes_a_stage_refuses_a_gltf_file_before_anything_is_built(factory, tmp_path):
+def test_every_command_that_takes_a_stage_refuses_a_gltf_file_before_building(factory, tmp_path):
     (tmp_path / "shop.glb").write_bytes(b"glTF\x02\x00\x00\x00")
     plan = tmp_path / "mine.toml"
     plan.write_text(
@@ -80,7 +80,7 @@ def test_every_verb_that_takes_a_stage_refuses_a_gltf_file_before_anything_is_bu
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.toml", "shop.glb"]
 
 
-def test_an_own_scene_is_compiled_once_and_then_compared_with_what_is_asked_of_it(factory, tmp_path):
+def test_a_custom_scene_is_compiled_once_and_then_checked_against_the_plan(factory, tmp_path):
     StageText().write(tmp_path / "room.usda", room_body(StageText()))
     plan = tmp_path / "mine.toml"
     plan.write_text(

@@ -1,4 +1,4 @@
-"""`factory push` as a user runs it, against a Hub on loopback: real client library, real HTTP."""
+"""`factory push` from the command line against a Hub on loopback, with the real client library over HTTP."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def push(home: Path, *words: object, token: str | None = TOKEN) -> subprocess.Co
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_push_brings_every_file_of_a_dataset_and_nothing_private(hub, dataset, tmp_path):
+def test_push_uploads_every_file_of_a_dataset_and_no_private_file(hub, dataset, tmp_path):
     done = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url, "--private", "--json")
     assert done.returncode == 0, done.stderr
     repository = hub.repositories[REPOSITORY]
@@ -57,14 +57,14 @@ def test_push_brings_every_file_of_a_dataset_and_nothing_private(hub, dataset, t
     assert repository.tags == {}
 
 
-def test_push_again_sends_no_large_file_twice(hub, dataset, tmp_path):
+def test_a_repeated_push_uploads_no_large_file_twice(hub, dataset, tmp_path):
     assert push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url).returncode == 0
     sent = len(hub.uploads)
     assert push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url).returncode == 0
     assert len(hub.uploads) == sent > 0
 
 
-def test_push_goes_on_after_the_hub_failed(hub, dataset, tmp_path):
+def test_push_resumes_after_a_failure_of_the_hub(hub, dataset, tmp_path):
     hub.fail_at_commit = 1
     failed = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url)
     assert failed.returncode == 1
@@ -85,7 +85,7 @@ def test_push_tags_a_lerobot_export_and_moves_an_old_tag(hub, tmp_path):
         assert hub.repositories[REPOSITORY].tags == {"v3.0": expected}
 
 
-def test_dry_run_shows_the_size_and_asks_nobody(hub, dataset, tmp_path):
+def test_a_dry_run_shows_the_size_without_a_request(hub, dataset, tmp_path):
     done = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url, "--dry-run", "--json", token=None)
     assert done.returncode == 0, done.stderr
     plan = json.loads(done.stdout)
@@ -94,7 +94,7 @@ def test_dry_run_shows_the_size_and_asks_nobody(hub, dataset, tmp_path):
     assert hub.requests == []
 
 
-def test_push_without_a_token_says_how_to_get_one(hub, dataset, tmp_path):
+def test_push_without_a_token_explains_how_to_get_one(hub, dataset, tmp_path):
     done = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url, token=None)
     assert done.returncode == 1
     assert "hf auth login" in done.stderr

@@ -1,14 +1,14 @@
-"""`factory repair` as a user calls it, on a copy of a real dataset."""
+"""`factory repair` from the command line on a copy of a real dataset."""
 
 from __future__ import annotations
 
 import shutil
 
 
-def test_a_dataset_that_lost_ledger_scene_and_tables_is_whole_again(factory, calm, tmp_path):
+def test_repair_restores_a_dataset_without_ledger_scene_and_tables(factory, reference, tmp_path):
     root = tmp_path / "dataset"
-    shutil.copytree(calm, root)
-    digest = factory.json("verify", calm)["digest"]
+    shutil.copytree(reference, root)
+    digest = factory.json("verify", reference)["digest"]
     for path in (root / "ledger.db", root / "metadata.parquet", next((root / "scenes").glob("hospital-*.zip"))):
         path.unlink()
     done = factory.json("repair", root)
@@ -18,9 +18,9 @@ def test_a_dataset_that_lost_ledger_scene_and_tables_is_whole_again(factory, cal
     assert factory.json("status", root)["finished"]
 
 
-def test_without_ledger_and_description_the_plan_is_asked_for(factory, calm, plan, tmp_path):
+def test_repair_without_ledger_and_description_requires_the_plan(factory, reference, plan, tmp_path):
     root = tmp_path / "dataset"
-    shutil.copytree(calm, root)
+    shutil.copytree(reference, root)
     for name in ("ledger.db", "dataset_meta.json"):
         (root / name).unlink()
     for path in sorted((root / "episodes").iterdir())[1:]:
@@ -30,6 +30,6 @@ def test_without_ledger_and_description_the_plan_is_asked_for(factory, calm, pla
     assert (done["episodes"], done["planned"]) == (1, 5)
 
 
-def test_a_directory_that_is_not_there_is_said_so(factory, tmp_path):
+def test_a_missing_directory_is_reported(factory, tmp_path):
     assert "nowhere does not exist" in factory("repair", tmp_path / "nowhere", expect=2).stderr
     assert not (tmp_path / "nowhere").exists()

@@ -1,4 +1,4 @@
-"""`factory report` as a user runs it."""
+"""`factory report` from the command line."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import sys
 from schemas.support.extras import install_command
 
 
-def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
-    found = factory.json("report", calm, "-o", tmp_path / "out")
+def test_a_report_is_written_and_rewritten(factory, reference, tmp_path):
+    found = factory.json("report", reference, "-o", tmp_path / "out")
     assert (found["episodes"], found["complete"], found["remarks"]) == (5, True, [])
     assert all((tmp_path / "out" / name).stat().st_size > 0 for name in found["files"])
     assert found["page"] == str(tmp_path / "out" / "report.html")
     assert json.loads((tmp_path / "out" / "report.json").read_text())["files"] == found["files"]
     assert found["comparisons"] == []  # its plan is not the paper's
-    found = factory.json("report", calm, "-o", tmp_path / "out", "--compare-paper")
+    found = factory.json("report", reference, "-o", tmp_path / "out", "--compare-paper")
     said = {row["what"]: row for row in found["comparisons"]}
     assert said["TL mean, all"]["published"] == 2.74
     assert said["TL mean, all"]["reason"]
 
 
-def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, calm, tmp_path):
+def test_damage_sets_the_exit_code_and_a_nonempty_folder_is_refused(factory, reference, tmp_path):
     damaged = tmp_path / "damaged"
-    shutil.copytree(calm, damaged)
+    shutil.copytree(reference, damaged)
     bundle = damaged / "episodes" / "ep_000001.zip"
     bundle.write_bytes(bytes(bundle.stat().st_size))
     done = factory("report", damaged, "-o", tmp_path / "out", expect=1)
@@ -33,15 +33,15 @@ def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, c
     assert "damage: episodes/ep_000001.zip: skipped in trajectories" in done.stderr
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
-    refused = factory("report", calm, "-o", tmp_path / "mine", expect=2).stderr
+    refused = factory("report", reference, "-o", tmp_path / "mine", expect=2).stderr
     assert "--force" in refused
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
-def test_without_matplotlib_the_remedy_is_named(calm, tmp_path):
+def test_without_matplotlib_the_remedy_is_named(reference, tmp_path):
     code = "import sys; sys.modules['matplotlib'] = None; from factory.cli.main import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", code, "report", str(calm), "-o", str(tmp_path / "out")],
+        [sys.executable, "-c", code, "report", str(reference), "-o", str(tmp_path / "out")],
         capture_output=True,
         text=True,
         check=False,

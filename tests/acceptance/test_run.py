@@ -1,4 +1,4 @@
-"""The main promise: the dataset does not depend on how many workers made it or what was killed meanwhile."""
+"""The main guarantee: the dataset depends neither on the number of workers nor on kills."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ def digest_of(factory: FactoryCli, root: Path) -> str:
     return report["digest"]
 
 
-def test_a_finished_run_has_a_table_with_thumbnails_for_each_split_that_has_episodes(calm):
-    rows = [row for path in sorted((calm / "data").iterdir()) for row in pq.read_table(path).to_pylist()]
-    assert sorted(path.name for path in (calm / "data").iterdir()) == [
+def test_a_finished_run_has_a_table_with_thumbnails_for_each_split_that_has_episodes(reference):
+    rows = [row for path in sorted((reference / "data").iterdir()) for row in pq.read_table(path).to_pylist()]
+    assert sorted(path.name for path in (reference / "data").iterdir()) == [
         "test_ood_obj-00000.parquet",
         "train_id-00000.parquet",
     ]
     assert sorted(row["index"] for row in rows) == [1, 2, 3, 4, 5]
     assert all(row["thumbnail"]["bytes"].startswith(b"\xff\xd8") for row in rows)
-    assert "path: data/train_id-*.parquet" in (calm / "README.md").read_text()
+    assert "path: data/train_id-*.parquet" in (reference / "README.md").read_text()
 
 
-def test_two_workers_make_the_same_dataset_as_one(factory, plan, calm, tmp_path):
+def test_two_workers_produce_the_same_dataset_as_one(factory, plan, reference, tmp_path):
     root = tmp_path / "two"
     summary = factory.json("run", plan, "--out", root, "--workers", 2)
     assert summary["episodes"] == summary["planned"] == 5
-    assert digest_of(factory, root) == digest_of(factory, calm)
+    assert digest_of(factory, root) == digest_of(factory, reference)
 
 
-def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, calm, tmp_path):
+def test_kills_of_coordinator_and_worker_neither_lose_nor_change_data(factory, plan, reference, tmp_path):
     root, endpoint = tmp_path / "chaos", free_endpoint()
 
     def start_coordinator():
@@ -55,10 +55,10 @@ def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, ca
     worker = start_worker()
     assert coordinator.wait(180) == 0
     assert worker.wait(60) == 0
-    assert digest_of(factory, root) == digest_of(factory, calm)
+    assert digest_of(factory, root) == digest_of(factory, reference)
 
 
-def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory, plan, calm, tmp_path):
+def test_an_interrupted_run_resumes_and_repeats_no_episode(factory, plan, reference, tmp_path):
     root = tmp_path / "interrupted"
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
@@ -69,10 +69,10 @@ def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory
     factory("run", "--out", root, "--workers", 2)
     after = {name: (root / "episodes" / name).stat().st_ino for name in episodes_in(root)}
     assert before.items() <= after.items()
-    assert digest_of(factory, root) == digest_of(factory, calm)
+    assert digest_of(factory, root) == digest_of(factory, reference)
 
 
-def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan, calm, tmp_path):
+def test_a_killed_run_ends_its_workers_and_can_be_resumed(factory, plan, reference, tmp_path):
     root = tmp_path / "killed"
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
@@ -80,24 +80,24 @@ def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan
     running.wait(60)
     wait_for(lambda: not processes_that_name(root), 60)
     factory("run", plan, "--out", root, "--workers", 2)
-    assert digest_of(factory, root) == digest_of(factory, calm)
+    assert digest_of(factory, root) == digest_of(factory, reference)
 
 
-def test_every_byte_of_a_calm_dataset_is_sound(factory, calm):
-    report = factory.json("verify", calm, "--deep")
+def test_deep_verification_of_an_undisturbed_dataset_finds_nothing(factory, reference):
+    report = factory.json("verify", reference, "--deep")
     assert report["ok"], report["findings"]
     assert report["episodes"] == 5
 
 
-def test_an_episode_can_be_simulated_again_bit_for_bit(factory, calm):
-    replay = factory.json("replay", calm, "ep_000001")
+def test_an_episode_can_be_simulated_again_bit_for_bit(factory, reference):
+    replay = factory.json("replay", reference, "ep_000001")
     assert replay["identical"]
     assert replay["archived_digest"] == replay["replayed_digest"]
 
 
-def test_status_agrees_with_what_lies_on_disk(factory, calm):
-    status = factory.json("status", calm)
-    assert status["jobs"]["archived"] == len(episodes_in(calm)) == status["planned"] == 5
+def test_status_agrees_with_the_files_on_disk(factory, reference):
+    status = factory.json("status", reference)
+    assert status["jobs"]["archived"] == len(episodes_in(reference)) == status["planned"] == 5
     assert {name: counts["archived"] for name, counts in status["by_scene"].items()} == {
         "hospital": 3,
         "warehouse_multiple_shelves": 2,
@@ -109,38 +109,38 @@ def test_status_agrees_with_what_lies_on_disk(factory, calm):
     assert len(status["workers"]) == 1
 
 
-def test_status_can_be_asked_of_a_running_coordinator(factory, own_calm):
+def test_status_can_be_requested_from_a_running_coordinator(factory, reference_copy):
     endpoint = free_endpoint()
-    coordinator = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
+    coordinator = factory.start("coordinator", "start", "--out", reference_copy, "--listen", endpoint, "--stay")
     wait_for(lambda: factory.start("status", "--connect", endpoint).wait(60) == 0, 60)
     assert factory.json("status", "--connect", endpoint)["jobs"]["archived"] == 5
     coordinator.send_signal(signal.SIGTERM)
     assert coordinator.wait(60) == 0
 
 
-def test_held_out_categories_are_only_in_their_split(factory, calm):
-    jobs = factory.json("jobs", "list", calm)["jobs"]
+def test_held_out_categories_are_only_in_their_split(factory, reference):
+    jobs = factory.json("jobs", "list", reference)["jobs"]
     held_out = {"fire_extinguisher", "whiteboard", "barrel", "crate"}
     assert all((job["category"] in held_out) == (job["split"] == "test_ood_obj") for job in jobs)
-    history = factory.json("jobs", "show", calm, "ep_000001")
+    history = factory.json("jobs", "show", reference, "ep_000001")
     assert [event["event"] for event in history["events"]][-1] == "archived"
 
 
-def test_the_spec_of_a_job_is_flat_in_json(factory, calm):
+def test_the_spec_of_a_job_is_flat_in_json(factory, reference):
     names = {"scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction"}
-    listed = factory.json("jobs", "list", calm)["jobs"][0]
-    (draw,) = factory.json("jobs", "show", calm, "ep_000001")["draws"]
+    listed = factory.json("jobs", "list", reference)["jobs"][0]
+    (draw,) = factory.json("jobs", "show", reference, "ep_000001")["draws"]
     assert listed == draw
     assert {name for name in listed if name in names and isinstance(listed[name], str)} == names
 
 
-def test_a_contact_sheet_is_drawn(factory, calm, tmp_path):
-    factory("show", calm, 2, "-o", tmp_path / "sheet.png")
+def test_a_contact_sheet_is_drawn(factory, reference, tmp_path):
+    factory("show", reference, 2, "-o", tmp_path / "sheet.png")
     assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
 
 
 def processes_that_name(root: Path) -> list[int]:
-    """Ids of processes with the directory on their command line."""
+    """Returns the ids of processes with the directory on their command line."""
     found = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():

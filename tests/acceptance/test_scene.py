@@ -1,4 +1,4 @@
-"""`factory scene` as a user runs it: looking into scenes, measuring them, editing what can be named in them."""
+"""`factory scene` from the command line: inspection, survey, and edited target lists."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def test_inspect_prints_targets_units_and_extents_and_draws_a_map(factory, tmp_p
     assert facts["targets"][0]["colour"] == "red"
 
 
-def test_inspect_refuses_a_stage_with_the_verb_that_compiles_it(factory, tmp_path):
+def test_inspect_refuses_a_stage_and_names_the_compile_command(factory, tmp_path):
     stage, _ = room(factory, tmp_path)
     assert "factory scene import" in factory("scene", "inspect", stage, expect=2).stderr
 
 
-def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
+def test_an_imported_scene_is_found_by_name(factory, tmp_path):
     plant = TEXT.box("SM_Plant_01", (-2.2, -1.2, 0), (-1.8, -0.8, 0.6))
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT, plant))
     made = factory("scene", "import", stage, "--name", "den")
@@ -58,7 +58,7 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     assert f"den was imported 2 times; the last import is used: {last}" in again.stderr
 
 
-def test_a_package_in_another_folder_is_told_by_its_path(factory, tmp_path):
+def test_a_package_in_another_folder_is_found_by_path(factory, tmp_path):
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
     made = factory.json("scene", "import", stage, "--name", "attic", "--cache", tmp_path / "a b")
     assert made["next"][0] == f"factory scene inspect '{made['package']}' -o attic.png"
@@ -80,7 +80,7 @@ def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factor
     assert "spawn points of 40" in factory("scene", "survey", small, expect=1).stderr
 
 
-def test_an_edited_list_of_targets_is_honoured_by_import_and_by_a_plan(factory, tmp_path):
+def test_import_and_plans_apply_an_edited_target_list(factory, tmp_path):
     plant = TEXT.box("SM_Plant_01", (-2.2, -1.2, 0), (-1.8, -0.8, 0.6), (0.02, 0.4, 0.02))
     stage, package = room(factory, tmp_path, room_body(TEXT, plant))
     edits = tmp_path / "targets_room.yaml"
@@ -102,7 +102,7 @@ def test_an_edited_list_of_targets_is_honoured_by_import_and_by_a_plan(factory, 
     assert factory.json("verify", tmp_path / "data", "--deep")["findings"] == []
 
 
-def test_a_list_with_a_prim_that_is_not_there_is_refused_by_its_path(factory, tmp_path):
+def test_a_target_list_with_an_unknown_prim_is_refused_with_the_prim_path(factory, tmp_path):
     stage, package = room(factory, tmp_path)
     edits = tmp_path / "targets_room.yaml"
     factory("scene", "targets", package, "-o", edits)
@@ -122,7 +122,7 @@ def test_render_writes_map_views_and_sheets_and_names_them(factory, tmp_path):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_render_into_what_is_no_folder_says_so(factory, tmp_path):
+def test_render_refuses_an_output_that_is_not_a_folder(factory, tmp_path):
     _, package = room(factory, tmp_path)
     (tmp_path / "taken").write_text("a file")
     assert "choose another --out" in factory("scene", "render", package, "-o", tmp_path / "taken", expect=1).stderr
@@ -139,7 +139,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_a_stage_that_cannot_be_a_scene_is_refused_by_prim_and_leaves_nothing(factory, tmp_path, what):
+def test_an_unusable_stage_is_refused_with_its_prim_and_leaves_nothing(factory, tmp_path, what):
     body, unit, words = BAD[what]
     stage = TEXT.write(tmp_path / "bad.usda", body, units=f"metersPerUnit = {unit}")
     error = factory("scene", "import", stage, "--cache", tmp_path / "cache", expect=1).stderr

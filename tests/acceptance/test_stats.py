@@ -1,10 +1,10 @@
-"""`factory stats` as a user runs it."""
+"""`factory stats` from the command line."""
 
 from __future__ import annotations
 
 
-def test_stats_of_a_run_count_its_episodes_and_attempts(factory, calm):
-    found = factory.json("stats", calm)
+def test_stats_of_a_run_count_its_episodes_and_attempts(factory, reference):
+    found = factory.json("stats", reference)
     assert (found["episodes"], found["complete"], found["remarks"]) == (5, True, [])
     assert sum(cell["archived"] for cell in found["cells"]) == 5
     (everything,) = [row for row in found["attempts"] if row["group"] == "all"]

@@ -1,4 +1,4 @@
-"""Certificates, a coordinator and a worker behind TLS, an operator: all as a user calls them."""
+"""Certificates, and a coordinator, a worker and an operator with TLS, from the command line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
-def test_a_run_behind_tls_is_finished_by_the_admitted_only(factory: FactoryCli, plan, tmp_path):
+def test_only_admitted_workers_can_finish_a_run_behind_tls(factory: FactoryCli, plan, tmp_path):
     pki, out = tmp_path / "pki", tmp_path / "out"
     factory("keys", "ca", pki)
     factory("keys", "host", pki, "hub", "--role", "coordinator", "--address", "127.0.0.1")

@@ -1,6 +1,6 @@
-"""The project's figures beside what they shall reach: runs `factory bench` and prints one table. Asserts nothing.
+"""Runs `factory bench` and prints the measured values with their targets in one table. Asserts nothing.
 
-Wall-clock figures mean something on an otherwise idle machine only; the load before each benchmark stands in the table.
+Wall-clock times are meaningful only on an otherwise idle machine; the table shows the load before each benchmark.
 
     python -m tests.benchmarks.figures [rollout] [coordinator] [read]
 """
@@ -25,7 +25,7 @@ BENCHES = {
 
 
 class Figure(NamedTuple):
-    """One figure: what was measured, and what it is held against."""
+    """One measured value and its target."""
 
     what: str
     measured: float
@@ -33,13 +33,13 @@ class Figure(NamedTuple):
     at_most: bool = False
 
     def row(self) -> tuple[str, float, str, str]:
-        """Returns it as a line of the table."""
+        """Returns the row of the table."""
         reached = self.measured <= self.target if self.at_most else self.measured >= self.target
         return self.what, self.measured, f"{'<=' if self.at_most else '>='} {self.target:g}", "yes" if reached else "no"
 
 
 def of_rollout(report: dict[str, Any]) -> Iterator[Figure]:
-    """The loop: real time on one core in every scene, twenty times the plain pipeline, and a process below 1 GiB."""
+    """Rollout: real time on one core in every scene, twenty times the plain pipeline, and a process below 1 GiB."""
     for scene, found in report["scenes"].items():
         yield Figure(f"{scene}: frames/s a core", found["frames_per_s_per_core"], 60)
         yield Figure(f"{scene}: times plain PyBullet", found["ratio"], 20)
@@ -67,7 +67,7 @@ FIGURES = {"rollout": of_rollout, "coordinator": of_coordinator, "read": of_read
 
 
 def main(names: list[str]) -> None:
-    """Runs the benchmarks of these names, or all, and prints their figures."""
+    """Runs the named benchmarks, or all, and prints their results."""
     rows = []
     for name in names or list(BENCHES):
         command = [sys.executable, "-m", "factory", "bench", name, *BENCHES[name], "--json"]

@@ -1,4 +1,4 @@
-"""Measures the CPU time of writing a dataset's tables from large ledgers: anew, with a few new episodes, unchanged.
+"""Measures the CPU time of writing dataset tables from large ledgers: complete, with a few new episodes, unchanged.
 
 python -m tests.benchmarks.tables [ROWS ...]
 """
@@ -31,7 +31,7 @@ _NEW = 50
 
 
 def main(sizes: list[int]) -> None:
-    """Prints the CPU seconds of each writing."""
+    """Prints the CPU seconds of each write."""
     rows = [(size, *_measure(size)) for size in sizes or [10_000, 40_000, 200_000]]
     print_table("tables written from the ledger, CPU seconds", ("rows", "anew", f"{_NEW} more", "unchanged"), rows)
 

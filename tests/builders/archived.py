@@ -1,4 +1,4 @@
-"""A finished run of the smallest episodes: real ledger file, real archive, real tables; nothing simulated."""
+"""Builds a finished run of minimal episodes with a real ledger, archive and tables. Simulates nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from coordinator.expansion.draw import to_job
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import ledger_url_of, planned_of
-from coordinator.recovery.mend import RepairInput
+from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset import summary_of
@@ -25,13 +25,13 @@ __all__ = ["ArchivedRun"]
 
 
 class ArchivedRun:
-    """A dataset directory whose run has brought `done` of its episodes; the desk speaks to its ledger.
+    """A dataset directory with `done` archived episodes; `desk` accesses its ledger.
 
     Args:
-        root: where to make it.
-        planned: episodes of the plan.
-        done: how many are archived.
-        misses: how many attempts of the first episode the world refused before; two use up a draw.
+        root: directory of the dataset.
+        planned: number of planned episodes.
+        done: number of archived episodes.
+        misses: number of failed attempts of the first episode; two exhaust a draw.
     """
 
     def __init__(self, root: Path, planned: int = 3, done: int = 3, misses: int = 0) -> None:
@@ -48,12 +48,12 @@ class ArchivedRun:
             for _ in range(misses):
                 assert self.desk.fail(self.lease_of(1), FailReason.TIMEOUT)
             for index in range(1, done + 1):
-                self._bring(archive, index)
+                self._archive_episode(archive, index)
             self._write_tables(archive)
         self.desk.engine.dispose()
 
     def lease_of(self, index: int):  # type: ignore[no-untyped-def]
-        """Claims until the episode of that number is held, gives the others back."""
+        """Claims until the episode with that number is leased and releases the others."""
         others = []
         while True:
             row = self.desk.claim()
@@ -66,12 +66,12 @@ class ArchivedRun:
         return lease_of(row)
 
     def bundle(self, index: int) -> bytes:
-        """Returns the bundle that the episode's attempt in force asks for."""
+        """Returns the bundle of the current attempt of an episode."""
         row = self.desk.rows(index)[-1]
         return parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write()
 
-    def patient(self, scenes: Sequence[str] = ()) -> RepairInput:
-        """Returns the directory as a repair is told of it."""
+    def repair_input(self, scenes: Sequence[str] = ()) -> RepairInput:
+        """Returns the input of a repair of this directory."""
         return RepairInput(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
     def file(self, index: int) -> Path:
@@ -83,10 +83,10 @@ class ArchivedRun:
         return {int(path.stem[3:]): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     def states(self) -> dict[int, str]:
-        """Returns the state of each episode's current draw."""
+        """Returns the state of the current draw of each episode."""
         return {row.idx: row.state for row in self.desk.rows() if not row.superseded}
 
-    def _bring(self, archive: Archive, index: int) -> None:
+    def _archive_episode(self, archive: Archive, index: int) -> None:
         lease = self.lease_of(index)
         data = self.bundle(index)
         digest = hashlib.sha256(data).hexdigest()

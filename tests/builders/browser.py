@@ -1,4 +1,4 @@
-"""Opens pages in Chromium and has axe-core judge them; says why where that is not possible."""
+"""Opens pages in Chromium and checks them with axe-core; returns the reason if Chromium is not available."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _find() -> str | None:
 
 
 def why_no_chromium() -> str:
-    """Returns why no page can be opened; empty where one can."""
+    """Returns why no page can be opened; empty if Chromium is available."""
     if importlib.util.find_spec("axe_playwright_python") is None:
         return "axe-playwright-python, which the extra dev brings, is not installed"
     return "" if _find() else f"no {', '.join(_NAMES)} on the PATH: apt-get install chromium"
@@ -38,12 +38,12 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, path: Path, width: int, scheme: str) -> Iterator[Any]:
-    """Yields a page of a file.
+    """Yields the page of a file.
 
     Args:
-        browser: of `chromium`.
-        path: of the HTML file.
-        width: of the window, pixels.
+        browser: result of `chromium`.
+        path: path of the HTML file.
+        width: width of the window, pixels.
         scheme: `light` or `dark`.
     """
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
@@ -61,5 +61,5 @@ def axe_violations(page: Any) -> list[tuple[str, list[str]]]:
 
 
 def overflow_px(page: Any) -> int:
-    """Returns how many pixels a page is wider than its window; 0 where it fits."""
+    """Returns by how many pixels a page is wider than its window; 0 if it fits."""
     return int(page.evaluate("document.scrollingElement.scrollWidth - innerWidth"))

@@ -1,6 +1,6 @@
 """Builds the smallest bundle that passes validation: a short drive that ends in a success, with synthetic images.
 
-Knobs break one thing at a time; nothing here simulates physics or renders.
+Parameters break one property at a time. Simulates no physics and renders nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TARGET_ID, FLOOR_ID, WALL_ID = 7, 1, 2
 
 
 def short_task() -> TaskConfig:
-    """Returns a task that an episode of twelve steps can fulfil."""
+    """Returns a task that an episode of twelve steps fulfils."""
     return TaskConfig(success_radius_m=RADIUS_M, hold_steps=2)
 
 
@@ -74,7 +74,7 @@ def job_for(index: int = 1, **changes: Any) -> Job:
 
 @dataclass
 class BundleParts:
-    """What a bundle is written from; change any of it before `write`."""
+    """Content of a bundle; change parts before `write`."""
 
     meta: EpisodeMeta
     arrays: EpisodeArrays
@@ -96,7 +96,7 @@ class BundleParts:
         return dataclasses.replace(self, frames=[*self.frames[:t], frame, *self.frames[t + 1 :]])
 
     def measured(self) -> BundleParts:
-        """Returns the same with the rollout statistics taken anew from the poses."""
+        """Returns the parts with rollout statistics computed from the poses."""
         track = measure_track(self.arrays.poses, self.meta.target_centroid_m)
         return self.with_rollout(**track._asdict(), num_steps=len(self.arrays.poses))
 
@@ -118,7 +118,7 @@ class BundleParts:
 
 
 def parts_for(job: Job | None = None, steps: int = 12) -> BundleParts:
-    """Returns the parts of the smallest valid bundle for a job: it speeds up, brakes and stands."""
+    """Returns the parts of the smallest valid bundle for a job: the robot accelerates, brakes and stops."""
     job = job or job_for()
     arrays = _drive(steps, job)
     frames = [_frame(float(x), steps_seen) for steps_seen, x in enumerate(arrays.poses[:, 0])]
@@ -126,7 +126,7 @@ def parts_for(job: Job | None = None, steps: int = 12) -> BundleParts:
 
 
 def bundle_bytes(index: int = 1) -> bytes:
-    """Returns the smallest valid bundle of an episode; cached, as many tests need one."""
+    """Returns the smallest valid bundle of an episode; cached, because many tests need it."""
     return _cached_bundle(index)
 
 
@@ -136,7 +136,7 @@ def _cached_bundle(index: int) -> bytes:
 
 
 def _drive(steps: int, job: Job) -> EpisodeArrays:
-    """Follows commands exactly along x from the origin, as a perfect robot would."""
+    """Integrates the commands exactly along x from the origin."""
     hz, robot = job.task.control_hz, job.robot
     speeds: list[float] = []
     speed = 0.0
@@ -154,7 +154,7 @@ def _drive(steps: int, job: Job) -> EpisodeArrays:
 
 
 def _frame(x_m: float, step: int) -> Frame:
-    """A wall 3 m ahead above a floor, with the target in front of it; it comes nearer as the robot drives."""
+    """A wall 3 m ahead above a floor, with the target in front of it; the distance decreases as the robot drives."""
     side = FRAME_SIZE_PX
     rgb = np.full((side, side, 3), 90, np.uint8)
     rgb[:, :, 1] = (np.arange(side)[:, None] + step) % 256

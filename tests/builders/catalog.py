@@ -1,4 +1,4 @@
-"""The smallest catalog: scene descriptions without geometry, enough for plan expansion."""
+"""Builds a minimal catalog: scene descriptions without geometry, for plan expansion."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def make_entry(name: str, targets: Sequence[Target]) -> SceneEntry:
 
 
 def make_catalog(plan: Plan, per_category: int = 5, colour: str = "red") -> Catalog:
-    """Every scene of the plan with `per_category` targets of each of its categories, startable in every tier."""
+    """Every scene of the plan with `per_category` targets of each category, reachable from every tier."""
     entries = {}
     for scene in plan.scenes:
         seen, held_out = scene.categories

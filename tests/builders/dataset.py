@@ -29,7 +29,7 @@ NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 
 def chair() -> Target:
-    """Returns the target of the smallest bundle, as its scene has it."""
+    """Returns the target of the smallest bundle as in its scene."""
     return Target(
         target_id="chair_001",
         category="chair",
@@ -43,7 +43,7 @@ def chair() -> Target:
 
 @functools.cache
 def office_package() -> bytes:
-    """Returns a compiled scene called office that has the chair."""
+    """Returns a compiled scene named office that contains the chair."""
     scene = box_room()
     instances = (Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),)
     info = scene.info.model_copy(update={"name": "office", "targets": (chair(),), "instances": instances})
@@ -59,7 +59,7 @@ def make_dataset(
     failures: Sequence[FailedAttempt] | None = None,
     with_split_tables: bool = True,
 ) -> Plan:
-    """Writes a dataset of the smallest episodes, the splits by turns; complete unless more are planned."""
+    """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned."""
     plan = small_plan(planned or episodes)
     package = office_package()
     sha256 = hashlib.sha256(package).hexdigest()

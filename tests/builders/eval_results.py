@@ -1,4 +1,4 @@
-"""Builds specs and results of evaluation episodes with nothing but what a test names."""
+"""Builds minimal specs and results of evaluation episodes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def specs_of(*specs: EvalSpec) -> SpecSet:
 
 
 def result_of(number: int = 1, *, success: bool = True, **changes: Any) -> EpisodeResult:
-    """Returns the result of an episode that went well, or timed out."""
+    """Returns the result of an episode that succeeded or timed out."""
     values: dict[str, Any] = {
         "spec_id": f"ep_{number:06d}",
         "spec_digest": f"{number:064x}",

@@ -1,4 +1,4 @@
-"""A small real dataset for evaluation, attempts of the real simulation in a room of boxes, and a campaign on it."""
+"""Builds a small real dataset for evaluation, simulated in a room of boxes, and an evaluation on it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def room_job(index: int, **changes: object) -> Job:
 
 
 def archive_drives(root: Path, episodes: int = 3) -> Path:
-    """Drives and archives episodes 1 to `episodes`, first success each, and returns the dataset."""
+    """Simulates and archives episodes 1 to `episodes`, each with its first success, and returns the dataset."""
     plan = Plan(
         name="test",
         scenes=(ScenePlan(name="office", episodes=episodes, seen=("crate",), held_out=("barrel",)),),
@@ -87,7 +87,7 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
 
 
 def standing_still(drives: Dataset) -> Campaign:
-    """Returns two episodes of ten steps in which nobody moves."""
+    """Returns two episodes of ten steps without motion."""
     specs = specs_of_dataset(drives, [Split.TEST_ID])
     task = specs.settings.task.model_copy(update={"max_steps": 10})
     specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})

@@ -1,6 +1,6 @@
-"""The smallest coordinator a worker can work for: a zenoh router over a table in memory, with knobs for mishaps.
+"""Minimal coordinator for tests of workers: a zenoh router over a table in memory, with settings that inject failures.
 
-Keeps no promise of the real one beyond the wire; it exists to watch what workers say.
+Implements only the wire protocol; it records the messages of workers.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from tests.builders.ports import free_endpoint
 __all__ = ["SCENE", "FakeCoordinator", "jobs_saying"]
 
 SCENE = bytes(range(256)) * 10_000
-"""Stands for a compiled scene; takes three chunks."""
+"""Replaces a compiled scene; takes three chunks."""
 RUN = "test-00000000"
 _CHUNK = 1 << 20
 _MESSAGES = {Verb.HELLO: Hello, Verb.CLAIM: Claim, Verb.BEAT: Beat, Verb.DONE: Done, Verb.FAIL: Fail}
 
 
 def jobs_saying(*instructions: str) -> tuple[Job, ...]:
-    """Returns jobs whose instructions tell the fake simulation what to do."""
+    """Returns jobs whose instructions select the behaviour of the fake simulation."""
     digest = hashlib.sha256(SCENE).hexdigest()
     return tuple(
         job_for(index, instruction=text, scene_sha256=digest, scene_bytes=len(SCENE))
@@ -55,7 +55,7 @@ def jobs_saying(*instructions: str) -> tuple[Job, ...]:
 
 
 class FakeCoordinator:
-    """A context manager; `close` and `open` in between are a restart that forgets nothing."""
+    """Context manager; `close` followed by `open` is a restart that keeps the state."""
 
     def __init__(self, jobs: Sequence[Job], lease_ttl_s: float = 1.0) -> None:
         self.endpoint = free_endpoint()
@@ -116,7 +116,7 @@ class FakeCoordinator:
         self.close()
 
     def wait_until(self, holds: Callable[[], bool], what: str) -> None:
-        """Waits for something to become true; fails with `what` after half a minute."""
+        """Waits for a condition; fails with `what` after half a minute."""
         with self.changed:
             assert self.changed.wait_for(holds, 120), f"never came: {what}; heard {self.heard[-5:]}"
 
@@ -130,7 +130,7 @@ class FakeCoordinator:
             return self._leases.get(number)
 
     def take_away(self, number: int) -> None:
-        """Ends the lease on a job, as if it had run out, and gives the job out no more."""
+        """Ends the lease of a job as if it had expired and does not assign the job again."""
         with self.changed:
             lease = self._leases.pop(number)
             self.ended[number] = Fail(sid="nobody", lease=lease, reason=FailReason.CRASH)

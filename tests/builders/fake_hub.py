@@ -1,6 +1,6 @@
-"""A Hugging Face Hub on loopback: the calls that an upload of a dataset makes, kept in memory.
+"""A Hugging Face Hub on loopback that stores uploads in memory.
 
-Speaks the public HTTP interface (create, preupload, LFS batch, commit, tags); knows one token; can fail on demand.
+Implements the public HTTP interface (create, preupload, LFS batch, commit, tags) with one token; can fail on demand.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Repository:
 
 
 class FakeHub:
-    """A hub with its repositories and the objects of its large-file store."""
+    """A Hub with repositories and the objects of its large-file storage."""
 
     def __init__(self) -> None:
         self.repositories: dict[str, Repository] = {}

@@ -1,4 +1,4 @@
-"""A simulation process that simulates nothing: the first word of the job's instruction names what it does.
+"""A simulation process without simulation: the first word of the instruction of a job selects its behaviour.
 
 Run as a script; it uses the messages of `workers.process.messages` with the standard library alone, so it starts fast.
 """
@@ -20,7 +20,7 @@ SIZE = (2 << 20) + 321
 
 
 def bundle_for(job: dict[str, Any]) -> bytes:
-    """Returns what stands for a bundle: a function of the job alone."""
+    """Returns the replacement of a bundle, a function of the job only."""
     seed = hashlib.sha256(json.dumps([job["index"], job["attempt"]]).encode()).digest()
     return (seed * (SIZE // len(seed) + 1))[:SIZE]
 
@@ -51,7 +51,7 @@ def finish(order: dict[str, Any]) -> None:
 
 def serve(order: dict[str, Any], markers: Path) -> None:
     word = order["job"]["instruction"].split()[0]
-    # whoever watches may know by this that the attempt has begun, and in which process
+    # shows tests that the attempt has started, and in which process
     (markers / f"{order['job']['index']}.{os.getpid()}").touch()
     if not Path(order["scene_path"]).is_file():
         tell(kind="failure", reason="crash", detail="no scene")

@@ -1,4 +1,4 @@
-"""Reads a page: whether its tags are balanced, and what tests look for in it."""
+"""Parses a page: checks that its tags are balanced and collects elements for tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LINKS = {"href", "src", "poster", "xlink:href"}
 
 
 class Outline(HTMLParser):
-    """Checks that tags are balanced and collects what matters."""
+    """Checks that tags are balanced and collects elements."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Numbers that go into episodes, printed: `python -m tests.builders.kernels`, to be run where libraries choose anew."""
+"""Prints numbers that are part of episodes: `python -m tests.builders.kernels`, for runs with other library kernels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MANY = 300
 
 
 def main() -> None:
-    """Prints one JSON object: what was computed, and a digest or the values themselves."""
+    """Prints one JSON object: the name of each computation with its digest or values."""
     job, package = room_job(1), room_package()
     with TemporaryDirectory() as folder, SceneRenderer("gl") as stage:
         path = Path(folder, "room.scene")

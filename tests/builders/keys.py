@@ -1,4 +1,4 @@
-"""An authority, a coordinator and hosts with certificates, made by the product itself."""
+"""Creates an authority, a coordinator and hosts with certificates through the product."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def make_authority(
     gateways: Sequence[str] = (),
     evaluators: Sequence[str] = (),
 ) -> Path:
-    """Returns the folder of an authority with a coordinator called hub and these hosts."""
+    """Returns the folder of an authority with a coordinator named hub and these hosts."""
     now = datetime.now(UTC)
     found(folder, "test", days, now)
     admit(folder, "hub", Role.COORDINATOR, (), days, now)

@@ -1,4 +1,4 @@
-"""The smallest run with a ledger: one room, a handful of chairs, an in-memory database and a clock that tests turn."""
+"""Builds a minimal run with a ledger: one room, a few chairs, an in-memory database and a test clock."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SHA256 = "c" * 64
 
 
 def room_plan(episodes: int = 3, **budget: int) -> Plan:
-    """A plan whose every job the smallest bundle fulfils."""
+    """Returns a plan whose jobs are all fulfilled by the smallest bundle."""
     return Plan(
         name="room",
         scenes=(ScenePlan(name="room", episodes=episodes, usd="room.usda", seen=("chair",)),),
@@ -48,7 +48,7 @@ def room_plan(episodes: int = 3, **budget: int) -> Plan:
 
 
 def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
-    """One scene with three chairs at one place; with a folder its package is a file of a megabyte and a half."""
+    """One scene with three chairs at one position; with a folder its package is a file of 1.5 MB."""
     targets = tuple(
         Target(
             target_id=f"chair_{number:03d}",
@@ -81,7 +81,7 @@ def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
 
 
 def summary_for(row: Row[Any]) -> EpisodeSummary:
-    """The row of an archived episode that fits a submitted job."""
+    """Returns the row of an archived episode for a submitted job."""
     job = job_for(row.idx, draw=row.draw, attempt=row.attempt)
     meta = _smallest_meta().model_copy(update={"job": job, "episode_id": job.episode_id})
     return summary_of(meta, row.sha256 or SHA256, row.size or 1000)
@@ -93,7 +93,7 @@ def _smallest_meta() -> EpisodeMeta:
 
 
 class Desk:
-    """A ledger with a clock, spoken to as the protocol does: each call is one transaction."""
+    """A ledger with a clock, accessed like by the protocol: each call is one transaction."""
 
     def __init__(self, plan: Plan | None = None, url: str = "sqlite://") -> None:
         self.plan = plan or room_plan()
@@ -110,7 +110,7 @@ class Desk:
             yield connection
 
     def tick(self, seconds: float) -> int:
-        """Turns the clock on and sweeps; returns how many leases expired."""
+        """Advances the clock and sweeps; returns the number of expired leases."""
         self.now += timedelta(seconds=seconds)
         with self.open() as connection:
             return claims.expire(connection, self.now)
@@ -129,7 +129,7 @@ class Desk:
         return self._holders.get(lease.token, "host-1")
 
     def lease(self, sid: str = "host-1") -> Lease:
-        """Claims and returns the lease; there must be a job."""
+        """Claims a job and returns its lease; a job must be available."""
         row = self.claim(sid)
         assert row is not None
         return lease_of(row)
@@ -153,7 +153,7 @@ class Desk:
             )
 
     def archive(self, lease: Lease) -> bool:
-        """What a puller does last, however late it is."""
+        """Performs the last step of a puller."""
         with self.open() as connection:
             row = connection.execute(select(jobs).where(jobs.c.id == lease.job_id)).one()
             return outcomes.archive(connection, lease, summary_for(row), self.now)

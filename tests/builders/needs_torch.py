@@ -1,4 +1,4 @@
-"""Whether PyTorch is installed; without it the tests that need it skip, and say which extra brings it."""
+"""Skips tests that need PyTorch if it is not installed and names its extra."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real S3 server on loopback, and buckets in it; everything it holds is gone with it."""
+"""Runs a real S3 server on loopback with buckets; its content is deleted at exit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _numbers = itertools.count(1)
 
 
 class ObjectServer:
-    """The server, and the client that a test looks behind the scenes with."""
+    """The server, and a client for direct access by tests."""
 
     def __init__(self, port: int) -> None:
         import boto3
@@ -32,12 +32,12 @@ class ObjectServer:
         )
 
     def variables(self) -> dict[str, str]:
-        """Returns what a process needs in its environment to reach the server."""
+        """Returns the environment variables for access to the server."""
         values = (self.endpoint, "tester", SECRET, "us-east-1", "us-east-1")
         return dict(zip(ENVIRONMENT, values, strict=True))
 
     def new_bucket(self) -> str:
-        """Makes a bucket and returns its name."""
+        """Creates a bucket and returns its name."""
         name = f"bucket-{os.getpid()}-{next(_numbers)}"
         self.client.create_bucket(Bucket=name)
         return name
@@ -49,7 +49,7 @@ class ObjectServer:
 
 @contextmanager
 def object_server() -> Iterator[ObjectServer]:
-    """Runs a server until the block is left."""
+    """Runs a server until the end of the block."""
     from moto.server import ThreadedMotoServer
 
     logging.getLogger("werkzeug").setLevel(logging.ERROR)

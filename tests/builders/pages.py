@@ -1,4 +1,4 @@
-"""The documents of the repository: their links, anchors, code blocks and command lines."""
+"""Parses the documents of the repository: links, anchors, code blocks and command lines."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def links_of(page: Path) -> list[str]:
 
 
 def anchors_of(page: Path) -> set[str]:
-    """Returns the anchors of all headings, as GitHub makes them."""
+    """Returns the anchors of all headings in GitHub's form."""
     titles = re.findall(r"^#{1,6} +(.*?) *$", prose(page), re.MULTILINE)
     return {
         re.sub(r"[^\w\- ]", "", re.sub(r"\[(.*?)\]\(.*?\)", r"\1", title).lower()).replace(" ", "-") for title in titles

@@ -1,4 +1,4 @@
-"""Policies as users write them, good and bad; driving processes import them by name."""
+"""Correct and faulty policies in the form of user code; processes import them by name."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 __all__ = [
+    "ChecksDriver",
+    "ChecksInput",
     "Compiles",
     "Dies",
-    "Guards",
     "Hangs",
-    "Listens",
+    "InvalidAnswers",
     "NoMethods",
     "Raises",
     "RefusesToBeMade",
     "Tokens",
-    "Truant",
 ]
 
 
@@ -30,7 +30,7 @@ class _Quiet:
 
 
 class Raises(_Quiet):
-    """Drives three steps and trips."""
+    """Raises an exception after three steps."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         if observation["step"] == 3:
@@ -39,7 +39,7 @@ class Raises(_Quiet):
 
 
 class Hangs(_Quiet):
-    """Drives five steps and falls asleep."""
+    """Blocks after five steps."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         if observation["step"] == 5:
@@ -47,8 +47,8 @@ class Hangs(_Quiet):
         return 0.5, 0.0
 
 
-class Dawdles(_Quiet):
-    """Stands still and takes its time over it: three seconds for 60 steps."""
+class Slow(_Quiet):
+    """Does not move and takes three seconds for 60 steps."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         time.sleep(0.05)
@@ -56,14 +56,14 @@ class Dawdles(_Quiet):
 
 
 class Dies(_Quiet):
-    """Takes its process along."""
+    """Ends its process."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         os._exit(7)
 
 
-class Truant(_Quiet):
-    """Answers with what is no action, another one in each episode."""
+class InvalidAnswers(_Quiet):
+    """Returns an invalid action, a different kind in each episode."""
 
     answers = iter((np.full(2, np.nan), np.zeros(3), "left"))
 
@@ -72,7 +72,7 @@ class Truant(_Quiet):
 
 
 class Tokens(_Quiet):
-    """Turns on the spot, in tokens and in chunks."""
+    """Turns on the spot with chunks of tokens."""
 
     actions = "tokens"
 
@@ -80,8 +80,8 @@ class Tokens(_Quiet):
         return np.array([[0, 6]] * 10)
 
 
-class Listens(_Quiet):
-    """Checks what it is given, stands still, and turns when it is told nothing."""
+class ChecksInput(_Quiet):
+    """Checks its input, does not move, and turns if the instruction is empty."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         assert set(observation) == {"rgb", "depth", "instruction", "step"}, sorted(observation)
@@ -89,27 +89,27 @@ class Listens(_Quiet):
         assert observation["depth"].shape == (640, 640)
         assert observation["instruction"] == self.instruction
         assert not hasattr(self, "situation")
-        print("a policy may print")  # noqa: T201 - and must not disturb the reports
+        print("a policy may print")  # noqa: T201 - output must not disturb the reports
         return (0.0, 0.0) if self.instruction else (0.0, 1.0)
 
     def enter(self, situation: Any) -> None:
-        """Tries to be let in, as the built-in experts are."""
+        """Tries to get the privileged input of built-in experts."""
         self.situation = situation
 
 
 class NoMethods:
-    """Is no policy."""
+    """Not a policy."""
 
 
 class RefusesToBeMade(_Quiet):
-    """Cannot be made."""
+    """Raises an exception in its constructor."""
 
     def __init__(self) -> None:
         raise FileNotFoundError("weights.pt")
 
 
-class Guards(_Quiet):
-    """Stands still where its process has loaded no graphics driver, and trips otherwise."""
+class ChecksDriver(_Quiet):
+    """Does not move; raises an exception if its process has loaded a graphics driver."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         mapped = Path("/proc/self/maps").read_text()
@@ -120,7 +120,7 @@ class Guards(_Quiet):
 
 
 class Compiles(_Quiet):
-    """Loads PyTorch's compiler and Triton, with the LLVM that they bring, in the middle of an episode."""
+    """Loads PyTorch's compiler and Triton with their LLVM during an episode."""
 
     def act(self, observation: dict[str, Any]) -> Any:
         if observation["step"] == 2:

@@ -1,4 +1,4 @@
-"""Loopback addresses of servers that tests start, close and start again at the same address; opens no server."""
+"""Reserves loopback addresses of servers that tests start again at the same address. Opens no server."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _MOST_RESERVED = 256
 
 
 def free_endpoint() -> str:
-    """Returns a zenoh endpoint on loopback that nobody listens on; see `free_port`."""
+    """Returns an unused zenoh endpoint on loopback; see `free_port`."""
     return f"tcp/127.0.0.1:{free_port()}"
 
 
 def free_port() -> int:
-    """Returns a port of 127.0.0.1 that nobody listens on, and that no other test process gets from here.
+    """Returns an unused port of 127.0.0.1 that no other test process gets from this function.
 
     The reservation is a socket in the abstract namespace: it ends with this process, or after 256 further ports.
     """

@@ -1,4 +1,4 @@
-"""A PostgreSQL server of the tests' own, on loopback, in a folder of its own; ends with them and keeps nothing."""
+"""Runs a private PostgreSQL server on loopback in a temporary folder; it is deleted at exit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _USER = "factory"
 
 
 def why_no_postgres() -> str:
-    """Returns why there is no server to test with; empty when there is one."""
+    """Returns why no server is available; empty if one is."""
     try:
         import psycopg  # noqa: F401
     except ImportError:
@@ -46,7 +46,7 @@ class Postgres:
         return f"postgresql+psycopg://{_USER}@127.0.0.1:{self._port}/{database}"
 
     def new_database(self) -> str:
-        """Makes an empty database and returns its URL."""
+        """Creates an empty database and returns its URL."""
         name = f"run_{next(self._numbers)}"
         engine = create_engine(self.url("postgres"), isolation_level="AUTOCOMMIT")
         with engine.connect() as connection:

@@ -23,7 +23,7 @@ OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 
 @dataclass(frozen=True)
 class ProcessState:
-    """What every test of one process shares."""
+    """State that the tests of one process share."""
 
     variables: dict[str, str]
     """Environment variables."""

@@ -1,4 +1,4 @@
-"""A coordinator of the smallest run, to be killed.
+"""Coordinator of a minimal run as a process for kill tests.
 
 `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [STORE]]]`
 """

@@ -1,4 +1,4 @@
-"""A gateway of the smallest run as a process that can be killed: `ROOT NAME CORE_ENDPOINT ENDPOINT`."""
+"""Gateway of a minimal run as a process for kill tests: `ROOT NAME CORE_ENDPOINT ENDPOINT`."""
 
 from __future__ import annotations
 

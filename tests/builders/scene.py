@@ -1,6 +1,6 @@
-"""Builds small valid scenes out of boxes, for tests that need a place but no scene compiler.
+"""Builds small valid scenes from boxes, for tests that need no scene compiler.
 
-Everything is computed the simple way; nothing here is fast or of use outside the tests.
+The code is simple and slow; it is for tests only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BODY_RADIUS_M = 0.4
 """Clearance of a cell that counts as reachable here, metres."""
 _CELL_M = 0.05
 _BAND_M = (0.05, 1.0)  # heights above the floor that block the robot
-_TALL_M = 0.6  # from this height above the floor on, a thing hides what stands behind
+_TALL_M = 0.6  # objects above this height block sight
 _SUCCESS_M = 1.0
 
 
@@ -62,7 +62,7 @@ def room_walls(
 
 
 def box_room(extra: Sequence[Box] = ()) -> CompiledScene:
-    """Returns a room of 8 x 6 m around the origin with a red crate, a blue barrel, a pillar and what `extra` adds."""
+    """Returns a room of 8 x 6 m around the origin with a crate, a barrel, a pillar and the boxes of `extra`."""
     crate = Box((2.2, 1.0, 0.0), (2.8, 1.6, 0.6), (200, 30, 30), category="crate")
     barrel = Box((-3.0, -2.2, 0.0), (-2.5, -1.7, 0.9), (30, 30, 200), category="barrel")
     pillar = Box((-0.2, 1.6, 0.0), (0.2, 2.0, 2.5), (90, 140, 90))
@@ -80,10 +80,10 @@ def build_scene(
     """Returns a valid scene of boxes: box k is instance k + 1, and target `<category>_<k + 1>` if it has a category.
 
     Args:
-        boxes: what stands there, floor slab included.
-        name: of the scene.
+        boxes: all boxes, floor slab included.
+        name: name of the scene.
         textures: (L, 512, 512, 3) sRGB layers the boxes may use.
-        floor_height_m: where the physics floor lies; the visible one is a box of the caller's.
+        floor_height_m: height of the physics floor; the visible floor is one of the boxes.
     """
     grid = _Grid.around(boxes, floor_height_m)
     spawns = grid.spawns()
@@ -156,7 +156,7 @@ class _Grid:
         return cls((float(low[0]), float(low[1])), occupancy, _largest_open_area(occupancy))
 
     def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Says for each of (N, 2) points whether it lies on reachable floor."""
+        """Returns for each of (N, 2) points whether it is on reachable floor."""
         column, row = np.floor((points - self.origin) / _CELL_M).astype(int).T
         rows, columns = self.reachable.shape
         known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)

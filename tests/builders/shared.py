@@ -1,4 +1,4 @@
-"""What the processes of one test session share: a folder, and things in it that are built once."""
+"""Shares a folder between the processes of a test session, with data that is built once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def session_folder(own: Path) -> Path:
     """Returns the folder of all processes of a session.
 
     Args:
-        own: pytest's base folder of this process; of a worker of pytest-xdist it is in the folder of the session.
+        own: pytest's base folder of this process; for a pytest-xdist worker it is inside the folder of the session.
     """
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
     folder.mkdir(exist_ok=True)
@@ -35,8 +35,8 @@ def build_once(folder: Path, build: Callable[[Path], object]) -> Path:
     """Builds a folder in the first process that asks; the others wait for it. Tests only read it.
 
     Args:
-        folder: where to build; what a failed build left there is removed.
-        build: builds into the folder that it is given, which is not there yet.
+        folder: target folder; leftovers of a failed build are removed.
+        build: builds into the given folder, which does not exist yet.
 
     Returns:
         `folder`.

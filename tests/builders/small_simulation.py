@@ -1,6 +1,6 @@
-"""A simulation process without physics: the smallest valid bundle of each job, and now and then a miss.
+"""A simulation process without physics: returns the smallest valid bundle of each job, or a failure.
 
-Outcome and content are functions of the job, as those of the real one; only its duration is not.
+Outcome and content are functions of the job, like those of the real simulation; the duration is random.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _serve_all() -> None:
         _tell(SimulationReport(kind=SimulationReportKind.READY, renderer="synthetic"))
         for line in os.fdopen(0, "rb", closefd=False):
             threading.Thread(target=_serve, args=(SimulationOrder.model_validate_json(line),)).start()
-    finally:  # whatever became of the supervisor
+    finally:  # however the supervisor ended
         os._exit(0)
 
 

@@ -1,6 +1,6 @@
 """Writes small USD stages as text, in any unit and with any axis up, for tests of the importer.
 
-Everything is given in world metres, z up; nothing of ours but the standard library is used.
+All values are in world metres, z up. Uses the standard library only.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ Vector3 = tuple[float, float, float]
 
 
 class StageText:
-    """Spells prims in the units and axes of one stage."""
+    """Writes prims in the units and axes of one stage."""
 
     def __init__(self, metres_per_unit: float = 1.0, up: str = "Z") -> None:
         self.metres_per_unit = metres_per_unit
@@ -57,7 +57,7 @@ class StageText:
 
 
 def room_body(text: StageText, things: str = "") -> str:
-    """Floor and walls of a room from (-4, -3) to (4, 3), a red chair at (2, 1), and what `things` adds."""
+    """Floor and walls of a room from (-4, -3) to (4, 3), a red chair at (2, 1), and the prims of `things`."""
     chair = text.group(
         "SM_Chair_01",
         text.box("Seat", (1.8, 0.8, 0.3), (2.2, 1.2, 0.45), (0.6, 0.01, 0.01))

@@ -1,4 +1,4 @@
-"""Rows of a dataset for statistics: the smallest episode's, changed at will; no file is written."""
+"""Builds rows of a dataset for statistics from the smallest episode. Writes no file."""
 
 from __future__ import annotations
 

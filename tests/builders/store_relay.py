@@ -1,6 +1,6 @@
-"""A relay in front of an S3 server that fails on demand: refuses, cuts uploads, loses answers, drops conditions.
+"""Relay in front of an S3 server that fails on demand: refuses requests, cuts uploads, loses answers, drops conditions.
 
-Tells a test the moments of each request, so that the test can end the sender at any of them.
+Reports the stages of each request to a test, so that the test can end the sender at any stage.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _DENIED = (
 
 
 class Moment(StrEnum):
-    """How far a request has come."""
+    """Stage of a request."""
 
-    BEGUN = "begun"  # half of its body is here, nothing is passed on
-    PASSED_ON = "passed_on"  # the server has carried it out, the sender has no answer
+    BEGUN = "begun"  # half of the body was received, nothing was forwarded
+    PASSED_ON = "passed_on"  # the server has executed it, the sender has no answer
     ANSWERED = "answered"  # the sender has the answer
 
 
 class StoreRelay:
-    """Relays requests to a server; what goes wrong is set from outside, while it runs. A context manager."""
+    """Relays requests to a server; failures are set while it runs. Context manager."""
 
     def __init__(self, endpoint: str) -> None:
         self.is_denying = False
@@ -111,7 +111,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._is_over(Moment.ANSWERED)
 
     def _is_over(self, moment: Moment) -> bool:
-        """Tells a moment; returns whether the sender is gone."""
+        """Reports a stage; returns whether the sender has ended."""
         is_gone = self.faults.watch(moment, self.command, self.path)
         self.close_connection = self.close_connection or is_gone
         return is_gone
@@ -132,7 +132,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True
         self.connection.shutdown(socket.SHUT_RDWR)
 
-    do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = _relay  # noqa: N815 - the names http.server asks for
+    do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = _relay  # noqa: N815 - names required by http.server
 
     def log_message(self, *arguments: object) -> None:
-        """Says nothing."""
+        """Logs nothing."""

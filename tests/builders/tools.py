@@ -1,4 +1,4 @@
-"""Finds the system's tools (ip, tc, mount, initdb ...) where an ordinary user's PATH does not lead."""
+"""Finds system tools (ip, tc, mount, initdb ...) that are not on the PATH of an ordinary user."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ _FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 
 
 def find_system_tools() -> None:
-    """Appends the folders of administration tools to this process's PATH, for it and for what it starts."""
+    """Appends the folders of administration tools to the PATH of this process and its children."""
     path = os.environ.get("PATH", os.defpath).split(os.pathsep)
     os.environ["PATH"] = os.pathsep.join([*path, *(folder for folder in _FOLDERS if folder not in path)])

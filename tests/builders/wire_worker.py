@@ -1,4 +1,4 @@
-"""A worker that only speaks the wire: it claims, spools what a test gives it, and serves chunks. Simulates nothing."""
+"""A worker that implements only the protocol: claims jobs, spools given bundles, serves chunks. Simulates nothing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def bundle_for(job: Job) -> bytes:
 
 
 def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
-    """Waits for something that happens in another thread; the limit ends a hang and measures nothing."""
+    """Waits for an event in another thread; the limit only ends a hang."""
     end = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -52,7 +52,7 @@ def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
 
 
 class WireWorker(Closing):
-    """A client session with a spool in memory; a context manager."""
+    """A client session with a spool in memory. Context manager."""
 
     def __init__(
         self, endpoints: Sequence[str], run: str, host: str = "host", tls: TlsFiles | None = None, sid: str = ""
@@ -70,7 +70,7 @@ class WireWorker(Closing):
 
     @property
     def via(self) -> str | None:
-        """The router it is connected to."""
+        """Id of the connected router."""
         routers = self._session.info.routers_zid() if self.knows_router else []
         return str(routers[0]) if routers else None
 
@@ -101,7 +101,7 @@ class WireWorker(Closing):
         return reply
 
     def job(self) -> tuple[Job, Lease]:
-        """Claims until there is a job."""
+        """Claims until a job is available."""
         replies: list[ClaimReply] = []
 
         def has_one() -> bool:
@@ -127,7 +127,7 @@ class WireWorker(Closing):
         return isinstance(reply, Ack) and reply.accepted
 
     def beat(self, live: Sequence[Lease] = ()) -> BeatReply:
-        """One heartbeat; drops what it is told to drop."""
+        """Sends one heartbeat and drops the bundles named in the reply."""
         beat = Beat(
             sid=self.sid,
             live=tuple(LeaseProgress(lease=lease, step=5) for lease in live),

@@ -20,13 +20,13 @@ __all__ = ["WorkerThread", "fake_command", "settings_for", "started_worker"]
 
 
 def fake_command(folder: Path, *more: str) -> tuple[str, ...]:
-    """Returns the command line of the fake simulation; it leaves its markers in `folder`."""
+    """Returns the command line of the fake simulation; it writes its markers to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     return (sys.executable, "-S", str(fake_simulation.__file__), str(folder), *more)
 
 
 def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
-    """Returns the settings of a quick worker that keeps everything under `folder`."""
+    """Returns the settings of a fast worker with all files below `folder`."""
     values: dict[str, Any] = {
         "connect": tuple(endpoint.split(",")),
         "spool_dir": folder / "spool",
@@ -41,7 +41,7 @@ def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
 
 
 class WorkerThread:
-    """A worker in this process; leaving the block stops it at once and raises what it raised."""
+    """A worker in this process; the end of the block stops it and raises its exception."""
 
     def __init__(self, settings: WorkerSettings) -> None:
         self.stop, self.at_once = threading.Event(), threading.Event()
@@ -51,7 +51,7 @@ class WorkerThread:
         self._thread = threading.Thread(target=self._run)
 
     def join(self) -> int:
-        """Waits for its end and returns the exit status, or raises what it raised."""
+        """Waits for the end and returns the exit status, or raises its exception."""
         self._thread.join(60)
         assert not self._thread.is_alive(), "the worker does not end"
         if self.error is not None:
@@ -79,7 +79,7 @@ class WorkerThread:
 
 @contextmanager
 def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]]:
-    """Starts a worker as a process of its own; what is left of it at the end of the block is killed."""
+    """Starts a worker in a separate process, which is killed at the end of the block."""
     arguments = (settings.connect[0], str(settings.spool_dir.parent), str(settings.cores), *settings.command)
     process = subprocess.Popen([sys.executable, "-m", "tests.builders.worker", *arguments])
     try:

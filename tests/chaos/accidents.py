@@ -1,4 +1,4 @@
-"""Accidents to the ledger of a coordinator that is down: deleted, replaced by an older copy, truncated, damaged."""
+"""Damages the ledger of a stopped coordinator: deletes it, restores an older copy, truncates it or flips bits."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _LOG, _SHARED = "ledger.db-wal", "ledger.db-shm"
 _PAGE = 4096
 
 Accident = Callable[[Path, Sequence[Path], random.Random], str]
-"""(dataset, older copies of its ledger, chance) -> what was done, in words."""
+"""(dataset, older copies of its ledger, chance) -> description of the damage."""
 
 
 def copy_ledger(out: Path, folder: Path) -> Path:
-    """Copies a ledger as a careful operator does: by SQLite itself, log included."""
+    """Copies a ledger with the backup function of SQLite, write-ahead log included."""
     folder.mkdir(parents=True)
     with (
         closing(sqlite3.connect(f"file:{out / 'ledger.db'}?mode=ro", uri=True)) as source,
@@ -56,7 +56,7 @@ def _truncate(out: Path, _copies: Sequence[Path], rng: random.Random) -> str:
 
 
 def _damage(out: Path, _copies: Sequence[Path], rng: random.Random) -> str:
-    if rng.random() < 0.7:  # else the log is read over the damage, as after a kill
+    if rng.random() < 0.7:  # otherwise SQLite would replay the log over the damage
         with closing(sqlite3.connect(out / "ledger.db")) as raw:
             raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     name = rng.choice([name for name in ("ledger.db", _LOG) if (out / name).exists() and (out / name).stat().st_size])

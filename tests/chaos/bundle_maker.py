@@ -1,4 +1,4 @@
-"""Makes the bundles of simulations that are too light to make their own; what is in one is a function of its order."""
+"""Builds the bundles of the light simulations in one process. A bundle is a function of its order."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A simulation was killed while it was served."""
+        """Ignores errors: the simulation was killed during the request."""
 
 
 class BundleMaker(Closing):
-    """Answers each order, a line of JSON, with a bundle; a context manager."""
+    """Returns a bundle for each order, one line of JSON. Context manager."""
 
     def __init__(self) -> None:
         self.name = f"minivla-{secrets.token_hex(8)}"
-        """Of its socket, in the abstract namespace."""
+        """Name of the socket in the abstract namespace."""
         self._server = _Server(f"\0{self.name}", _Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="kitchen")
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="bundle-maker")
         self._thread.start()
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""The coordinator's disk as chaos has it: small, full, slow. What this machine does not allow is said.
+"""Provides a small disk for the coordinator that can be full or slow. Reports faults that the machine does not support.
 
-A library preloaded into the coordinator slows its fsync down, and notes what it felt.
+A library preloaded into the coordinator delays fsync and records the effects of both faults.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ __all__ = ["Disk"]
 _SOURCE = Path(__file__).with_name("slow_fsync.c")
 _BLOCK = bytes(1 << 16)
 _FULL, _SLOW = "f", "s"
-"""What the preloaded library notes."""
+"""Letters that the preloaded library writes."""
 _PROBE = """
 import os, sys, time
 with open(sys.argv[1], "wb") as file:
-    begun = time.monotonic()
+    started = time.monotonic()
     os.fsync(file.fileno())
-    print(time.monotonic() - begun)
+    print(time.monotonic() - started)
 """
 
 
 class Disk(Closing):
-    """A tmpfs of some megabytes where root may mount one, else a plain folder; a context manager.
+    """A small tmpfs if root may mount one, otherwise a plain folder. Context manager.
 
     Args:
-        folder: where to work.
+        folder: working directory.
         megabytes: size of the disk.
     """
 
@@ -42,27 +42,27 @@ class Disk(Closing):
         self.path = folder / "disk"
         self.path.mkdir(parents=True)
         self.missing: dict[str, str] = {}
-        """Fault -> why it cannot be had here."""
+        """Fault -> why this machine does not support it."""
         self._is_mounted = self._mount(megabytes)
         self._speed = folder / "slow_ms"
-        self._felt = folder / "slow_ms.felt"
-        self._spells: dict[str, FaultSpan] = {}
+        self._log = folder / "slow_ms.effects"
+        self._spans: dict[str, FaultSpan] = {}
         self._shim = folder / "slow_fsync.so"
         self._make_shim()
 
     @property
     def preload(self) -> dict[str, str]:
-        """What the environment of a process needs from its beginning to feel anything."""
+        """Environment variables that a process needs at its start to be affected."""
         return {} if "slow disk" in self.missing else {"LD_PRELOAD": str(self._shim)}
 
     @property
     def environment(self) -> dict[str, str]:
-        """What else it needs, then or later."""
+        """Environment variables that it needs at its start or later."""
         return {} if "slow disk" in self.missing else {"SLOW_DISK": str(self._speed)}
 
     def fill(self) -> FaultSpan | None:
-        """Leaves not a byte free until it is cleared; `None` when it is full already."""
-        if _FULL in self._spells:
+        """Fills the disk until `clear`; `None` when it is already full."""
+        if _FULL in self._spans:
             return None
         with (self.path / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
             while True:
@@ -70,28 +70,28 @@ class Disk(Closing):
         return self._begin(_FULL)
 
     def slow(self, milliseconds: int) -> FaultSpan | None:
-        """Lets every fsync wait until it is cleared; `None` when it is slow already."""
-        if _SLOW in self._spells:
+        """Delays every fsync until `clear`; `None` when it is already slow."""
+        if _SLOW in self._spans:
             return None
         self._speed.write_text(str(milliseconds))
         return self._begin(_SLOW)
 
     def clear(self) -> None:
-        """Gives back the room and the speed, and tells the spells what was felt of them."""
+        """Ends all faults and adds their recorded effects to the spans."""
         (self.path / "filler").unlink(missing_ok=True)
         self._speed.unlink(missing_ok=True)
-        felt = self._felt.read_text() if self._felt.exists() else ""
-        self._felt.unlink(missing_ok=True)
-        for letter, spell in self._spells.items():
-            spell.felt += felt.count(letter)
-        self._spells.clear()
+        effects = self._log.read_text() if self._log.exists() else ""
+        self._log.unlink(missing_ok=True)
+        for letter, span in self._spans.items():
+            span.effects += effects.count(letter)
+        self._spans.clear()
 
     def _begin(self, letter: str) -> FaultSpan:
-        spell = self._spells[letter] = FaultSpan()
-        return spell
+        span = self._spans[letter] = FaultSpan()
+        return span
 
     def close(self) -> None:
-        """Unmounts the disk; what was on it is gone."""
+        """Unmounts the disk and deletes its content."""
         if self._is_mounted:
             subprocess.run(["umount", "--lazy", str(self.path)], check=True)
             self._is_mounted = False
@@ -113,19 +113,19 @@ class Disk(Closing):
         try:
             command = ["cc", "-shared", "-fPIC", "-O1", "-o", str(self._shim), str(_SOURCE), "-ldl"]
             subprocess.run(command, check=True, capture_output=True)
-            spell = self.slow(120)
+            span = self.slow(120)
             probe = [sys.executable, "-c", _PROBE, str(self.path / "probe")]
-            feeling = os.environ | self.preload | self.environment
-            took = float(subprocess.run(probe, check=True, capture_output=True, env=feeling).stdout)
+            environment = os.environ | self.preload | self.environment
+            took = float(subprocess.run(probe, check=True, capture_output=True, env=environment).stdout)
             self.clear()
-            if took < 0.1 or spell is None or not spell.felt:
+            if took < 0.1 or span is None or not span.effects:
                 self._miss(f"a preloaded library has no effect: {took:.3f} s")
         except (OSError, subprocess.CalledProcessError, ValueError) as error:
-            self._miss(f"a preloaded library is not to be had: {error}")
+            self._miss(f"the preloaded library cannot be built or run: {error}")
         finally:
             self.clear()
             (self.path / "probe").unlink(missing_ok=True)
 
     def _miss(self, why: str) -> None:
-        for fault in ("slow disk", "full disk"):  # without the library nobody says whether a full disk was felt
+        for fault in ("slow disk", "full disk"):  # without the library no effect is recorded
             self.missing.setdefault(fault, why)

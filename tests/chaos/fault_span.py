@@ -1,4 +1,4 @@
-"""What became of a mishap: it counts when somebody felt it, and only then."""
+"""Records the effect of an injected fault. A fault without an effect is not counted."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ __all__ = ["FaultSpan"]
 
 @dataclass
 class FaultSpan:
-    """A mishap from its beginning to its end.
+    """An injected fault from its start to its end.
 
-    A signal is felt when its process got it in the middle of its work; a cut wire once a connection broke or was
-    refused, a mute one once an answer was lost; a full disk once a write was refused, a slow one once an fsync waited.
+    A signal has an effect when its process receives it while it works; a cut wire when a connection breaks or is
+    refused, a mute wire when a reply is lost; a full disk when a write fails, a slow disk when an fsync waits.
     """
 
-    felt: int = 0
+    effects: int = 0
+    """Number of observed effects."""

@@ -1,6 +1,6 @@
-"""Simulation of a host with a bad disk, bad memory or a bad driver: `LONGEST_S KITCHEN SHARE`.
+"""Simulation of a host with a bad disk, bad memory or a bad driver: `LONGEST_S BUNDLE_MAKER SHARE`.
 
-Damages that share of its attempts; the others are those of `light_simulation`, which this script runs.
+Damages the share SHARE of its attempts; the others are those of `light_simulation`, which this script runs.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import sys
 
 
 def main() -> None:
-    sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # it runs isolated, so that it starts at once
+    sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # runs isolated for a fast start
     import light_simulation  # type: ignore[import-not-found]
 
     light_simulation.main(_damage)
 
 
 def _damage(bundle: bytes) -> tuple[bytes, str]:
-    """Returns a bundle as it is on the disk, and the SHA-256 that is reported of it."""
+    """Returns the bytes on the disk and the reported SHA-256."""
     if random.random() >= float(sys.argv[3]):
         return bundle, hashlib.sha256(bundle).hexdigest()
     kind = random.choice(("disk flips a bit", "disk cuts", "memory flips a bit", "crash"))

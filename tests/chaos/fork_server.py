@@ -1,6 +1,6 @@
-"""Where the processes of a party come from: forked from one that has imported everything, so that a kill costs little.
+"""Starts processes quickly: forks them from a process that has imported their modules.
 
-Each is a real process with its own log, arguments and environment; only the reading of its code is done before.
+Each child is a real process with its own log, arguments and environment.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STARTS_WITHIN_S = 120.0
 
 
 class Child:
-    """A process as `subprocess.Popen` shows it, as far as it is needed here."""
+    """A child process with the part of the interface of `subprocess.Popen` that the tests need."""
 
     def __init__(self, pid: int, args: Sequence[str]) -> None:
         self.pid, self.args = pid, args
@@ -35,7 +35,7 @@ class Child:
         self._ended = threading.Event()
 
     def poll(self) -> int | None:
-        """Returns the exit status, minus the signal that ended it, or `None` while it lives."""
+        """Returns the exit status, minus the signal that ended it, or `None` while it runs."""
         return self._status
 
     def wait(self, timeout: float | None = None) -> int:
@@ -53,17 +53,17 @@ class Child:
         self.send_signal(signal.SIGKILL)
 
     def note_end(self, status: int) -> None:
-        """Is told by the nursery."""
+        """Records the exit status; called by the fork server."""
         self._status = status
         self._ended.set()
 
 
 class ForkServer(Closing):
-    """Starts processes quickly; a context manager whose exit kills all that are left.
+    """Starts processes quickly. Context manager: exit kills the remaining processes.
 
     Args:
-        modules: what they run: each has a `main` that reads `sys.argv`.
-        environment: of all of them, beside our own.
+        modules: modules to run; each has a `main` that reads `sys.argv`.
+        environment: variables for all processes, in addition to the inherited ones.
     """
 
     def __init__(self, modules: Sequence[str], environment: Mapping[str, str]) -> None:
@@ -75,24 +75,24 @@ class ForkServer(Closing):
             text=True,
         )
         self._children: dict[int, Child] = {}
-        self._born: queue.Queue[Child | None] = queue.Queue()
+        self._started: queue.Queue[Child | None] = queue.Queue()
         self._asked: tuple[str, ...] = ()
-        self._thread = threading.Thread(target=self._listen, name="nursery")
+        self._thread = threading.Thread(target=self._listen, name="fork-server")
         self._thread.start()
 
     def start(self, module: str, words: Sequence[str], log: Path, extra: Mapping[str, str]) -> Child:
-        """Starts `module`, whose output goes to the end of a file, with something extra in its environment."""
+        """Starts `module`; appends its output to `log` and adds `extra` to its environment."""
         assert self._process.stdin is not None
         self._asked = (module, *words)
         order = {"module": module, "words": list(words), "log": str(log), "extra": dict(extra)}
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
-        child = self._born.get(timeout=_STARTS_WITHIN_S)
-        assert child is not None, f"the nursery has ended with {self._process.wait()}"
+        child = self._started.get(timeout=_STARTS_WITHIN_S)
+        assert child is not None, f"the fork server has ended with {self._process.wait()}"
         return child
 
     def close(self) -> None:
-        """Kills who is left."""
+        """Kills the remaining processes."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
@@ -104,16 +104,16 @@ class ForkServer(Closing):
         assert self._process.stdout is not None
         for line in self._process.stdout:
             what, pid, *status = line.split()
-            if what == "born":
+            if what == "started":
                 self._children[int(pid)] = child = Child(int(pid), self._asked)
-                self._born.put(child)
+                self._started.put(child)
             else:
                 self._children.pop(int(pid)).note_end(int(status[0]))
-        self._born.put(None)
+        self._started.put(None)
 
 
 def main() -> None:
-    """Is the nursery: reads orders from stdin, tells births and deaths on stdout, kills all when stdin ends."""
+    """Runs the fork server: reads orders from stdin, reports starts and exits on stdout, kills its children at exit."""
     for module in sys.argv[1:]:
         importlib.import_module(module)
     gc.freeze()
@@ -121,7 +121,7 @@ def main() -> None:
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake)
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    living = set[int]()
+    alive = set[int]()
     orders = b""
     while True:
         ready, _, _ = select.select([0, hear], [], [])
@@ -133,31 +133,31 @@ def main() -> None:
             for line in lines:
                 pid = os.fork()
                 if pid == 0:
-                    _grow_up(json.loads(line), hear, wake)
-                living.add(pid)
-                _tell(f"born {pid}")
+                    _run_child(json.loads(line), hear, wake)
+                alive.add(pid)
+                _report(f"started {pid}")
         if hear in ready:
             os.read(hear, 1 << 16)
-        _reap(living)
-    for pid in living:
+        _reap(alive)
+    for pid in alive:
         os.kill(pid, signal.SIGKILL)
 
 
-def _reap(living: set[int]) -> None:
-    while living:
+def _reap(alive: set[int]) -> None:
+    while alive:
         pid, status = os.waitpid(-1, os.WNOHANG)
         if pid == 0:
             return
-        living.remove(pid)
-        _tell(f"dead {pid} {os.waitstatus_to_exitcode(status)}")
+        alive.remove(pid)
+        _report(f"ended {pid} {os.waitstatus_to_exitcode(status)}")
 
 
-def _tell(line: str) -> None:
+def _report(line: str) -> None:
     os.write(1, f"{line}\n".encode())
 
 
-def _grow_up(order: dict[str, Any], *fds: int) -> NoReturn:
-    """Becomes the process that was ordered and leaves as any interpreter does."""
+def _run_child(order: dict[str, Any], *fds: int) -> NoReturn:
+    """Runs the ordered module in the forked process and exits as an interpreter does."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     nothing = os.open(os.devnull, os.O_RDONLY)

@@ -1,7 +1,7 @@
-"""A hostile peer beside honest workers: sends rubbish at a bounded rate, and counts what the coordinator refused of it.
+"""Hostile peer beside honest workers: sends invalid requests at a bounded rate and counts the refusals.
 
-Does nothing that plain TCP allows to everybody by design: it sends no message of operators and gateways, and reports no
-collision that the world did not make. TLS keeps the former from workers; the latter cannot be seen from outside.
+It does nothing that plain TCP allows by design: it sends no operator or gateway request and reports no false collision.
+TLS denies the former to workers; the latter cannot be detected from outside.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ __all__ = ["HOSTILE_HOST", "HOSTILE_KINDS", "HostilePeer"]
 HOSTILE_HOST = "hostile"
 _BEAT_S = 0.5
 _HELD_S = 4.0
-"""How long a job is kept without work."""
+"""How long a job is held without progress."""
 _SLOW_S, _SLOW_BYTES = 0.3, 512
 """Pause before each answer for a slow bundle, and the bytes of the answer."""
 _PAUSES = "no job for a hostile peer that pauses or is barred"
 _RETRY_S = 0.5
-"""A host that neither pauses nor is barred is told to ask again sooner."""
+"""A host that neither pauses nor is barred gets a shorter retry delay."""
 
 Key = tuple[int, int]
 """Job and fence."""
@@ -76,41 +76,41 @@ class _Session(WireWorker):
 
 
 class HostilePeer:
-    """A thread that harms a run until it is told to stop; a context manager.
+    """Thread that attacks a run until `stop`. Context manager.
 
     Args:
-        party: whose run it harms.
-        rng: draws what it does.
-        pause_s: shortest and longest pause between two acts, seconds.
+        cluster: cluster of the attacked run.
+        rng: generator that chooses the attacks.
+        pause_s: shortest and longest pause between two attacks, seconds.
     """
 
-    def __init__(self, party: ChaosCluster, rng: random.Random, pause_s: tuple[float, float]) -> None:
-        self._party, self._rng, self._pause_s = party, rng, pause_s
-        self._run = room_plan(party.cast.episodes, crashes=party.cast.crashes).run
+    def __init__(self, cluster: ChaosCluster, rng: random.Random, pause_s: tuple[float, float]) -> None:
+        self._cluster, self._rng, self._pause_s = cluster, rng, pause_s
+        self._run = room_plan(cluster.commands.episodes, crashes=cluster.commands.crashes).run
         self.acts: list[tuple[str, FaultSpan]] = []
-        """Kind and effect of what it has done."""
+        """Kind and effect of each attack."""
         self.violations: list[str] = []
         self._open: list[tuple[str, Key, FaultSpan]] = []
-        """Acts whose effect is in the ledger later."""
+        """Attacks whose effect is read from the ledger later."""
         self._held: dict[Lease, float] = {}
-        """Lease -> until when it is kept alive."""
+        """Lease -> time until which heartbeats renew it."""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="hostile-peer")
 
     def stop(self) -> None:
-        """Ends the acts."""
+        """Ends the attacks."""
         self._stop.set()
         self._thread.join()
 
     def settle(self) -> None:
-        """Reads from the ledger of a run that has ended which acts had an effect."""
-        rows = self._party.query(f"select job_id, fence, outcome from attempts where sid like '{HOSTILE_HOST}.%'")
+        """Reads the effects of the attacks from the ledger of an ended run."""
+        rows = self._cluster.query(f"select job_id, fence, outcome from attempts where sid like '{HOSTILE_HOST}.%'")
         outcomes = {(job, fence): outcome for job, fence, outcome in rows}
-        for kind, key, spell in self._open:
+        for kind, key, span in self._open:
             outcome = outcomes.get(key)
-            spell.felt += outcome == ("invalid" if kind in _BUNDLES else "expired")
+            span.effects += outcome == ("invalid" if kind in _BUNDLES else "expired")
             if outcome == "success":
-                self.violations.append(f"{kind}: an episode was made of it, job {key[0]}")
+                self.violations.append(f"{kind}: it was archived as an episode, job {key[0]}")
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -124,8 +124,8 @@ class HostilePeer:
     def _work(self) -> None:
         while not self._stop.wait(0.1):
             try:
-                session = _Session(self._party.doors, self._run, HOSTILE_HOST)
-            except zenoh.ZError:  # nobody listens
+                session = _Session(self._cluster.endpoints, self._run, HOSTILE_HOST)
+            except zenoh.ZError:  # no router listens
                 continue
             with session:
                 self._act_in(session)
@@ -153,14 +153,14 @@ class HostilePeer:
             if reply.retry_after_s > _RETRY_S:
                 self.acts.append((_PAUSES, FaultSpan(1)))
         elif self._rng.random() < 0.5:
-            _work_honestly(session, reply.job, reply.lease)  # which takes back half of its strikes
+            _work_honestly(session, reply.job, reply.lease)  # this removes half of its strikes
         else:
             self._spoil(session, kind, reply.job, reply.lease)
 
     def _spoil(self, session: _Session, kind: str, job: Job, lease: Lease) -> None:
-        key, spell = (lease.job_id, lease.fence), FaultSpan()
-        self.acts.append((kind, spell))
-        self._open.append((kind, key, spell))
+        key, span = (lease.job_id, lease.fence), FaultSpan()
+        self.acts.append((kind, span))
+        self._open.append((kind, key, span))
         if kind == _SLOW:
             session.slow |= {key}
         if kind in _HELD:
@@ -195,7 +195,7 @@ class HostilePeer:
         return isinstance(session.ask(Verb.CLAIM, b'{"sid": "' + b"x" * size + b'"}', Ack), Refusal)
 
     def _pretend(self, session: _Session) -> bool:
-        """Speaks as a session of an honest host."""
+        """Sends a request in the name of an honest host."""
         number = self._rng.randrange(3)
         messages: tuple[tuple[Verb, Model], ...] = (
             (Verb.CLAIM, Claim(sid=f"host-{number}.1", token="0" * 32)),
@@ -206,13 +206,13 @@ class HostilePeer:
         return isinstance(session.ask(verb, message, Ack), Refusal)
 
     def _differ(self, session: _Session) -> bool:
-        """Introduces itself with another version."""
+        """Sends a hello with another version."""
         hello = Hello(sid=session.sid, host=HOSTILE_HOST, slots=4096, version="0.0.1")
         return isinstance(session.ask(Verb.HELLO, hello, HelloReply), Refusal)
 
     def _steal(self, session: _Session) -> bool:
-        """Uses the token of an honest host; a test has it from the ledger."""
-        held = self._party.query("select id, fence, token from jobs where sid like 'host-%' and token is not null")
+        """Uses a token of an honest host, read from the ledger."""
+        held = self._cluster.query("select id, fence, token from jobs where sid like 'host-%' and token is not null")
         if not held:
             return False
         lease = Lease(**dict(zip(("job_id", "fence", "token"), self._rng.choice(held), strict=True)))
@@ -250,7 +250,7 @@ def _mistitled(job: Job) -> tuple[bytes, str, int]:
 
 
 def _forge(job: Job, rng: random.Random) -> tuple[bytes, str, int]:
-    """Returns a bundle that is well formed and that validation refuses."""
+    """Returns a well-formed bundle that validation refuses."""
     parts = parts_for(job)
     poses = parts.arrays.poses.copy()
     poses[-1, 0] += 1.0
@@ -276,7 +276,7 @@ _MESSAGES: Mapping[str, Callable[[HostilePeer, _Session], bool]] = {
     "hello of another version": HostilePeer._differ,
     "token of another host": HostilePeer._steal,
 }
-"""Kind -> what it does; returns whether it was refused."""
+"""Kind -> attack; returns whether the coordinator refused it."""
 _BUNDLES: Mapping[str, Callable[[Job, random.Random], tuple[bytes, str, int]]] = {
     "7 bytes of a hostile peer": lambda _job, _rng: _announced(b"7 bytes"),
     "huge size announced by a hostile peer": lambda _job, _rng: (b"7 bytes", "0" * 64, MAX_BUNDLE_BYTES + 1),
@@ -284,6 +284,6 @@ _BUNDLES: Mapping[str, Callable[[Job, random.Random], tuple[bytes, str, int]]] =
     "forged bundle of a hostile peer": _forge,
     _SLOW: lambda _job, _rng: _announced(bytes(1 << 20)),
 }
-"""Kind -> (bundle, announced SHA-256, announced size); an effect is that it was refused."""
+"""Kind -> (bundle, announced SHA-256, announced size); the effect is a refusal."""
 HOSTILE_KINDS = (*_MESSAGES, *_BUNDLES, *_HELD, _FORGOTTEN, _PAUSES)
-"""What a hostile peer does, and last what it is told when it asks for more."""
+"""Kinds of attacks; the last one is the reply to a claim of a pausing or barred host."""

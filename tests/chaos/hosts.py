@@ -1,4 +1,4 @@
-"""Hosts as network namespaces with addresses of their own, joined by a bridge; needs root and `ip`, and says so."""
+"""Hosts as network namespaces with separate addresses, joined by a bridge. Requires root and `ip`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Hosts", "why_not"]
 
 
 def why_not() -> str:
-    """Returns why namespaces cannot be had here; empty when they can."""
+    """Returns why namespaces are not available; empty when they are."""
     if shutil.which("ip") is None:
         return "needs ip (Debian: iproute2)"
     if os.geteuid() != 0:
@@ -21,16 +21,16 @@ def why_not() -> str:
     probe = f"probe{secrets.token_hex(3)}"
     made = subprocess.run(["ip", "netns", "add", probe], capture_output=True, text=True)
     if made.returncode != 0:
-        return f"network namespaces are not to be had: {made.stderr.strip()}"
+        return f"network namespaces are not available: {made.stderr.strip()}"
     subprocess.run(["ip", "netns", "del", probe], check=True)
     return ""
 
 
 class Hosts(Closing):
-    """A few hosts on one network, the first at 10.231.x.1; a context manager.
+    """Hosts on one network; the first has the address 10.231.x.1. Context manager.
 
     Args:
-        count: how many.
+        count: number of hosts.
     """
 
     def __init__(self, count: int) -> None:
@@ -49,19 +49,19 @@ class Hosts(Closing):
             raise
 
     def inside(self, number: int) -> list[str]:
-        """Returns what to put before a command line that shall run on a host."""
+        """Returns the prefix of a command line that runs on a host."""
         return ["ip", "netns", "exec", self._space(number)]
 
     def cut(self, number: int) -> None:
-        """Takes a host off the network: packets vanish, nobody is told."""
+        """Disconnects a host: packets are dropped without a notification."""
         self._ip("link", "set", self._cable(number), "down")
 
     def heal(self, number: int) -> None:
-        """Puts a host back on the network."""
+        """Reconnects a host."""
         self._ip("link", "set", self._cable(number), "up")
 
     def worsen(self, number: int, rate: str, latency: str) -> str:
-        """Lets a host's packets queue and drop behind a narrow link; returns why that cannot be, or nothing."""
+        """Limits the link of a host in rate and latency; returns why that is not possible, or an empty text."""
         if shutil.which("tc") is None:
             return "needs tc (Debian: iproute2)"
         shape = ["tbf", "rate", rate, "burst", "16kbit", "latency", latency]
@@ -75,7 +75,7 @@ class Hosts(Closing):
         return ""
 
     def close(self) -> None:
-        """Removes everything."""
+        """Removes all namespaces and links."""
         for command in reversed(self._made):
             subprocess.run(command, capture_output=True)
         self._made = []

@@ -1,7 +1,7 @@
-"""`make ledger-accidents`: runs whose ledger is lost or damaged at random moments; then the same command is run again.
+"""`make ledger-accidents`: runs whose ledger is lost or damaged at random moments, after which the command is repeated.
 
-No episode that was on disk may be simulated again or end in quarantine; every dataset must equal that of a calm run.
-Ends with 1 otherwise. A run is its seed; the tally is kept, so that a campaign goes on where it was stopped.
+No episode on disk may be simulated again or moved to quarantine; every dataset must equal that of an undisturbed run.
+Exits with 1 otherwise. A run is determined by its seed. The tally is stored, so that a stopped campaign can continue.
 """
 
 from __future__ import annotations
@@ -24,96 +24,103 @@ from rich.console import Console
 
 from tests.chaos.accidents import ACCIDENTS, copy_ledger
 from tests.chaos.cluster import ChaosCluster, ClusterCommands, fake_commands
-from tests.chaos.round import Stopped, calm_digest
+from tests.chaos.round import Stopped, reference_digest
 from tests.chaos.tally import Tally
 from tests.chaos.verdict import digest_of, violations_of
 
-__all__ = ["main", "play_accidents"]
+__all__ = ["main", "run_accidents"]
 
 _TICK_S = 0.05
 _LONGEST_S = 1.0
-"""Of a simulation."""
+"""Longest duration of a simulation, seconds."""
 log = Console(stderr=True, highlight=False)
 
 
-def play_accidents(
-    cast: ClusterCommands, root: Path, kinds: Sequence[str], seed: int, calm: str, stop: threading.Event | None = None
+def run_accidents(
+    commands: ClusterCommands,
+    root: Path,
+    kinds: Sequence[str],
+    seed: int,
+    reference: str,
+    stop: threading.Event | None = None,
 ) -> Tally:
-    """Plays one run and lets accidents befall its ledger, one after the other.
+    """Runs one round and damages its ledger several times.
 
     Args:
-        cast: how its parts are started.
-        root: where to work; removed when all went well.
-        kinds: of accidents, in order.
-        seed: of the moments and of what each accident does.
-        calm: the digest its dataset must have.
+        commands: commands that start the processes.
+        root: working directory; removed without violations.
+        kinds: kinds of damage, in order.
+        seed: seed of the moments and of the damage.
+        reference: expected digest of the dataset.
         stop: ends the run early.
 
     Raises:
         Stopped: `stop` was set.
     """
     root.mkdir()
-    rng, tally, begun = random.Random(seed), Tally(rounds=Counter({"with accidents": 1})), time.monotonic()
+    rng, tally, started = random.Random(seed), Tally(rounds=Counter({"with accidents": 1})), time.monotonic()
     stop = stop or threading.Event()
-    with ChaosCluster(root, cast, 2) as party:
+    with ChaosCluster(root, commands, 2) as cluster:
         notes: list[str] = []
-        share = cast.episodes / len(kinds)
+        share = commands.episodes / len(kinds)
         for number, kind in enumerate(kinds):
-            moment = max(1, min(cast.episodes - 1, round((number + rng.random()) * share)))
-            _wait(party, 1 if number == 0 else 0, stop)
-            copies = [*root.glob("copy-*"), copy_ledger(party.out, root / f"copy-{number}")]
-            _wait(party, moment, stop)
+            moment = max(1, min(commands.episodes - 1, round((number + rng.random()) * share)))
+            _wait(cluster, 1 if number == 0 else 0, stop)
+            copies = [*root.glob("copy-*"), copy_ledger(cluster.out, root / f"copy-{number}")]
+            _wait(cluster, moment, stop)
             stop.wait(rng.uniform(0.0, 0.5))
-            while party.kill_coordinator(float("inf")) is None:
-                _tend(party, stop)
-            kept = {int(path.stem[3:]) for path in (party.out / "episodes").glob("ep_*.zip")}
-            notes.append(f"{len(kept)} episodes on disk: {ACCIDENTS[kind](party.out, copies, rng)}")
+            while cluster.kill_coordinator(float("inf")) is None:
+                _tend(cluster, stop)
+            kept = {int(path.stem[3:]) for path in (cluster.out / "episodes").glob("ep_*.zip")}
+            notes.append(f"{len(kept)} episodes on disk: {ACCIDENTS[kind](cluster.out, copies, rng)}")
             since = time.time()
-            party.tend(everybody=True)
+            cluster.tend(at_once=True)
             tally.faults[kind] += 1
-            _wait(party, len(kept), stop)
-            party.violations += _made_again(party, kept, since)
-        _wait(party, cast.episodes, stop)
-        party.end()
-        party.violations += _made_again(party, kept, since)
-        party.violations += violations_of(party)
-        party.violations += [
-            f"{path.name} is in quarantine" for path in (party.out / "quarantine").glob("ep_*.zip.????????")
+            _wait(cluster, len(kept), stop)
+            cluster.violations += _repeated_episodes(cluster, kept, since)
+        _wait(cluster, commands.episodes, stop)
+        cluster.end()
+        cluster.violations += _repeated_episodes(cluster, kept, since)
+        cluster.violations += violations_of(cluster)
+        cluster.violations += [
+            f"{path.name} is in quarantine" for path in (cluster.out / "quarantine").glob("ep_*.zip.????????")
         ]
-        if digest_of(party) != calm:
-            party.violations.append(f"digest {digest_of(party)}, calm {calm}")
-        tally.episodes = len(party.archived())
-        tally.outcomes = party.outcomes()
-        tally.restarts = party.restarts
-        tally.violations = [f"seed {seed} ({'; '.join(notes)}): {text}" for text in dict.fromkeys(party.violations)]
-        if party.violations:
-            shutil.copy(party.out / "ledger.db", root / "evidence.db")
-            shutil.copy(party.log, root / "evidence.log")
-    tally.seconds = time.monotonic() - begun
+        if digest_of(cluster) != reference:
+            cluster.violations.append(f"digest {digest_of(cluster)}, reference {reference}")
+        tally.episodes = len(cluster.archived())
+        tally.outcomes = cluster.outcomes()
+        tally.restarts = cluster.restarts
+        tally.violations = [f"seed {seed} ({'; '.join(notes)}): {text}" for text in dict.fromkeys(cluster.violations)]
+        if cluster.violations:
+            shutil.copy(cluster.out / "ledger.db", root / "evidence.db")
+            shutil.copy(cluster.log, root / "evidence.log")
+    tally.seconds = time.monotonic() - started
     if not tally.violations:
         shutil.rmtree(root)
     return tally
 
 
-def _wait(party: ChaosCluster, archived: int, stop: threading.Event) -> None:
-    """Waits until so many episodes are archived."""
-    deadline = time.monotonic() + party.cast.longest_s
-    while len(party.archived()) < archived:
+def _wait(cluster: ChaosCluster, archived: int, stop: threading.Event) -> None:
+    """Waits until that many episodes are archived."""
+    deadline = time.monotonic() + cluster.commands.longest_s
+    while len(cluster.archived()) < archived:
         if time.monotonic() > deadline:
-            party.violations.append(f"{len(party.archived())} of {archived} episodes after {party.cast.longest_s:g} s")
+            cluster.violations.append(
+                f"{len(cluster.archived())} of {archived} episodes after {cluster.commands.longest_s:g} s"
+            )
             return
-        _tend(party, stop)
+        _tend(cluster, stop)
 
 
-def _tend(party: ChaosCluster, stop: threading.Event) -> None:
-    party.tend()
+def _tend(cluster: ChaosCluster, stop: threading.Event) -> None:
+    cluster.tend()
     if stop.wait(_TICK_S):
         raise Stopped
 
 
-def _made_again(party: ChaosCluster, kept: set[int], since: float) -> list[str]:
-    """Returns which episodes were given to a worker although they were on disk."""
-    claims = party.query(
+def _repeated_episodes(cluster: ChaosCluster, kept: set[int], since: float) -> list[str]:
+    """Returns a violation if episodes on disk were given to a worker again."""
+    claims = cluster.query(
         "select jobs.idx from events join jobs on jobs.id = events.job_id "
         f"where events.event = 'claimed' and events.sid != 'repair' and events.at > {since}"
     )
@@ -122,33 +129,33 @@ def _made_again(party: ChaosCluster, kept: set[int], since: float) -> list[str]:
 
 
 def run_campaign(
-    cast: ClusterCommands, root: Path, moments: int, per_run: int, seed: int, at_once: int, kept: Path | None
+    commands: ClusterCommands, root: Path, moments: int, per_run: int, seed: int, at_once: int, kept: Path | None
 ) -> Tally:
-    """Plays runs until so many accidents have happened.
+    """Runs rounds until the ledger was damaged `moments` times.
 
     Args:
-        cast: how the parts are started.
+        commands: commands that start the processes.
         root: where to work.
-        moments: accidents wanted in all, those of the kept tally included.
-        per_run: accidents of a run.
-        seed: of run 0; the next ones count on.
-        at_once: runs side by side.
-        kept: file of a tally to go on from, written after each run.
+        moments: total number of damages, including those of the stored tally.
+        per_run: damages per run.
+        seed: seed of run 0; run K uses `seed` + K.
+        at_once: number of concurrent runs.
+        kept: tally file to continue from; written after each run.
     """
     tally = Tally.load(kept) if kept is not None else Tally()
-    calm = calm_digest(cast, root / "calm")
-    stop, before, begun = threading.Event(), tally.seconds, time.monotonic()
+    reference = reference_digest(commands, root / "reference")
+    stop, before, started = threading.Event(), tally.seconds, time.monotonic()
     done, wanted = tally.rounds.total(), -(-max(0, moments - tally.faults.total()) // per_run)
 
     def play(number: int) -> Tally:
         kinds = list(itertools.islice(itertools.cycle(ACCIDENTS), number * per_run, (number + 1) * per_run))
-        return play_accidents(cast, root / f"run-{number}", kinds, seed + number, calm, stop)
+        return run_accidents(commands, root / f"run-{number}", kinds, seed + number, reference, stop)
 
     with ThreadPoolExecutor(at_once) as pool:
         try:
             for one in pool.map(play, range(done, done + wanted)):
                 tally.add(one)
-                tally.seconds = before + time.monotonic() - begun
+                tally.seconds = before + time.monotonic() - started
                 if kept is not None:
                     tally.save(kept)
                 log.print(f"{tally.rounds.total()} runs: {tally.faults.total()} accidents, {tally.episodes} episodes")
@@ -160,26 +167,28 @@ def run_campaign(
 
 
 def main() -> int:
-    """Runs a campaign as told on the command line."""
+    """Parses the command line and runs a campaign."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--moments", type=int, default=50, help="accidents in all (default 50)")
-    parser.add_argument("--per-run", type=int, default=5, help="accidents of one run (default 5)")
-    parser.add_argument("--episodes", type=int, default=24, help="episodes of one run (default 24)")
-    parser.add_argument("--at-once", type=int, default=2, help="runs side by side (default 2)")
-    parser.add_argument("--seed", type=int, default=1, help="of run 0; the next ones count on (default 1)")
-    parser.add_argument("--tally", type=Path, help="file to keep the count in and to go on from")
-    told = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nobody is left behind
+    parser.add_argument("--moments", type=int, default=50, help="Total number of damages (default 50).")
+    parser.add_argument("--per-run", type=int, default=5, help="Damages per run (default 5).")
+    parser.add_argument("--episodes", type=int, default=24, help="Episodes per run (default 24).")
+    parser.add_argument("--at-once", type=int, default=2, help="Concurrent runs (default 2).")
+    parser.add_argument("--seed", type=int, default=1, help="Seed of run 0; run K uses SEED + K (default 1).")
+    parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
+    options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all processes are ended
     with tempfile.TemporaryDirectory(prefix="minivla-ledger-") as folder:
         root = Path(folder)
-        cast = fake_commands(told.episodes, _LONGEST_S, checkpoint_s=1.0)
+        commands = fake_commands(options.episodes, _LONGEST_S, checkpoint_s=1.0)
         try:
-            tally = run_campaign(cast, root, told.moments, told.per_run, told.seed, told.at_once, told.tally)
+            tally = run_campaign(
+                commands, root, options.moments, options.per_run, options.seed, options.at_once, options.tally
+            )
         finally:
             for path in root.glob("run-*/evidence*"):
                 shutil.copy(path, Path.cwd() / f"ledger-{path.parent.name}-{path.name}")
     tally.print(Console(highlight=False), ACCIDENTS)
-    return 1 if tally.violations or tally.faults.total() < told.moments else 0
+    return 1 if tally.violations or tally.faults.total() < options.moments else 0
 
 
 if __name__ == "__main__":

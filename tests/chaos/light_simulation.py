@@ -1,6 +1,7 @@
-"""A simulation without physics, of the standard library alone, so that it starts at once: `LONGEST_S KITCHEN`.
+"""Simulation without physics that uses only the standard library and starts fast: `LONGEST_S BUNDLE_MAKER`.
 
-It takes its time, tells its progress, and misses where `tests.builders.small_simulation` does; its bundles it fetches.
+It runs for a random time, reports progress, fails where `tests.builders.small_simulation` fails, and fetches bundles
+from the `BundleMaker`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def main(damage: Callable[[bytes], tuple[bytes, str]] | None = None) -> None:
     """Serves orders until stdin ends.
 
     Args:
-        damage: (bundle) -> what is written to the disk, and the SHA-256 that is reported; `None` is an intact host.
+        damage: (bundle) -> the bytes written to the disk and the reported SHA-256; `None` for an intact host.
     """
     threading.Thread(target=_serve_all, args=(damage or _keep,), daemon=True).start()
     while True:
@@ -36,10 +37,10 @@ def _keep(bundle: bytes) -> tuple[bytes, str]:
 
 def _serve_all(damage: Callable[[bytes], tuple[bytes, str]]) -> None:
     try:
-        _tell(kind="ready", renderer="synthetic")
+        _report(kind="ready", renderer="synthetic")
         for line in os.fdopen(0, "rb", closefd=False):
             threading.Thread(target=_serve, args=(line, damage)).start()
-    finally:  # whatever became of the supervisor
+    finally:  # however the supervisor ended
         os._exit(0)
 
 
@@ -48,31 +49,31 @@ def _serve(line: bytes, damage: Callable[[bytes], tuple[bytes, str]]) -> None:
     steps = random.randint(1, 10)
     for step in range(1, steps + 1):
         time.sleep(random.uniform(0.0, float(sys.argv[1]) / 10))
-        _tell(kind="progress", step=step)
+        _report(kind="progress", step=step)
     if misses(order["job"]["index"], order["job"]["attempt"]):
-        _tell(kind="failure", reason="collision", detail="stalled", step=steps)
+        _report(kind="failure", reason="collision", detail="stalled", step=steps)
         return
     data, sha256 = damage(_fetch(line))
     part = order["bundle_path"] + ".part"
     with open(part, "wb") as file:
         file.write(data)
     os.rename(part, order["bundle_path"])
-    _tell(kind="success", step=12, sha256=sha256, size=len(data))
+    _report(kind="success", step=12, sha256=sha256, size=len(data))
 
 
 def misses(index: int, attempt: int) -> bool:
-    """Returns whether the world refuses an attempt at an episode: a function of both, on every host."""
+    """Returns whether an attempt at an episode fails: a function of both, equal on every host."""
     return hashlib.sha256(f"{index} {attempt}".encode()).digest()[0] % _MISS_EVERY == 0
 
 
 def _fetch(line: bytes) -> bytes:
-    with socket.socket(socket.AF_UNIX) as kitchen:
-        kitchen.connect(f"\0{sys.argv[2]}")
-        kitchen.sendall(line)
-        return b"".join(iter(lambda: kitchen.recv(1 << 16), b""))
+    with socket.socket(socket.AF_UNIX) as bundle_maker:
+        bundle_maker.connect(f"\0{sys.argv[2]}")
+        bundle_maker.sendall(line)
+        return b"".join(iter(lambda: bundle_maker.recv(1 << 16), b""))
 
 
-def _tell(**report: Any) -> None:
+def _report(**report: Any) -> None:
     os.write(1, json.dumps(report).encode() + b"\n")
 
 

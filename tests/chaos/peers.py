@@ -1,4 +1,4 @@
-"""One hostile peer and one faulty host beside the honest ones of a round, and what was seen of their effects."""
+"""One hostile peer and one faulty host beside the honest hosts of a round, and their observed effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.fault_span import FaultSpan
 from tests.chaos.hostile_peer import HOSTILE_HOST, HOSTILE_KINDS
 
-__all__ = ["PEER_KINDS", "Peers", "effects_of_peers", "give_history"]
+__all__ = ["PEER_KINDS", "Peers", "effects_of_peers", "preload_strikes"]
 
 _LAST_STRIKE = 7
 _REFUSED, _CRASHED = "bundle of a faulty host refused", "simulation of a faulty host crashed"
@@ -22,40 +22,40 @@ PEER_KINDS = (*HOSTILE_KINDS, _REFUSED, _CRASHED, *_BARRED.values())
 
 @dataclass(frozen=True)
 class Peers:
-    """What the two do in a round."""
+    """Settings of the two in a round."""
 
     pause_s: tuple[float, float] = (0.1, 0.6)
-    """Between two acts of the hostile peer, shortest and longest, seconds."""
+    """Shortest and longest pause between two attacks of the hostile peer, seconds."""
     damages: tuple[float, ...] = (0.3, 1.0)
-    """Shares of its attempts that the faulty host damages, one of which is drawn for a round."""
+    """Shares of attempts that the faulty host damages; one is drawn for each round."""
 
 
-def give_history(party: ChaosCluster, rng: random.Random) -> bool:
-    """Gives one of the two so many strikes that the next one bars it; a round is too short for eight.
+def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
+    """Gives one of the two hosts so many strikes that the next one bars it; a round is too short for eight.
 
     Returns:
-        Whether the ledger took it; it is to be tried again later else.
+        Whether the ledger was updated; otherwise the caller retries.
     """
     host = rng.choice(tuple(_BARRED))
     row = (host, _LAST_STRIKE, 0, 0.0, "history")
     try:
         with (
-            closing(sqlite3.connect(f"file:{party.out / 'ledger.db'}?mode=rw", uri=True, timeout=1.0)) as ledger,
+            closing(sqlite3.connect(f"file:{cluster.out / 'ledger.db'}?mode=rw", uri=True, timeout=1.0)) as ledger,
             ledger,
         ):
             ledger.execute(
                 "insert or replace into hosts (host, strikes, last_job, resumes_at, reason) values (?, ?, ?, ?, ?)", row
             )
-    except sqlite3.DatabaseError:  # not there yet, busy, or the disk is full
+    except sqlite3.DatabaseError:  # missing, busy, or the disk is full
         return False
     return True
 
 
-def effects_of_peers(party: ChaosCluster) -> list[tuple[str, FaultSpan]]:
-    """Returns what the ledger of an ended run says about the faulty host, and who was barred."""
-    failed = party.query(f"select outcome, count(*) from attempts where sid like '{FAULTY_HOST}.%' group by outcome")
+def effects_of_peers(cluster: ChaosCluster) -> list[tuple[str, FaultSpan]]:
+    """Returns the effects of the faulty host and the barred hosts from the ledger of an ended run."""
+    failed = cluster.query(f"select outcome, count(*) from attempts where sid like '{FAULTY_HOST}.%' group by outcome")
     seen = [
         (_OUTCOMES[outcome], FaultSpan(1)) for outcome, count in failed if outcome in _OUTCOMES for _ in range(count)
     ]
-    barred = party.query("select host from hosts where barred_at is not null")
+    barred = cluster.query("select host from hosts where barred_at is not null")
     return seen + [(_BARRED[host], FaultSpan(1)) for (host,) in barred if host in _BARRED]

@@ -1,6 +1,6 @@
-/* A disk that is slow to make things durable: preloaded, it waits before every fsync as many milliseconds as the file
-   named by SLOW_DISK says, and not at all when there is no such file. Beside that file, in one named .felt, it notes
-   what the process felt: an s for each fsync that waited, an f for each write that found the disk full. */
+/* Preloaded library that simulates a slow disk: it delays every fsync by the milliseconds in the file named by SLOW_DISK,
+   and not at all without that file. It appends to the file with the suffix .effects: an s for each delayed fsync, an f
+   for each write that failed on a full disk. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -15,7 +15,7 @@ static void note(const char *what) {
     const char *name = getenv("SLOW_DISK");
     char path[4096];
     int kept = errno;
-    if (name && snprintf(path, sizeof path, "%s.felt", name) < (int)sizeof path) {
+    if (name && snprintf(path, sizeof path, "%s.effects", name) < (int)sizeof path) {
         int file = open(path, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600);
         if (file >= 0) {
             syscall(SYS_write, file, what, 1);

@@ -1,4 +1,4 @@
-"""A short campaign in every test run; the long one is `make chaos`. Simulations are fake: the protocol is on trial."""
+"""A short chaos campaign with fake simulations, which tests the protocol; `make chaos` runs the long one."""
 
 from __future__ import annotations
 
@@ -10,86 +10,86 @@ import pytest
 from schemas.plan import Budget
 from tests.chaos.cluster import ChaosCluster, fake_commands
 from tests.chaos.peers import Peers
-from tests.chaos.round import Storm, calm_digest, play_round
-from tests.chaos.verdict import digest_of, gathering_of, violations_of
+from tests.chaos.round import FaultLoad, reference_digest, run_round
+from tests.chaos.verdict import digest_of, gather_problems, violations_of
 
 EPISODES = 10
 FAULTS = 16
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosCluster]:
-    """The digest one undisturbed worker makes, and the party when everybody has left."""
-    root = tmp_path_factory.mktemp("calm")
-    with ChaosCluster(root, fake_commands(EPISODES, 0.0), 1) as party:
+def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosCluster]:
+    """Digest of the dataset of one undisturbed worker, and its cluster after the exit of all processes."""
+    root = tmp_path_factory.mktemp("reference")
+    with ChaosCluster(root, fake_commands(EPISODES, 0.0), 1) as cluster:
         deadline = time.monotonic() + 240
-        while len(party.archived()) < EPISODES:
-            assert time.monotonic() < deadline, party.log.read_text()[-4000:]
+        while len(cluster.archived()) < EPISODES:
+            assert time.monotonic() < deadline, cluster.log.read_text()[-4000:]
             time.sleep(0.05)
-        party.end()
-    assert party.violations == []
-    return digest_of(party), party
+        cluster.end()
+    assert cluster.violations == []
+    return digest_of(cluster), cluster
 
 
 @pytest.mark.slow
-def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_path):
-    storm = Storm(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
-    tally = play_round(fake_commands(EPISODES, 3.0), tmp_path / "wild", storm, 7, calm[0])
+def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(reference, tmp_path):
+    load = FaultLoad(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
+    tally = run_round(fake_commands(EPISODES, 3.0), tmp_path / "faults", load, 7, reference[0])
     assert tally.violations == []
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES
 
 
 @pytest.mark.slow
-def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tmp_path):
-    cast = fake_commands(EPISODES, 1.0, crashes=Budget().crashes)  # of a default plan
-    calm = calm_digest(cast, tmp_path / "calm")
-    storm = Storm(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
-    tally = play_round(cast, tmp_path / "wild", storm, 1, calm)
+def test_a_hostile_peer_and_a_faulty_host_neither_change_nor_lose_episodes(tmp_path):
+    commands = fake_commands(EPISODES, 1.0, crashes=Budget().crashes)  # as in a default plan
+    reference = reference_digest(commands, tmp_path / "reference")
+    load = FaultLoad(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
+    tally = run_round(commands, tmp_path / "faults", load, 1, reference)
     assert tally.violations == []
     assert tally.outcomes["success"] == tally.episodes == EPISODES
     assert tally.faults.total() >= FAULTS
     assert tally.outcomes["invalid"] + tally.outcomes["crash"] > 0
 
 
-def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_equals_a_calm_ones(calm, tmp_path):
-    with ChaosCluster(tmp_path, fake_commands(EPISODES, 3.0, gateways=2), 2) as party:
+def test_workers_switch_gateways_after_a_kill_and_the_gathered_dataset_is_equal(reference, tmp_path):
+    with ChaosCluster(tmp_path, fake_commands(EPISODES, 3.0, gateways=2), 2) as cluster:
         deadline = time.monotonic() + 240
         is_killed = False
-        while len(party.archived()) < EPISODES:
-            assert time.monotonic() < deadline, party.log.read_text()[-4000:]
-            done = len(party.archived())
-            if not is_killed and done >= 2:  # it stays away until the other has taken over
-                is_killed = party.kill_gateway(0, float("inf")) is not None
-            party.tend(everybody=is_killed and done > EPISODES // 2)
+        while len(cluster.archived()) < EPISODES:
+            assert time.monotonic() < deadline, cluster.log.read_text()[-4000:]
+            done = len(cluster.archived())
+            if not is_killed and done >= 2:  # it stays down until the other one has taken over
+                is_killed = cluster.kill_gateway(0, float("inf")) is not None
+            cluster.tend(at_once=is_killed and done > EPISODES // 2)
             time.sleep(0.05)
         assert is_killed
-        party.end()
-        assert party.violations == []
-        assert party.query("select count(*) from keepers where gateway = 'gw1'") > [(0,)]  # the one that was left
-        assert list(gathering_of(party)) == []
-        assert list(violations_of(party)) == []
-        assert digest_of(party) == calm[0]
+        cluster.end()
+        assert cluster.violations == []
+        assert cluster.query("select count(*) from keepers where gateway = 'gw1'") > [(0,)]  # the remaining gateway
+        assert list(gather_problems(cluster)) == []
+        assert list(violations_of(cluster)) == []
+        assert digest_of(cluster) == reference[0]
 
 
-def test_a_campaign_would_notice_what_is_torn_missing_too_many_or_forgotten(calm):
-    party = calm[1]
-    assert list(violations_of(party)) == []
-    first: Path = party.out / "episodes" / "ep_000001.zip"
+def test_the_verdict_detects_torn_missing_surplus_and_stale_data(reference):
+    cluster = reference[1]
+    assert list(violations_of(cluster)) == []
+    first: Path = cluster.out / "episodes" / "ep_000001.zip"
     whole = first.read_bytes()
     try:
         first.write_bytes(whole[:-1] + b"x")
-        assert "episode 1 is torn" in list(violations_of(party))
+        assert "episode 1 is torn" in list(violations_of(cluster))
         first.unlink()
-        assert any(text.startswith("files") for text in violations_of(party))
+        assert any(text.startswith("files") for text in violations_of(cluster))
         first.write_bytes(whole)
         stray = first.with_name("ep_000099.zip")
         stray.write_bytes(whole)
-        assert any("quarantine episodes/ep_000099.zip" in text for text in violations_of(party))
+        assert any("quarantine episodes/ep_000099.zip" in text for text in violations_of(cluster))
         stray.unlink()
-        part = party.out / ".staging" / "x.part"
+        part = cluster.out / ".staging" / "x.part"
         part.touch()
-        assert "part files are left" in list(violations_of(party))
+        assert "part files are left" in list(violations_of(cluster))
         part.unlink()
     finally:
         first.write_bytes(whole)

@@ -1,4 +1,4 @@
-"""A mishap counts only when somebody felt it: what a full, slow or cut thing does to nobody is not among the faults."""
+"""A fault counts only when it has an observed effect."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ def _write(disk: Disk) -> str:
 
 
 @pytest.mark.parametrize("fault", ["full disk", "slow disk"])
-def test_a_disk_is_felt_by_who_writes_meanwhile_and_by_nobody_else(fault: str, tmp_path: Path):
+def test_a_disk_fault_has_an_effect_only_on_processes_that_write(fault: str, tmp_path: Path):
     with Disk(tmp_path, 4) as disk:
         if fault in disk.missing:
             pytest.skip(disk.missing[fault])
 
-        def cast():
+        def inject():
             return disk.fill() if fault == "full disk" else disk.slow(20)
 
-        idle = cast()
-        assert cast() is None
+        idle = inject()
+        assert inject() is None
         disk.clear()
-        busy = cast()
+        busy = inject()
         refused = _write(disk)
         disk.clear()
-        assert (idle.felt, busy.felt > 0) == (0, True)
+        assert (idle.effects, busy.effects > 0) == (0, True)
         assert bool(refused) == (fault == "full disk")
         assert _write(disk) == ""
-        assert busy.felt == 1
+        assert busy.effects == 1
 
 
 class _Echo:
-    """Somebody who answers what he is told, and a worker that is connected to him through a wire."""
+    """A server, and a worker that is connected to it through a wire."""
 
     def __init__(self) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
@@ -75,33 +75,33 @@ class _Echo:
         self.server.close()
 
 
-def test_a_wire_is_cut_only_while_somebody_is_connected():
+def test_a_wire_is_cut_only_while_a_peer_is_connected():
     with _Echo() as echo:
         assert echo.wires.cut(0, 0.0) is None
         near, far = echo.connect()
         with near, far:
-            spell = echo.wires.cut(0, 0.0)
-            assert spell is not None
-            assert spell.felt == 2  # both ends
+            span = echo.wires.cut(0, 0.0)
+            assert span is not None
+            assert span.effects == 2  # both ends
             with pytest.raises(ConnectionError):
                 near.recv(100)
 
 
-@pytest.mark.parametrize(("answer", "felt"), [(b"x" * 100, 1), (b"\x01\x00\x04", 0)])
-def test_answers_count_as_lost_and_signs_of_life_do_not(answer: bytes, felt: int):
+@pytest.mark.parametrize(("answer", "effects"), [(b"x" * 100, 1), (b"\x01\x00\x04", 0)])
+def test_lost_answers_count_and_lost_keep_alives_do_not(answer: bytes, effects: int):
     with _Echo() as echo:
         near, far = echo.connect()
         with near, far:
-            spell = echo.wires.mute(0, 1.0)
-            assert spell is not None
+            span = echo.wires.mute(0, 1.0)
+            assert span is not None
             assert echo.wires.mute(0, 1.0) is None
             far.sendall(answer)
-            with pytest.raises(ConnectionError):  # it is reset when the wire heals
+            with pytest.raises(ConnectionError):  # reset when the wire is restored
                 near.recv(100)
-            assert spell.felt == felt
+            assert span.effects == effects
 
 
-def test_tallies_add_up_and_come_back_from_their_file(tmp_path: Path):
+def test_tallies_are_added_and_read_back_from_their_file(tmp_path: Path):
     one, path = Tally(episodes=2, violations=["torn"], seconds=3.0), tmp_path / "tally.json"
     one.faults["link reset"] += 2
     both = Tally.load(path)

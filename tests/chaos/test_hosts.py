@@ -1,4 +1,4 @@
-"""Hosts in network namespaces of their own: one is cut off and healed, one stands behind a bad link."""
+"""Hosts in separate network namespaces: one is disconnected and reconnected, one has a slow, lossy link."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
 
 class Site:
-    """A coordinator on host 0, gateways on the next ones if any, and a worker on each host that is left."""
+    """A coordinator on host 0, gateways on the next hosts, and a worker on each remaining host."""
 
     def __init__(self, root: Path, hosts: Hosts, stack: ExitStack, gateways: int = 0) -> None:
         self.root, self.log = root, root / "log"
@@ -29,14 +29,14 @@ class Site:
         hub = ("tests.builders.room_coordinator", root, EPISODES, endpoint, LEASE_S)
         self.processes = [self._start(hosts.inside(0), *hub)]
         stack.callback(self._kill)
-        doors = []
+        endpoints = []
         for number in range(1, gateways + 1):
-            doors.append(f"tcp/{hosts.addresses[number]}:7447")
-            gateway = ("tests.builders.room_gateway", root / f"gw{number}", f"gw{number}", endpoint, doors[-1])
+            endpoints.append(f"tcp/{hosts.addresses[number]}:7447")
+            gateway = ("tests.builders.room_gateway", root / f"gw{number}", f"gw{number}", endpoint, endpoints[-1])
             self.processes.append(self._start(hosts.inside(number), *gateway))
         simulation = (sys.executable, "-m", "tests.builders.small_simulation", 6.0)
         for number in range(gateways + 1, len(hosts.addresses)):
-            worker = ("tests.builders.worker", ",".join(doors) or endpoint, root / f"host-{number}", 1, *simulation)
+            worker = ("tests.builders.worker", ",".join(endpoints) or endpoint, root / f"host-{number}", 1, *simulation)
             self.processes.append(self._start(hosts.inside(number), *worker))
 
     def ask(self, sql: str) -> int:
@@ -68,7 +68,7 @@ class Site:
             process.wait()
 
 
-def test_a_host_that_is_cut_off_loses_its_jobs_to_the_others_and_comes_back(tmp_path):
+def test_a_disconnected_host_loses_its_jobs_and_reconnects(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(3))
         site = Site(tmp_path, hosts, stack)
@@ -83,18 +83,18 @@ def test_a_host_that_is_cut_off_loses_its_jobs_to_the_others_and_comes_back(tmp_
         assert all(process.poll() in {None, 0} for process in site.processes)
 
 
-def test_a_host_behind_a_narrow_lossy_link_brings_its_episodes_too(tmp_path):
+def test_a_host_behind_a_slow_lossy_link_delivers_its_episodes(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(2))
-        trouble = hosts.worsen(1, "16mbit", "30ms")
-        if trouble:
-            pytest.skip(trouble)
+        reason = hosts.worsen(1, "16mbit", "30ms")
+        if reason:
+            pytest.skip(reason)
         site = Site(tmp_path, hosts, stack)
         site.wait(lambda: site.archived() == EPISODES, 180)
         assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
 
 
-def test_workers_leave_a_gateway_that_is_cut_off_for_another_and_it_comes_back_with_what_it_keeps(tmp_path):
+def test_workers_leave_a_disconnected_gateway_which_returns_with_its_episodes(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(4))
         site = Site(tmp_path, hosts, stack, gateways=2)
@@ -103,7 +103,7 @@ def test_workers_leave_a_gateway_that_is_cut_off_for_another_and_it_comes_back_w
         busy = 1 if site.ask(f"{kept}'gw1'") else 2
         hosts.cut(busy)
         before = site.ask(f"{kept}'gw{busy}'")
-        site.wait(lambda: site.archived() >= min(EPISODES, before + 2))  # by way of the other one
+        site.wait(lambda: site.archived() >= min(EPISODES, before + 2))  # through the other gateway
         hosts.heal(busy)
         site.wait(lambda: site.archived() == EPISODES)
         assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES

@@ -1,4 +1,4 @@
-"""The wires between a worker and whom it reaches: relays that can be cut, and that can lose what is answered."""
+"""Relays between workers and their endpoints that can cut connections and lose replies."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _BLOCK = 1 << 16
 _RESET = struct.pack("ii", 1, 0)
 """Closing sends RST, not FIN."""
 _KEEP_ALIVE_BYTES = 16
-"""What is not longer says no more than that somebody is there."""
+"""Messages up to this size are keep-alives."""
 
 
 class _Wire:
-    """One relay; lives in the loop's thread."""
+    """One relay; runs in the thread of the event loop."""
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._target = target
         self._open: set[asyncio.StreamWriter] = set()
         self.is_cut = False
         self.is_mute = False
-        self.spell = FaultSpan()
+        self.span = FaultSpan()
 
     @property
     def is_open(self) -> bool:
-        """Whether anybody is connected."""
+        """Whether a client is connected."""
         return any(not writer.is_closing() for writer in self._open)
 
     async def listen(self) -> int:
@@ -42,12 +42,12 @@ class _Wire:
         return port
 
     async def end(self) -> None:
-        """Listens no more and resets what is open."""
+        """Stops listening and resets open connections."""
         self._server.close()
         self.drop_all()
 
     def drop_all(self) -> int:
-        """Resets every connection, as a router that forgets its table does, and returns how many ends they had."""
+        """Resets every connection, as a NAT router that loses its table does; returns the number of closed ends."""
         writers = [writer for writer in self._open if not writer.is_closing()]
         for writer in writers:
             writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
@@ -56,7 +56,7 @@ class _Wire:
 
     async def _relay(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if self.is_cut:
-            self.spell.felt += 1
+            self.span.effects += 1
             writer.transport.abort()
             return
         try:
@@ -85,55 +85,55 @@ class _Wire:
     async def _pump(self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, *, answers: bool) -> None:
         while data := await source.read(_BLOCK):
             if answers and self.is_mute:
-                self.spell.felt += len(data) > _KEEP_ALIVE_BYTES
+                self.span.effects += len(data) > _KEEP_ALIVE_BYTES
                 continue
             sink.write(data)
             await sink.drain()
 
 
 class Wires(Closing):
-    """A relay for each door of each worker, all in one thread; a context manager.
+    """A relay for each endpoint of each worker, all in one thread. Context manager.
 
     Args:
-        targets: for each worker where its wires lead, each `tcp/127.0.0.1:PORT`.
+        targets: endpoints of each worker, each `tcp/127.0.0.1:PORT`.
     """
 
     def __init__(self, targets: Sequence[Sequence[str]]) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="wires")
         self._thread.start()
-        self._wires = [[_Wire(_address(target)) for target in doors] for doors in targets]
+        self._wires = [[_Wire(_address(target)) for target in endpoints] for endpoints in targets]
         self.endpoints = [[f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in wires] for wires in self._wires]
-        """For each worker its own ends of the wires."""
+        """For each worker the addresses of its relays."""
 
     def cut(self, number: int, seconds: float) -> FaultSpan | None:
-        """Resets the connections of a worker and lets none through for a while; `None` while it has none."""
+        """Resets the connections of a worker and refuses new ones for a time; `None` if it has none."""
 
         async def act() -> FaultSpan | None:
-            spell = self._begin(number, seconds)
-            if spell is None:
+            span = self._begin(number, seconds)
+            if span is None:
                 return None
             for wire in self._wires[number]:
                 wire.is_cut = True
-                spell.felt += wire.drop_all()
-            return spell
+                span.effects += wire.drop_all()
+            return span
 
         return self._call(act())
 
     def mute(self, number: int, seconds: float) -> FaultSpan | None:
-        """Loses whatever a worker is answered for a while, then resets its connections: bytes are missing in them.
+        """Drops the replies to a worker for a time, then resets its connections, whose streams are incomplete.
 
         Returns:
-            `None` while it has no connection, or is muted already.
+            `None` if it has no connection or is already muted.
         """
 
         async def act() -> FaultSpan | None:
-            spell = self._begin(number, seconds)
-            if spell is None:
+            span = self._begin(number, seconds)
+            if span is None:
                 return None
             for wire in self._wires[number]:
                 wire.is_mute = True
-            return spell
+            return span
 
         return self._call(act())
 
@@ -154,13 +154,13 @@ class Wires(Closing):
         self._loop.close()
 
     def _begin(self, number: int, seconds: float) -> FaultSpan | None:
-        wires, spell = self._wires[number], FaultSpan()
+        wires, span = self._wires[number], FaultSpan()
         if any(wire.is_cut or wire.is_mute for wire in wires) or not any(wire.is_open for wire in wires):
             return None
         for wire in wires:
-            wire.spell = spell
+            wire.span = span
         self._loop.call_later(seconds, self._heal, wires)
-        return spell
+        return span
 
     def _heal(self, wires: Sequence[_Wire]) -> None:
         for wire in wires:

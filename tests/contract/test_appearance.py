@@ -1,4 +1,4 @@
-"""What is told of a target without drawing, against the mask that the renderer draws."""
+"""Compares the predicted appearance of a target with the rendered mask."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ def renderer() -> Iterator[Renderer]:
 @pytest.mark.gl
 @pytest.mark.parametrize("name", TARGETS)
 @pytest.mark.parametrize("yaw", [-0.5, 0.0, 0.3, 0.7])
-def test_the_middle_of_the_mask_is_told(renderer: Renderer, name: str, yaw: float) -> None:
+def test_the_predicted_centroid_matches_the_mask(renderer: Renderer, name: str, yaw: float) -> None:
     scene = build_scene([TARGETS[name]])
     renderer.load(scene, CAMERA)
     relief = renderer.render_depth_and_ids(Pose.planar(0.1, -0.05, yaw))
     drawn = see(relief.ids, relief.depth, 1, min_pixels=1)
     pixels, column = Appearance(scene, 1, CAMERA).look(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
-    if drawn.pixels > 5000:  # not a sliver at the edge
+    if drawn.pixels > 5000:  # not only a few pixels at the edge
         assert column == pytest.approx((drawn.column - 320) / 320, abs=0.12)
 
 
-def test_what_lies_behind_is_not_in_view() -> None:
+def test_an_object_behind_the_camera_is_not_in_view() -> None:
     assert Appearance(build_scene([TARGETS["box"]]), 1, CAMERA).look(0.0, 0.0, math.pi) == (0.0, 0.0)
     assert Appearance(build_scene([TARGETS["box"]]), 99, CAMERA).look(0.0, 0.0, 0.0) == (0.0, 0.0)
 
 
-def test_a_long_target_seen_at_an_angle_is_driven_at_by_its_near_end() -> None:
+def test_a_long_target_seen_at_an_angle_is_approached_at_its_near_end() -> None:
     job: Job = job_for()
     box = Box((3.0, -2.0, 0.0), (3.5, 2.0, 2.0), category="rack")
     start, goal = (0.0, -3.0, math.atan2(3.0, 3.25)), (3.25, 0.0)

@@ -1,4 +1,4 @@
-"""What every archive promises, held against each kind: a directory, and a bucket of a real S3 server."""
+"""Contract suite of archives: a directory, and a bucket of a real S3 server."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ archive = open_archive(Path(sys.argv[1]), ObjectPath.at(sys.argv[2]) if len(sys.
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of archive, and how a test reaches behind it."""
+    """One kind of archive with direct access for tests."""
 
     home: Path
     store: ObjectPath | None
@@ -43,7 +43,7 @@ class Kind:
         return self.store or self.home
 
     def lay(self, name: str, data: bytes) -> None:
-        """Puts a file where it does not belong."""
+        """Writes a foreign file."""
         if self.store is not None:
             self.store.objects.put(name, data)
             return
@@ -88,7 +88,7 @@ def test_published_episode_has_its_bytes_and_its_name(kind: Kind) -> None:
         assert parts_of(kind) == []
 
 
-def test_file_on_the_same_disk_is_taken_whole_and_left_to_its_owner(kind: Kind) -> None:
+def test_a_file_on_the_same_disk_is_linked_and_left_to_its_owner(kind: Kind) -> None:
     with kind.open() as archive:
         source = kind.home / "elsewhere.zip"
         source.write_bytes(b"bundle")
@@ -115,7 +115,7 @@ def test_episodes_are_listed_in_ascending_order(kind: Kind) -> None:
         assert list(archive.present()) == [2, 10, 1_000_000]
 
 
-def test_nothing_is_published_before_it_is_asked_for(kind: Kind) -> None:
+def test_nothing_is_published_before_commit(kind: Kind) -> None:
     with kind.open() as archive:
         with archive.stage(1) as staged:
             staged.write(b"half")
@@ -160,7 +160,7 @@ def test_same_name_is_quarantined_twice_without_loss(kind: Kind) -> None:
         assert [place.read_bytes() for place in places] == [b"one", b"two"]
 
 
-def test_foreign_files_are_told_from_episodes(kind: Kind) -> None:
+def test_foreign_files_are_distinguished_from_episodes(kind: Kind) -> None:
     with kind.open() as archive:
         publish(archive, 2, b"two")
         kind.lay("episodes/notes.txt", b"mine")
@@ -215,7 +215,7 @@ def test_table_is_replaced_whole_or_not_at_all(kind: Kind) -> None:
         assert parts_of(kind) == []
 
 
-def test_second_coordinator_is_told_who_works_there(kind: Kind) -> None:
+def test_a_second_coordinator_gets_the_holder_of_the_lock(kind: Kind) -> None:
     with kind.open():
         other = kind.run("")
     assert other.returncode == 1
@@ -224,7 +224,7 @@ def test_second_coordinator_is_told_who_works_there(kind: Kind) -> None:
         pass
 
 
-def test_lock_is_free_again_when_the_holder_was_killed(kind: Kind) -> None:
+def test_the_lock_is_released_when_its_holder_is_killed(kind: Kind) -> None:
     killed = kind.run("import os; os.kill(os.getpid(), 9)")
     assert killed.returncode == -9, killed.stderr
     with kind.open():
@@ -254,5 +254,5 @@ def test_file_in_place_of_the_directory_is_named_with_the_remedy(kind: Kind) -> 
         kind.open()
 
 
-def test_bucket_fixture_talks_to_a_server_of_its_own(object_store: ObjectServer) -> None:
+def test_the_bucket_fixture_uses_a_private_server(object_store: ObjectServer) -> None:
     assert object_store.endpoint.startswith("http://127.0.0.1:")

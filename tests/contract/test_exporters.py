@@ -1,4 +1,4 @@
-"""Every registered exporter on a small dataset: whole, the same again, resumed, refused, damaged, on a full disk."""
+"""Contract suite of exporters on a small dataset: completeness, determinism, resuming, refusals, damage, full disks."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ every_format = pytest.mark.parametrize("name", list(EXPORTERS))
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset that no test changes."""
+    """A dataset that tests only read."""
     root = tmp_path_factory.mktemp("exported") / "data"
     make_dataset(root, EPISODES)
     return root
 
 
 @pytest.fixture(scope="module")
-def calm(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Exports that nobody disturbed."""
-    place = tmp_path_factory.mktemp("calm")
+def reference(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Exports without interruptions."""
+    place = tmp_path_factory.mktemp("reference")
     return {name: _exported(dataset, place / name, name) for name in EXPORTERS}
 
 
@@ -50,37 +50,37 @@ def _exported(root: Path, out: Path, name: str) -> Path:
 
 
 def contents(root: Path) -> dict[str, bytes]:
-    """Returns every file of an export but those that serve its making."""
+    """Returns every file of an export except working files."""
     files = (path for path in root.rglob("*") if path.is_file())
     inside = ((path.relative_to(root), path) for path in files)
     return {str(name): path.read_bytes() for name, path in inside if name.parts[0] != WORK_FOLDER}
 
 
 @every_format
-def test_export_says_what_it_is_and_leaves_no_traces_of_its_making(calm: dict[str, Path], name: str) -> None:
-    manifest = read_manifest(calm[name])
+def test_an_export_describes_itself_and_leaves_no_temporary_files(reference: dict[str, Path], name: str) -> None:
+    manifest = read_manifest(reference[name])
     assert manifest is not None
     assert (manifest.format, manifest.complete, manifest.episodes) == (name, True, EPISODES)
-    assert not (calm[name] / WORK_FOLDER).exists()
-    assert len(contents(calm[name])) > 1
+    assert not (reference[name] / WORK_FOLDER).exists()
+    assert len(contents(reference[name])) > 1
 
 
 @every_format
-def test_equal_exports_have_equal_bytes(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_equal_exports_have_equal_bytes(dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str) -> None:
     again = contents(_exported(dataset, tmp_path / "again", name))
-    assert again == contents(calm[name])
+    assert again == contents(reference[name])
 
 
 @every_format
-def test_complete_export_is_not_done_again(dataset: Path, calm: dict[str, Path], name: str) -> None:
-    before = {path: path.stat().st_mtime_ns for path in calm[name].rglob("*")}
-    report = run_export(order(dataset, calm[name], name))
+def test_a_complete_export_is_not_repeated(dataset: Path, reference: dict[str, Path], name: str) -> None:
+    before = {path: path.stat().st_mtime_ns for path in reference[name].rglob("*")}
+    report = run_export(order(dataset, reference[name], name))
     assert (report.complete, report.episodes, report.resumed) == (True, EPISODES, EPISODES)
-    assert {path: path.stat().st_mtime_ns for path in calm[name].rglob("*") if path in before} == before
+    assert {path: path.stat().st_mtime_ns for path in reference[name].rglob("*") if path in before} == before
 
 
 @every_format
-def test_interrupted_export_goes_on(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_an_interrupted_export_resumes(dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str) -> None:
     stop = threading.Event()
 
     def stop_after_one(progress: ExportProgress) -> None:
@@ -98,7 +98,7 @@ def test_interrupted_export_goes_on(dataset: Path, calm: dict[str, Path], tmp_pa
     assert (report.complete, report.finished, report.resumed) == (False, False, 1)
     report = run_export(order(dataset, tmp_path / "out", name))
     assert (report.complete, report.resumed) == (True, EPISODES)
-    assert contents(tmp_path / "out") == contents(calm[name])
+    assert contents(tmp_path / "out") == contents(reference[name])
 
 
 _HARD_TIMES = """
@@ -125,9 +125,9 @@ run_export(order, lambda progress: os._exit(9) if progress.done else None)
 
 @every_format
 def test_full_disk_and_kill_leave_only_whole_files(
-    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+    dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
-    """A limit on the size of files stands in for a full disk: both end in an OSError within a write."""
+    """A file size limit replaces a full disk: both raise an OSError during a write."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", _HARD_TIMES, str(dataset), str(out), name]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -136,19 +136,19 @@ def test_full_disk_and_kill_leave_only_whole_files(
     assert "cannot write" in message
     assert "File too large" in message
     assert leftovers == "0"
-    assert set(eval(files)) <= set(contents(calm[name]))
+    assert set(eval(files)) <= set(contents(reference[name]))
     assert {file: data for file, data in contents(out).items() if file != MANIFEST_FILE}.items() <= (
-        contents(calm[name]).items()
+        contents(reference[name]).items()
     )
     assert run_export(order(dataset, out, name)).complete
-    assert contents(out) == contents(calm[name])
+    assert contents(out) == contents(reference[name])
 
 
 @every_format
 def test_disk_without_room_keeps_only_whole_files(
-    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+    dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
-    whole = contents(calm[name])
+    whole = contents(reference[name])
     with disk_of(tmp_path / "disk", sum(map(len, whole.values())) // 2) as disk:
         with pytest.raises(WorldError, match="No space left on device"):
             run_export(order(dataset, disk / "out", name))
@@ -162,7 +162,7 @@ def test_disk_without_room_keeps_only_whole_files(
 
 @contextlib.contextmanager
 def disk_of(path: Path, size_bytes: int) -> Iterator[Path]:
-    """Yields a disk of its own with room for that many bytes, at least some pages; only root may have one."""
+    """Yields a separate disk of that many bytes, at least a few pages; requires root."""
     path.mkdir()
     size = max(size_bytes, 4 * 4096)
     command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "small", str(path)]
@@ -176,7 +176,7 @@ def disk_of(path: Path, size_bytes: int) -> Iterator[Path]:
 
 @every_format
 def test_damaged_and_missing_episodes_are_skipped_and_named(
-    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+    dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
     shutil.copytree(dataset, tmp_path / "data")
     damaged, missing = (tmp_path / f"data/episodes/ep_00000{number}.zip" for number in (1, 3))
@@ -196,11 +196,11 @@ def test_damaged_and_missing_episodes_are_skipped_and_named(
     (tmp_path / "away.zip").rename(missing)
     report = run_export(order(tmp_path / "data", out, name))
     assert (report.complete, report.resumed, report.skipped) == (True, 1, ())
-    assert contents(out) == contents(calm[name])
+    assert contents(out) == contents(reference[name])
 
 
 @every_format
-def test_nothing_is_written_where_nothing_can_be_read(dataset: Path, tmp_path: Path, name: str) -> None:
+def test_nothing_is_written_when_no_episode_is_readable(dataset: Path, tmp_path: Path, name: str) -> None:
     shutil.copytree(dataset, tmp_path / "data")
     for path in (tmp_path / "data/episodes").iterdir():
         path.write_bytes(b"PK rubbish")
@@ -211,40 +211,42 @@ def test_nothing_is_written_where_nothing_can_be_read(dataset: Path, tmp_path: P
 
 @every_format
 def test_export_of_another_dataset_is_refused(
-    calm: dict[str, Path], tmp_path_factory: pytest.TempPathFactory, name: str
+    reference: dict[str, Path], tmp_path_factory: pytest.TempPathFactory, name: str
 ) -> None:
     other = tmp_path_factory.mktemp("other") / "data"
     make_dataset(other, 1)
-    before = contents(calm[name])
+    before = contents(reference[name])
     with pytest.raises(
         WorldError, match=r"contains another export: dataset test-.*; delete it, or choose another --out"
     ):
-        run_export(order(other, calm[name], name))
-    assert contents(calm[name]) == before
+        run_export(order(other, reference[name], name))
+    assert contents(reference[name]) == before
 
 
 @every_format
-def test_other_episodes_of_the_dataset_are_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
-    wanted = order(dataset, calm[name], name)
+def test_other_episodes_of_the_dataset_are_refused(dataset: Path, reference: dict[str, Path], name: str) -> None:
+    wanted = order(dataset, reference[name], name)
     with pytest.raises(WorldError, match="contains another export: episodes 3 of all splits"):
-        run_export(ExportOrder(dataset, calm[name], name, wanted.options, episodes=("ep_000002",)))
+        run_export(ExportOrder(dataset, reference[name], name, wanted.options, episodes=("ep_000002",)))
 
 
 @every_format
-def test_another_format_is_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
+def test_another_format_is_refused(dataset: Path, reference: dict[str, Path], name: str) -> None:
     other = next(other for other in EXPORTERS if other != name)
     with pytest.raises(WorldError, match=f"format {name}, requested {other}"):
-        run_export(order(dataset, calm[name], other))
+        run_export(order(dataset, reference[name], other))
 
 
 @every_format
-def test_dry_run_tells_size_and_writes_nothing(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_a_dry_run_reports_sizes_and_writes_nothing(
+    dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
+) -> None:
     estimate = estimate_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
-    size = sum(map(len, contents(calm[name]).values()))
-    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # what is written once counts for every episode
+    size = sum(map(len, contents(reference[name]).values()))
+    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # files written once count for every episode
     assert estimate.episodes == EPISODES
-    assert estimate.frames == read_manifest(calm[name]).frames  # type: ignore[union-attr]
+    assert estimate.frames == read_manifest(reference[name]).frames  # type: ignore[union-attr]
     assert estimate.fits
     assert estimate.seconds > 0
 
@@ -273,7 +275,7 @@ def test_export_into_the_dataset_is_refused(dataset: Path, name: str) -> None:
 
 
 @every_format
-def test_folder_with_other_things_is_refused(dataset: Path, tmp_path: Path, name: str) -> None:
+def test_a_folder_with_other_files_is_refused(dataset: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(WorldError, match="is not an export"):
         run_export(order(dataset, tmp_path, name))

@@ -1,4 +1,4 @@
-"""A renderer in a process of its own: the same bytes, no graphics library here, and how it fails and ends."""
+"""A renderer in a separate process: same bytes, no graphics library in the caller, failures and shutdown."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def digest(frame: RenderedFrame) -> str:
 
 
 def children_of(pid: int) -> set[int]:
-    """Returns the processes whose parent a process is."""
+    """Returns the child processes of a process."""
     found = set()
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -51,7 +51,7 @@ def children_of(pid: int) -> set[int]:
 
 @contextmanager
 def opened_with_pid(kind: RendererKind = "tiny") -> Iterator[tuple[Renderer, int]]:
-    """Opens a renderer in a process of its own; yields it and that process."""
+    """Opens a renderer in a separate process; yields the renderer and its process id."""
     before = children_of(os.getpid())
     with open_renderer(kind, apart=True) as renderer:
         (pid,) = children_of(os.getpid()) - before
@@ -74,12 +74,12 @@ def is_gone(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_frames_are_those_of_the_renderer_in_this_process_bit_for_bit(kind: RendererKind) -> None:
+def test_frames_are_bit_identical_to_those_of_the_in_process_renderer(kind: RendererKind) -> None:
     boxes = [Box((2, -1, 0), (3, 1, 1), (200, 30, 30)), Box((1, 0, 0), (2, 1, 2), (30, 30, 200))]
     scenes = [box_room(), *(build_scene([box]) for box in boxes)]
     with open_renderer(kind) as here, open_renderer(kind, apart=True) as apart:
         assert apart.description == here.description
-        for scene in (*scenes, *scenes):  # more than are kept
+        for scene in (*scenes, *scenes):  # more than the cache keeps
             for renderer in (here, apart):
                 renderer.load(scene, CAMERA)
             for pose in POSES[:3]:
@@ -92,8 +92,8 @@ def test_frames_are_those_of_the_renderer_in_this_process_bit_for_bit(kind: Rend
 
 @pytest.mark.gl
 @pytest.mark.parametrize(("apart", "loaded"), [(True, False), (False, True)])
-def test_only_a_renderer_in_this_process_loads_the_graphics_driver_into_it(apart: bool, loaded: bool) -> None:
-    """What is not mapped can neither be bound to by other libraries nor break in a fork."""
+def test_only_an_in_process_renderer_loads_the_graphics_driver(apart: bool, loaded: bool) -> None:
+    """Other libraries cannot bind to an unmapped library, and it cannot break in a fork."""
     program = f"""
 from schemas.config import CameraConfig
 from tests.builders.scene import box_room
@@ -119,7 +119,7 @@ def test_a_process_that_dies_is_reported_with_its_signal() -> None:
             renderer.render(POSES[0])
 
 
-def test_after_close_nothing_is_left_and_nothing_is_drawn() -> None:
+def test_close_ends_the_process_and_later_requests_are_refused() -> None:
     with opened_with_pid() as (renderer, pid):
         renderer.load(box_room(), CAMERA)
         renderer.close()
@@ -129,7 +129,7 @@ def test_after_close_nothing_is_left_and_nothing_is_drawn() -> None:
             renderer.render(POSES[0])
 
 
-def test_a_renderer_that_nobody_closed_ends_with_the_last_reference_to_it() -> None:
+def test_an_unclosed_renderer_ends_with_its_last_reference() -> None:
     before = children_of(os.getpid())
     renderer = open_renderer("tiny", apart=True)
     (pid,) = children_of(os.getpid()) - before
@@ -138,7 +138,7 @@ def test_a_renderer_that_nobody_closed_ends_with_the_last_reference_to_it() -> N
 
 
 @pytest.mark.parametrize("forks", [False, True])
-def test_the_process_ends_with_a_caller_that_was_killed_even_where_a_fork_of_it_lives_on(forks: bool) -> None:
+def test_the_process_ends_with_its_killed_caller_while_a_fork_survives(forks: bool) -> None:
     program = f"""
 import os, time
 from workers.render.choose import open_renderer
@@ -163,7 +163,7 @@ time.sleep(600)
                     os.kill(each, signal.SIGKILL)
 
 
-def test_no_driver_is_an_error_for_gl_and_the_fallback_for_auto(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_driver_is_an_error_for_gl_and_selects_the_fallback_for_auto(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json")
     with pytest.raises(WorldError, match=r"OpenGL 4\.5 with EGL is not available"):
         open_renderer("gl", apart=True)
@@ -172,12 +172,12 @@ def test_no_driver_is_an_error_for_gl_and_the_fallback_for_auto(monkeypatch: pyt
 
 
 @pytest.mark.parametrize("size", [0, -1, 2049])
-def test_a_size_that_no_frame_has_is_refused(size: int) -> None:
+def test_an_invalid_frame_size_is_refused(size: int) -> None:
     with pytest.raises(UsageError, match=f"frame size {size} is not valid: choose 1 to 2048"):
         open_renderer("tiny", size, apart=True)
 
 
-def test_an_interrupted_frame_does_not_answer_for_the_next_one() -> None:
+def test_an_interrupted_frame_is_not_returned_for_the_next_request() -> None:
     def interrupt(_signal: int, _frame: Any) -> None:
         raise KeyboardInterrupt
 
@@ -196,14 +196,14 @@ def test_an_interrupted_frame_does_not_answer_for_the_next_one() -> None:
 
 
 def in_a_fork(act: Callable[[], object]) -> str:
-    """Returns what an action in a fork of this process raises, or what it returns."""
+    """Returns the exception or the result of an action in a fork of this process."""
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
 
     def run() -> None:
         try:
             theirs.send(str(act()))
-        except Exception as error:  # noqa: BLE001 - told to the test
+        except Exception as error:  # noqa: BLE001 - returned to the test
             theirs.send(f"{type(error).__name__}: {error}")
 
     process = context.Process(target=run)
@@ -216,7 +216,7 @@ def in_a_fork(act: Callable[[], object]) -> str:
 
 
 @pytest.mark.parametrize("apart", [True, pytest.param(False, marks=pytest.mark.gl)])
-def test_a_renderer_from_before_a_fork_is_refused_there_and_goes_on_here(apart: bool) -> None:
+def test_a_renderer_is_refused_in_a_fork_and_works_in_the_parent(apart: bool) -> None:
     with open_renderer("tiny" if apart else "gl", apart=apart) as renderer:
         renderer.load(box_room(), CAMERA)
         before = digest(renderer.render(POSES[1]))
@@ -233,7 +233,7 @@ def test_a_renderer_from_before_a_fork_is_refused_there_and_goes_on_here(apart: 
 
 
 @pytest.mark.gl
-def test_after_a_fork_of_a_process_that_drew_only_a_process_of_its_own_draws() -> None:
+def test_after_rendering_in_the_parent_only_a_render_process_works_in_a_fork() -> None:
     with open_renderer("gl") as renderer:
         renderer.load(box_room(), CAMERA)
         before = digest(renderer.render(POSES[1]))

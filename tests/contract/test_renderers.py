@@ -1,4 +1,4 @@
-"""One suite over every renderer: what any of them must show, and that they show the same."""
+"""Contract suite of renderers: required output of each renderer, and agreement between renderers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KINDS = [
     pytest.param(("tiny", False), id="tiny"),
     pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
 ]
-"""Which renderer, and whether it runs in a process of its own."""
+"""Which renderer, and whether it runs in a separate process."""
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +57,7 @@ def wall(x: float, colour: tuple[int, int, int] = RED) -> Box:
 
 
 def furnished_room() -> CompiledScene:
-    """The box room with a chequered board on its wall and a low box the camera looks over."""
+    """The box room with a checkerboard on its wall and a box below the height of the camera."""
     rows, columns = np.mgrid[:TEXTURE_SIZE_PX, :TEXTURE_SIZE_PX] // 64
     board = np.where((rows + columns)[..., None] % 2, 255, 80).astype(np.uint8)
     chequers = np.broadcast_to(board, (1, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3))
@@ -78,7 +78,7 @@ def test_frames_fit_their_specs(renderer: Renderer) -> None:
     assert all(array.flags.c_contiguous and array.flags.owndata for array in (frame.rgb, frame.depth, frame.ids))
 
 
-def test_a_wall_at_a_known_distance_has_that_depth_everywhere(renderer: Renderer) -> None:
+def test_a_wall_has_its_known_depth_everywhere(renderer: Renderer) -> None:
     frame = look(renderer, wall(3.1003))
     assert frame.depth == pytest.approx(3.0, abs=1e-3)
     assert (frame.ids == 1).all()
@@ -94,7 +94,7 @@ def test_a_box_on_the_left_appears_left_and_one_above_appears_above(renderer: Re
     assert (frame.rgb[frame.ids == 2] == BLUE).all()
 
 
-def test_an_edge_falls_on_the_pixel_the_pinhole_says(renderer: Renderer) -> None:
+def test_an_edge_is_projected_to_its_pinhole_pixel(renderer: Renderer) -> None:
     front = 2.0 + CAMERA.x_m
     box = Box((front, CAMERA.y_m - 0.5, CAMERA.z_m - 0.25), (front + 1, CAMERA.y_m + 1.0, CAMERA.z_m + 0.75))
     rows, columns = np.nonzero(look(renderer, box).ids)
@@ -102,18 +102,18 @@ def test_an_edge_falls_on_the_pixel_the_pinhole_says(renderer: Renderer) -> None
     assert edges == pytest.approx([320 - 160, 320 + 80, 320 - 120, 320 + 40], abs=1)
 
 
-def test_the_nearer_of_two_things_is_seen(renderer: Renderer) -> None:
+def test_the_nearer_of_two_objects_is_visible(renderer: Renderer) -> None:
     frame = look(renderer, wall(5.0), Box((2, -0.5, 0), (2.5, 0.5, 1), BLUE))
     assert frame.ids[320, 320] == 2
     assert frame.depth[320, 320] == pytest.approx(2.0 - CAMERA.x_m, abs=1e-3)
 
 
-def test_nothing_is_nothing(renderer: Renderer) -> None:
+def test_an_empty_view_has_zero_depth_and_id(renderer: Renderer) -> None:
     frame = look(renderer, wall(-2.0))
     assert not any(array.any() for array in (frame.rgb, frame.depth, frame.ids))
 
 
-def test_nothing_keeps_nothing_of_the_frame_before(renderer: Renderer) -> None:
+def test_an_empty_view_keeps_no_pixels_of_the_previous_frame(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
     renderer.render(ORIGIN)
     frame = look(renderer, Box((2.0, 0.5, -0.5), (2.5, 1.5, 0.5), RED))
@@ -125,7 +125,7 @@ def test_nothing_keeps_nothing_of_the_frame_before(renderer: Renderer) -> None:
     assert frame.ids[~void].all()
 
 
-def test_what_lies_beyond_the_clip_range_is_nothing(renderer: Renderer) -> None:
+def test_surfaces_beyond_the_clip_range_are_not_rendered(renderer: Renderer) -> None:
     frame = look(renderer, wall(30.5), Box((29.0, -1, 0), (29.5, 1, 1), BLUE))
     assert set(np.unique(frame.ids)) == {0, 2}
     assert (frame.depth[frame.ids == 0] == 0).all()
@@ -133,16 +133,16 @@ def test_what_lies_beyond_the_clip_range_is_nothing(renderer: Renderer) -> None:
     assert frame.depth.max() <= CAMERA.far_m
 
 
-def test_a_surface_that_the_far_plane_cuts_ends_on_this_side_of_it(renderer: Renderer) -> None:
+def test_a_surface_across_the_far_plane_ends_before_it(renderer: Renderer) -> None:
     renderer.load(build_scene([wall(CAMERA.x_m + CAMERA.far_m)]), CAMERA)
-    for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # millimetres over the image
+    for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # millimetres across the image
         depth = renderer.render(Pose.planar(0.0, 0.0, yaw_rad)).depth
         assert 0.3 < np.count_nonzero(depth) / depth.size < 0.7
         assert DEPTH_FRAME.violations(depth) == []
 
 
 @pytest.mark.gl
-def test_depth_is_as_fine_far_away_as_a_float_is() -> None:
+def test_far_depth_has_float_resolution() -> None:
     """OpenGL alone: TinyRenderer's depth buffer has 24 bits."""
     far = CAMERA.x_m + 29.0
     halves = (Box((far, -40, -40), (far + 1, 0, 40), RED), Box((far + 1e-4, 0, -40), (far + 1, 40, 40), BLUE))
@@ -159,11 +159,11 @@ def test_a_surface_through_the_camera_plane_is_cut_cleanly(renderer: Renderer) -
     assert frame.depth[rows, 320] == pytest.approx(expected, rel=0.005)
 
 
-def test_backs_of_surfaces_are_not_shown(renderer: Renderer) -> None:
+def test_back_faces_are_not_rendered(renderer: Renderer) -> None:
     assert not look(renderer, Box((-1, -1, -1), (1, 1, 1))).ids.any()
 
 
-def test_textures_stand_upright_and_multiply_the_colour(renderer: Renderer) -> None:
+def test_textures_are_upright_and_multiply_the_colour(renderer: Renderer) -> None:
     layer = np.zeros((1, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3), np.uint8)
     layer[0, : TEXTURE_SIZE_PX // 2] = 255
     renderer.load(build_scene([Box((2, -1, 0), (3, 1, 1), (200, 100, 50), texture=0)], textures=layer), CAMERA)
@@ -255,7 +255,7 @@ def test_scenes_can_be_switched_back_and_forth(renderer: Renderer) -> None:
     assert depths == pytest.approx([2.0 + k - CAMERA.x_m for k in range(6)] * 2, abs=1e-3)
 
 
-def test_the_camera_can_be_another(renderer: Renderer) -> None:
+def test_another_camera_configuration_can_be_used(renderer: Renderer) -> None:
     scene = build_scene([wall(3.0)])
     renderer.load(scene, CAMERA.model_copy(update={"x_m": 1.0, "fov_deg": 60.0}))
     assert renderer.render(ORIGIN).depth[320, 320] == pytest.approx(2.0, abs=1e-3)
@@ -266,7 +266,7 @@ def test_rendering_without_a_scene_is_refused_with_the_remedy(renderer: Renderer
         renderer.render(ORIGIN)
 
 
-def test_closing_twice_is_harmless(renderer: Renderer) -> None:
+def test_closing_twice_has_no_effect(renderer: Renderer) -> None:
     renderer.load(box_room(), CAMERA)
     renderer.close()
     renderer.close()
@@ -277,7 +277,7 @@ def test_a_renderer_describes_itself(renderer: Renderer) -> None:
 
 
 @pytest.mark.gl
-def test_two_open_renderers_do_not_disturb_each_other() -> None:
+def test_two_open_renderers_do_not_affect_each_other() -> None:
     with open_renderer("gl") as one, open_renderer("gl") as two:
         one.load(build_scene([wall(2.0)]), CAMERA)
         two.load(build_scene([wall(3.0)]), CAMERA)
@@ -287,7 +287,7 @@ def test_two_open_renderers_do_not_disturb_each_other() -> None:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("heading", [0.0, 0.7, 2.0, 3.6, 5.0])
-def test_all_renderers_show_the_same(heading: float) -> None:
+def test_all_renderers_produce_the_same_frames(heading: float) -> None:
     """Ids agree on 99.5 % of the pixels; depth, away from id edges, within 1 cm + 0.5 % on 99.5 %."""
     scene, pose = furnished_room(), Pose.planar(-0.5, -0.3, heading)
     with open_renderer("gl") as fast, open_renderer("tiny") as slow:
@@ -301,7 +301,7 @@ def test_all_renderers_show_the_same(heading: float) -> None:
     assert np.abs(a.rgb.astype(int) - b.rgb)[plain].max() <= 2
 
 
-def test_auto_falls_back_with_one_line_that_names_the_packages() -> None:
+def test_auto_falls_back_and_logs_the_missing_packages() -> None:
     def no_driver(size: int, lap: StageTimer) -> Renderer:
         raise WorldError("no driver here")
 
@@ -328,7 +328,7 @@ def is_edge(ids: np.ndarray) -> np.ndarray:
     return np.asarray(np.any([other != ids for other in neighbours], axis=0))
 
 
-def test_a_relief_is_the_frame_without_its_colour(renderer: Renderer) -> None:
+def test_a_depth_and_id_frame_equals_the_frame_without_colour(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
     for pose in (ORIGIN, Pose.planar(-1.0, 0.4, 0.6), Pose.planar(0.5, -1.0, 2.5), Pose.planar(30.0, 0.0, 0.0)):
         relief, frame = renderer.render_depth_and_ids(pose), renderer.render(pose)
@@ -338,6 +338,6 @@ def test_a_relief_is_the_frame_without_its_colour(renderer: Renderer) -> None:
             np.testing.assert_array_equal(found.ids, frame.ids)
 
 
-def test_a_relief_needs_a_scene_too(renderer: Renderer) -> None:
+def test_a_depth_and_id_frame_requires_a_scene(renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
         renderer.render_depth_and_ids(ORIGIN)

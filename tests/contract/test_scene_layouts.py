@@ -1,6 +1,6 @@
-"""What every seed of every built-in scene promises before it is compiled: one floor, and each category beside it.
+"""Checks layouts of built-in scenes before compilation: one connected floor that reaches each category.
 
-Pieces count as boxes, which is coarser than what the compiler sees; `make scenes-check` compiles the seeds themselves.
+Pieces are approximated by boxes; `make scenes-check` compiles the seeds.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from schemas.terms import BUILTIN_CATEGORIES
 from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
 
 CELL_M = 0.05
-REACH_M = 0.97 + 0.2335 + CELL_M  # arrival radius, and the body's centre behind base_link
+REACH_M = 0.97 + 0.2335 + CELL_M  # success radius, and the distance of the body's centre behind base_link
 RULES = load_rules()
 
 
@@ -36,7 +36,7 @@ def piece_boxes(plan: FloorPlan) -> Floats:
 
 
 def floor_of(plan: FloorPlan) -> Grid:
-    """The grid of what reaches into the robot's height band."""
+    """Returns the grid of pieces in the height band of the robot."""
     boxes = piece_boxes(plan)
     solid = boxes[(boxes[:, 1, 2] > BAND_M[0]) & (boxes[:, 0, 2] < BAND_M[1])]
     origin = solid[:, 0, :2].min(axis=0)
@@ -52,7 +52,7 @@ def floor_of(plan: FloorPlan) -> Grid:
 
 
 def reached_categories(plan: FloorPlan, grid: Grid) -> dict[str, int]:
-    """How many things of each category stand within reach of the connected floor."""
+    """Returns the number of objects of each category within reach of the connected floor."""
     floor = cKDTree(grid.centre_of(np.argwhere(grid.connected_floor())))
     reached: dict[str, int] = {}
     for placement in plan.placements:
@@ -64,7 +64,7 @@ def reached_categories(plan: FloorPlan, grid: Grid) -> dict[str, int]:
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("name", BUILTIN_SCENES)
-def test_every_seed_has_one_floor_with_each_category_beside_it(name: str, seed: int) -> None:
+def test_every_seed_has_one_connected_floor_that_reaches_each_category(name: str, seed: int) -> None:
     plan = lay_out_scene(BUILTIN_SCENES[name], seed)
     grid = floor_of(plan)
     wide = (grid.clearance >= CONNECT_CLEARANCE_M).sum()

@@ -1,4 +1,4 @@
-"""What every built-in scene promises to plans, workers and people."""
+"""Contract suite of the built-in scenes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def scene(package: Path) -> CompiledScene:
         return decode_scene(file)
 
 
-def test_the_package_lies_where_it_is_looked_for_and_is_small(package: Path, scene: CompiledScene) -> None:
+def test_the_package_is_at_its_expected_path_and_small(package: Path, scene: CompiledScene) -> None:
     seed = int(scene.info.source.rpartition(" ")[2])
     assert package == package_path(scene.info.name, seed, package.parent)
     assert package.stat().st_size < 40e6
@@ -52,7 +52,7 @@ def test_every_category_of_the_paper_can_be_reached(scene: CompiledScene) -> Non
     assert {target.category for target in scene.info.targets} >= {*seen, *held_out}
 
 
-def test_every_category_has_a_straight_way_from_near_mid_and_far(scene: CompiledScene) -> None:
+def test_every_category_has_a_straight_path_from_near_mid_and_far(scene: CompiledScene) -> None:
     ways = {(target.category, tier) for target in scene.info.targets for tier in target.straight_tiers}
     categories = {target.category for target in scene.info.targets}
     assert ways == {(category, tier) for category in categories for tier in Tier}
@@ -64,7 +64,7 @@ def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
         assert Tier.FAR in target.connected_tiers
 
 
-def test_at_least_forty_spawns_stand_apart_on_the_whole_floor(scene: CompiledScene) -> None:
+def test_at_least_forty_spawns_are_spread_over_the_floor(scene: CompiledScene) -> None:
     assert len(scene.spawns) >= 40
     apart = np.linalg.norm(scene.spawns[:, None] - scene.spawns[None], axis=-1)
     assert (apart + 9 * np.eye(len(apart))).min() >= 0.3
@@ -81,13 +81,13 @@ def test_the_robot_fits_at_every_spawn_with_most_headings(scene: CompiledScene) 
     assert (grid.are_poses_free(x, y, yaw, margin).sum(axis=1) >= 12).all()
 
 
-def test_the_reachable_floor_is_clear_and_one_piece(scene: CompiledScene) -> None:
+def test_the_reachable_floor_is_free_and_connected(scene: CompiledScene) -> None:
     grid = Grid.from_scene(scene)
     assert (grid.connected_floor() == (scene.reachable > 0)).all()
     assert (grid.clearance[scene.reachable > 0] >= CONNECT_CLEARANCE_M).all()
 
 
-def test_what_a_spawn_sees_it_can_drive_to_straight(scene: CompiledScene) -> None:
+def test_visible_targets_of_a_spawn_can_be_reached_straight(scene: CompiledScene) -> None:
     distance = np.linalg.norm(
         scene.spawns[:, None] - np.array([target.centroid_m[:2] for target in scene.info.targets])[None], axis=-1
     )
@@ -99,22 +99,22 @@ def test_what_a_spawn_sees_it_can_drive_to_straight(scene: CompiledScene) -> Non
     assert far == {t.target_id for t, sees in zip(scene.info.targets, columns, strict=True) if sees}
 
 
-def test_most_things_have_an_honest_colour(scene: CompiledScene) -> None:
+def test_most_objects_have_a_correct_colour(scene: CompiledScene) -> None:
     uncoloured = load_rules().uncoloured
     things = [target for target in scene.info.targets if target.category not in uncoloured]
     assert sum(target.colour != "unknown" for target in things) >= 0.8 * len(things)
     assert {target.colour for target in scene.info.targets if target.category in uncoloured} <= {"unknown"}
 
 
-def test_no_view_shows_too_many_triangles_for_a_quick_frame(scene: CompiledScene) -> None:
-    """Of the parts in view, those that face the camera, behind walls too."""
+def test_no_view_exceeds_the_triangle_budget_of_a_frame(scene: CompiledScene) -> None:
+    """Counts front-facing triangles of parts in view, also behind walls."""
     triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     part = np.repeat(np.arange(len(scene.part_count)), scene.part_count // 3)
     bounds, camera = PartBounds.of(scene), CameraConfig()
     counts = []
     for number, (x, y) in enumerate(scene.spawns[:: max(1, len(scene.spawns) // 16)][:16].tolist()):
-        half = np.pi * number * 0.382  # headings all round
+        half = np.pi * number * 0.382  # headings in all directions
         pose = Pose(x, y, scene.info.floor_height_m, float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
         optical = optical_pose(pose, camera)
         seen = visible_parts(bounds, projection_matrix(camera) @ view_matrix(optical), optical.eye)
@@ -130,7 +130,7 @@ def test_targets_are_listed_in_the_order_of_their_prims(scene: CompiledScene) ->
     assert len({target.target_id for target in scene.info.targets}) == len(paths)
 
 
-def test_building_again_takes_it_from_the_cache(package: Path, scene: CompiledScene) -> None:
+def test_a_second_build_uses_the_cache(package: Path, scene: CompiledScene) -> None:
     before = package.stat().st_mtime_ns
     seed = int(scene.info.source.rpartition(" ")[2])
     assert build_scene(scene.info.name, seed, package.parent) == package

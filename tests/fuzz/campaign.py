@@ -1,4 +1,4 @@
-"""`make fuzz`: every target for a while, each in a process with limited memory; exit 1 with findings."""
+"""`make fuzz`: fuzzes every target for a time, each in a process with limited memory; exits with 1 on findings."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["fuzz"]
 
 
 def fuzz(target: str, folder: Path, seed: int, seconds: float, count: int = sys.maxsize) -> str:
-    """Fuzzes one target and returns what was found, empty when nothing was.
+    """Fuzzes one target and returns the findings; empty without findings.
 
     Args:
-        target: its name.
-        folder: where it works; findings are left there.
-        seed: of the damages.
-        seconds: how long.
-        count: most inputs.
+        target: name of the target.
+        folder: working directory; findings stay there.
+        seed: seed of the mutations.
+        seconds: time limit.
+        count: maximum number of inputs.
     """
     folder.mkdir(parents=True, exist_ok=True)
     words = [sys.executable, "-m", "tests.fuzz.child", target, str(seed), str(seconds), str(count), str(folder)]
@@ -37,7 +37,9 @@ def fuzz(target: str, folder: Path, seed: int, seconds: float, count: int = sys.
 def main() -> int:
     """Fuzzes all targets one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=12.0, help="For all targets together.")
+    parser.add_argument(
+        "--minutes", type=float, default=12.0, help="Time for all targets together, minutes (default 12)."
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--target", choices=tuple(TARGETS), action="append")
     parser.add_argument("--out", type=Path, default=Path("build/fuzz"))

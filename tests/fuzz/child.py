@@ -1,6 +1,6 @@
-"""Fuzzes one target in a process of its own: TARGET SEED SECONDS COUNT FOLDER. Writes the input before it is read.
+"""Fuzzes one target in a separate process: TARGET SEED SECONDS COUNT FOLDER. Writes each input before parsing it.
 
-Ends with 0 when all went well, 1 with a finding; a crash of the interpreter leaves the input behind.
+Exits with 0 without findings, 1 with a finding; a crash of the interpreter leaves the input on disk.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class _Hang(BaseException):
 
 
 def main() -> int:
-    """Runs until time or count is over."""
+    """Runs until the time limit or the number of inputs."""
     name, seed, seconds, count, where = sys.argv[1:]
     faulthandler.enable()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
@@ -60,7 +60,7 @@ def _is_sound(target: Target, data: bytes, folder: Path) -> bool:
         target.run(data, folder)
     except FactoryError:
         return True
-    except (Exception, _Hang):  # noqa: BLE001 - whatever a parser raises is the finding
+    except (Exception, _Hang):  # noqa: BLE001 - any undocumented exception is a finding
         signal.alarm(0)
         traceback.print_exc()
         place = folder / f"finding-{hashlib.sha256(data).hexdigest()[:12]}"

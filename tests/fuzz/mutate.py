@@ -1,4 +1,4 @@
-"""Damages a file in ways that parsers trip over. Pure: the same generator gives the same bytes."""
+"""Damages a file in ways that break parsers. Pure: the same generator gives the same bytes."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def mutate(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def mutate_members(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Damages a member of a zip file within a sound zip file, or the file as a whole."""
+    """Damages a member of a zip file within a sound zip file, or the whole file."""
     if rng.random() < 0.4:
         return mutate(rng, data, others)
     with zipfile.ZipFile(io.BytesIO(data)) as source:
         members = [(info.filename, source.read(info)) for info in source.infolist()]
     victim = rng.randrange(len(members))
-    if rng.random() < 0.5:  # the small ones, metadata and arrays, hold most of the structure
+    if rng.random() < 0.5:  # small members, metadata and arrays, contain most of the structure
         victim = rng.choice(sorted(range(len(members)), key=lambda at: len(members[at][1]))[:8])
     name, content = members[victim]
     members[victim] = (name, mutate(rng, content, [each for _, each in members]))
@@ -92,7 +92,7 @@ def _insert(rng: random.Random, data: bytes, _others: Sequence[bytes]) -> bytes:
 
 
 def _replace_word(rng: random.Random, data: bytes, _others: Sequence[bytes]) -> bytes:
-    """Replaces what stands between two separators, so that text stays text."""
+    """Replaces the text between two separators, so that text stays valid text."""
     marks = [at for at, byte in enumerate(data) if byte in b' ,:="()[]{}\n'][:100_000]
     if len(marks) < 2:
         return data

@@ -1,4 +1,4 @@
-"""What is fuzzed: each parser of foreign bytes, with sound files to begin from."""
+"""Fuzz targets: each parser of external bytes, with valid files as corpus."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
-from coordinator.protocol.relay_desk import RELAY_MESSAGES
+from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from coordinator.validation.validator import ValidationTask
 from coordinator.validation.validator_child import judge
@@ -55,14 +55,14 @@ class Target(NamedTuple):
     """One parser."""
 
     run: Callable[[bytes, Path], object]
-    """Reads bytes, with a folder of its own; only a `FactoryError` may be raised."""
+    """Reads bytes, with a private folder; only a `FactoryError` may be raised."""
     seeds: Callable[[Path], list[bytes]]
     """Sound files, which may be made in a folder, besides those of the corpus."""
     mutate: Mutate = mutate
 
 
 def _read_message(data: bytes, _folder: Path) -> None:
-    """The first byte chooses the verb."""
+    """The first byte selects the verb."""
     verb, payload = _VERBS[(data or b"\0")[0] % len(_VERBS)], data[1:]
     parse(verb, "host", payload)
     parse(verb, "host", payload, RELAY_MESSAGES)
@@ -85,7 +85,7 @@ def _plans(_folder: Path) -> list[bytes]:
 
 
 def _read_container(data: bytes, _folder: Path) -> None:
-    """Reads every member; where `zipfile` reads the file too, both must have found the same bytes."""
+    """Reads every member; if `zipfile` also reads the file, both must return the same bytes."""
     reader = ContainerReader(io.BytesIO(data), ContainerLimits(members=16, member_bytes=1 << 16))
     ours = [_or_none(reader.read, name) for name in reader.names]
     try:
@@ -106,7 +106,7 @@ def _or_none(read: Callable[[Any], bytes], member: object) -> bytes | None:
 
 
 def _containers(_folder: Path) -> list[bytes]:
-    """One of ours, and the same members by `zipfile`."""
+    """A container of the product, and the same members written by `zipfile`."""
     members = {"meta.json": b"{}", "rgb_front/000000.png": bytes(range(64)), "ö.npy": b"", "last": b"PK\x05\x06" * 4}
     ours, theirs = io.BytesIO(), io.BytesIO()
     with ContainerWriter(ours) as writer, zipfile.ZipFile(theirs, "w") as stored:
@@ -133,7 +133,7 @@ def _read_scene(data: bytes, _folder: Path) -> None:
 
 
 def _read_tables(data: bytes, folder: Path) -> None:
-    """The same bytes in the place of either table of a dataset."""
+    """The same bytes as each table of a dataset."""
     root = _dataset(folder)
     (root / "metadata.parquet").write_bytes(data)
     (root / "attempts.parquet").write_bytes(data)

@@ -1,4 +1,4 @@
-"""Finds interpreters, builds the wheel and installs it into virtual environments, as a user would."""
+"""Finds interpreters, builds the wheel and installs it into virtual environments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Installed:
-    """A virtual environment that holds the wheel; `root` is its directory."""
+    """A virtual environment with the wheel; `root` is its directory."""
 
     def __init__(self, root: Path, version: str) -> None:
         self.root, self.version = root, version
@@ -37,7 +37,7 @@ class Installed:
 
 
 def find_python(version: str) -> Path | None:
-    """Returns an interpreter of a version: from PATH, else from pyenv's versions; `None` when there is none."""
+    """Returns an interpreter of a version: from PATH, else from pyenv's versions; `None` if not found."""
     found = shutil.which(f"python{version}")
     homes = Path(os.environ.get("PYENV_ROOT", "/nonexistent"), "versions").glob(f"{version}.*/bin/python")
     for python in (*([found] if found else ()), *sorted(map(str, homes), reverse=True)):
@@ -57,7 +57,7 @@ def build_wheel(folder: Path) -> Path:
 
 
 def install(python: Path, version: str, root: Path, wheel: Path, extras: str = "") -> Installed:
-    """Makes a virtual environment and installs the wheel with its dependencies, without the checkout."""
+    """Creates a virtual environment and installs the wheel with its dependencies, without the checkout."""
     subprocess.run([str(python), "-m", "venv", str(root)], check=True)
     installed = Installed(root, version)
     installed.add(f"{wheel}{extras}")

@@ -1,6 +1,6 @@
-"""Program that a reader's environment runs: opens a dataset through the public package and decodes it.
+"""Program for the environment of a reader: opens a dataset through the public package and decodes it.
 
-Usage: reader.py DATASET [MODULE ...]; the modules are imported first, to show that they share the process.
+Usage: reader.py DATASET [MODULE ...]; the modules are imported first, to test that they work in one process.
 """
 
 from __future__ import annotations

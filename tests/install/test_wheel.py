@@ -1,4 +1,4 @@
-"""The wheel in fresh environments of each supported Python: what the base install does, and what the extras add.
+"""Tests the wheel in new environments of each supported Python: the base install and the extras.
 
 Runs with `make test-install`; it installs packages, which takes minutes. The tests of one environment are a group: one
 process runs them in this order, since the last one installs a foreign package there.
@@ -38,7 +38,7 @@ def wheel(shared: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Installed]:
-    """Returns the environment of a version with the base install, made at its first use."""
+    """Returns the environment of a version with the base install, created at its first use."""
     made: dict[str, Installed] = {}
 
     def environment(version: str) -> Installed:
@@ -54,7 +54,7 @@ def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A user's directory that holds a dataset."""
+    """A directory with a dataset."""
     make_dataset(tmp_path / "dataset")
     return tmp_path
 
@@ -66,7 +66,9 @@ with_base_of_311 = pytest.mark.xdist_group("3.11")
 
 
 @every_version
-def test_base_install_reads_exports_and_shows(base: Callable[[str], Installed], folder: Path, version: str) -> None:
+def test_base_install_reads_exports_and_displays_a_dataset(
+    base: Callable[[str], Installed], folder: Path, version: str
+) -> None:
     environment = base(version)
     assert "read 3 episodes" in environment.run("python", READER, "dataset", cwd=folder).stdout
     environment.run("factory", "--help", cwd=folder)
@@ -82,7 +84,7 @@ def test_base_install_reads_exports_and_shows(base: Callable[[str], Installed], 
 
 
 @every_version
-def test_commands_that_simulate_name_the_command_that_installs_what_they_need(
+def test_simulating_commands_print_the_install_command(
     base: Callable[[str], Installed], wheel: Path, folder: Path, version: str
 ) -> None:
     for words in SIMULATING:
@@ -97,7 +99,7 @@ def test_commands_that_simulate_name_the_command_that_installs_what_they_need(
 
 @with_base_of_311
 @pytest.mark.parametrize("name", ["schemas", "workers", "coordinator", "factory"])
-def test_foreign_package_on_the_path_is_named(base: Callable[[str], Installed], folder: Path, name: str) -> None:
+def test_a_foreign_package_on_the_path_is_named(base: Callable[[str], Installed], folder: Path, name: str) -> None:
     mine = folder / "project" / name
     mine.mkdir(parents=True)
     (mine / "__init__.py").touch()
@@ -111,7 +113,7 @@ def test_foreign_package_on_the_path_is_named(base: Callable[[str], Installed], 
     assert "Traceback" not in said
 
 
-def test_sim_is_enough_to_generate_data(wheel: Path, tmp_path: Path) -> None:
+def test_the_sim_extra_suffices_to_generate_data(wheel: Path, tmp_path: Path) -> None:
     python = find_python("3.11")
     if python is None:
         pytest.skip("Python 3.11 is not installed")
@@ -121,7 +123,7 @@ def test_sim_is_enough_to_generate_data(wheel: Path, tmp_path: Path) -> None:
     assert "sound" in environment.run("factory", "verify", "made", "--deep", cwd=tmp_path).stdout
 
 
-def test_sim_on_a_python_without_pybullet_says_which_python_to_use(wheel: Path, tmp_path: Path) -> None:
+def test_sim_without_a_pybullet_wheel_names_the_supported_python(wheel: Path, tmp_path: Path) -> None:
     python = find_python("3.13")
     if python is None:
         pytest.skip("Python 3.13 is not installed")
@@ -140,7 +142,7 @@ def test_each_extra_that_a_message_names_is_declared(wheel: Path, base: Callable
 
 
 @every_version
-def test_public_package_works_after_factory_boy_overwrote_ours(
+def test_public_package_works_after_factory_boy_replaced_the_factory_package(
     base: Callable[[str], Installed], folder: Path, version: str
 ) -> None:
     environment = base(version)

@@ -1,4 +1,4 @@
-"""One small real dataset for all tests of evaluation."""
+"""A small real dataset for the tests of evaluation."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ from tests.builders.shared import build_once
 
 @pytest.fixture(scope="session")
 def drives(shared: Path) -> Dataset:
-    """Three archived drives in the room of boxes: one for training, two for testing; no test changes them."""
+    """Three archived episodes in the room of boxes: one for training, two for testing; tests only read them."""
     return Dataset(build_once(shared / "drives-3", archive_drives))

@@ -1,4 +1,4 @@
-"""The archive under kill -9: what was reported as archived is there and whole, and nothing torn has a name."""
+"""The archive under kill -9: every archived episode is intact, and no partial file has an episode name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmarks on real work in a small room: rendering, the loop against the plain pipeline, the coordinator."""
+"""The benchmarks on real work in a small room: rendering, rollout and plain pipeline, coordinator."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def job_in(room: Path, **changes: object) -> Job:
 
 
 @pytest.mark.gl
-def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
+def test_rollout_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
     watch, told = ProcessWatch(), []
     with SceneRenderer("gl", watch) as stage:
         found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
@@ -63,7 +63,7 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
     assert (found.episodes, found.failed_attempts, found.wall.runs) == (1, 0, 2)
     assert found.frames_per_s_per_core == found.wall.median
     assert found.by_job.runs == 1
-    # the stages are all of the loop: nothing between them is lost
+    # the stages cover the whole loop
     whole_ms = 1000 / found.frames_per_cpu_s
     assert sum(cost.cpu_ms.median for cost in found.stages) == pytest.approx(whole_ms, rel=0.1)
     assert [cost.stage for cost in found.delivery] == ["validate", "archive"]
@@ -75,7 +75,7 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
 
 
 @pytest.mark.gl
-def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
+def test_a_scene_without_a_successful_rollout_is_reported(room: Path) -> None:
     hasty = job_in(room, task=TaskConfig(max_steps=3))
     watch = ProcessWatch()
     with (
@@ -86,7 +86,7 @@ def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
 
 
 @pytest.mark.gl
-def test_rendering_is_timed_apart_from_reading_back() -> None:
+def test_rendering_and_readback_are_timed_separately() -> None:
     watch = ProcessWatch()
     with open_renderer("gl", lap=watch) as renderer:
         found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
@@ -102,7 +102,7 @@ COMMAND = (sys.executable, "-c", WITHOUT_GC, "--renderer", "gl")
 
 
 @pytest.mark.gl
-def test_memory_is_watched_over_episodes_cut_short_and_whole_ones(room: Path) -> None:
+def test_memory_is_measured_over_aborted_and_complete_episodes(room: Path) -> None:
     told: list[int] = []
     found = bench_memory([job_in(room)], {"box_room": read_entry(room)}, COMMAND, 20, lambda: told.append(1))
     assert len(told) == found.episodes == 20
@@ -113,7 +113,7 @@ def test_memory_is_watched_over_episodes_cut_short_and_whole_ones(room: Path) ->
 
 
 @pytest.mark.gl
-def test_memory_of_a_simulation_that_breaks_is_no_figure(room: Path) -> None:
+def test_no_memory_figure_is_reported_for_a_failed_simulation(room: Path) -> None:
     nowhere = replace(read_entry(room), path=room / "no folder")
     with pytest.raises(WorldError, match=r"simulation failed in scene .*Not a directory"):
         bench_memory([job_in(room)], {"box_room": nowhere}, COMMAND, 20, lambda: None)
@@ -141,11 +141,11 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert found.archive_mb_per_s.median > 0
     assert found.wire.cycles_per_s.median > 1
     assert found.wire.archived_per_s.median >= 0
-    assert found.wire.coordinator_cpu_ms.low > 0.05  # less than its COMMIT alone takes would be no measure
+    assert found.wire.coordinator_cpu_ms.low > 0.05  # must include at least the time of its COMMIT
     assert found.wire.workers_cpu_ms.low > 0.05
     assert (found.wire.crowd.sessions, found.wire.rush.workers) == (8, 4)
     assert found.wire.rush.claims > 0
-    # a process of its own, with the bundles never whole in memory
+    # a separate process that never holds a whole bundle in memory
     assert 30 < found.wire.rush.memory.start_mib <= found.wire.rush.memory.peak_mib
-    # those of the rush, and what was pulled of the cycles before
+    # bundles of the burst and of the previous cycles
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4

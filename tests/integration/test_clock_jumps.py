@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
@@ -25,7 +25,7 @@ SWEEPS_S = 1.0
 
 
 class SetClock:
-    """This machine's clock, which a test may set."""
+    """A clock that tests can set."""
 
     def __init__(self) -> None:
         self.offset = timedelta()
@@ -48,12 +48,12 @@ def running(folder: Path, clock: SetClock, lease_ttl_s: float) -> Iterator[Coord
 
 
 def expiries(folder: Path) -> int:
-    with look_into(f"sqlite:///{folder / 'out' / 'ledger.db'}") as ledger:
+    with open_ledger(f"sqlite:///{folder / 'out' / 'ledger.db'}") as ledger:
         return len(ledger.execute(select(events.c.at).where(events.c.event == Event.EXPIRED)).all())
 
 
 @pytest.mark.parametrize("by", [HOURS, -HOURS], ids=["forward", "back"])
-def test_a_live_worker_keeps_its_job_and_delivers(tmp_path: Path, by: timedelta) -> None:
+def test_a_live_worker_keeps_its_job_and_delivers_its_bundle(tmp_path: Path, by: timedelta) -> None:
     clock = SetClock()
     with running(tmp_path, clock, 30.0) as hub, WireWorker(hub.endpoints, hub.run) as worker:
         job, lease = worker.job()
@@ -66,7 +66,7 @@ def test_a_live_worker_keeps_its_job_and_delivers(tmp_path: Path, by: timedelta)
 
 
 @pytest.mark.parametrize("by", [HOURS, -HOURS], ids=["forward", "back"])
-def test_a_dead_workers_job_comes_back(tmp_path: Path, by: timedelta) -> None:
+def test_the_job_of_a_dead_worker_returns_to_pending(tmp_path: Path, by: timedelta) -> None:
     clock = SetClock()
     with running(tmp_path, clock, 2.0) as hub:
         with WireWorker(hub.endpoints, hub.run) as dead:

@@ -1,4 +1,4 @@
-"""Ledgers with flipped bits and wrong values, opened by every verb: an answer or an error in words, never our bug."""
+"""Ledgers with flipped bits and wrong values: every command returns a result or an error, never a traceback."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coordinator.gateway.gather import gather
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import METADATA
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import repair
+from coordinator.recovery.repair_dataset import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -60,11 +60,11 @@ def harmed(whole: ArchivedRun, tmp_path: Path) -> Path:
 def call(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], root: Path, words: tuple[str, ...]
 ) -> int:
-    """Returns the exit code of a verb; fails at a traceback."""
+    """Returns the exit code of a command; fails on a traceback."""
     monkeypatch.setattr(sys, "argv", ["factory", *(word.format(root) for word in words)])
     try:
         code = _run()
-    except SystemExit as error:  # an option's own end
+    except SystemExit as error:  # early exit of an option
         code = int(error.code or 0)
     said = capsys.readouterr()
     assert code in (0, 1, 2), (words, code, said.err)
@@ -81,7 +81,7 @@ def flip(path: Path, seed: int, bits: int) -> None:
 
 @pytest.mark.parametrize("bits", [1, 200])
 @pytest.mark.parametrize("seed", range(6))
-def test_flipped_bits_end_in_words_whatever_verb_meets_them(harmed, monkeypatch, capsys, seed, bits):
+def test_every_command_reports_flipped_bits_without_a_traceback(harmed, monkeypatch, capsys, seed, bits):
     flip(harmed / "ledger.db", seed, bits)
     damaged = (harmed / "ledger.db").read_bytes()
     for words in (*READING, *WRITING, *(OPENING if (seed, bits) == (0, 200) else ())):
@@ -90,7 +90,7 @@ def test_flipped_bits_end_in_words_whatever_verb_meets_them(harmed, monkeypatch,
 
 
 @pytest.mark.parametrize("table", sorted(METADATA.tables))
-def test_a_wrong_value_in_any_column_ends_in_words(harmed, monkeypatch, capsys, table):
+def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(harmed, monkeypatch, capsys, table):
     ledger, verbs = harmed / "ledger.db", itertools.cycle((*READING, *WRITING))
     sound = ledger.read_bytes()
     for column in METADATA.tables[table].columns:
@@ -105,8 +105,8 @@ def test_a_wrong_value_in_any_column_ends_in_words(harmed, monkeypatch, capsys, 
             call(monkeypatch, capsys, harmed, next(verbs))
 
 
-def _patient(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
-    return dataclasses.replace(whole.patient(), root=harmed, home=harmed, url=f"sqlite:///{harmed / 'ledger.db'}")
+def _repair_input(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
+    return dataclasses.replace(whole.repair_input(), root=harmed, home=harmed, url=f"sqlite:///{harmed / 'ledger.db'}")
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def _patient(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
         ("info", "value", "'?'"),
     ],
 )
-def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, whole, table, column, value):
+def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(harmed, whole, table, column, value):
     ledger = harmed / "ledger.db"
     with closing(sqlite3.connect(ledger)) as raw:
         raw.execute(f'UPDATE {table} SET "{column}" = {value}')
@@ -136,9 +136,9 @@ def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, w
     url = f"sqlite:///{ledger}"
     assert ledger_trouble(url, whole.catalog)
     with pytest.raises(FactoryError, match="factory repair"):
-        gather(_patient(whole, harmed), [], whole.desk.now)
+        gather(_repair_input(whole, harmed), [], whole.desk.now)
     with Validator() as validator:
-        report = repair(_patient(whole, harmed), validator, whole.desk.now, apply=True)
+        report = repair(_repair_input(whole, harmed), validator, whole.desk.now, apply=True)
     assert "rebuild" in {str(action.kind) for action in report.actions}
     assert ledger_trouble(url, whole.catalog) == ""
     ledger.write_bytes(damaged)
@@ -151,7 +151,7 @@ def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, w
     assert sorted(path.name for path in (harmed / "episodes").iterdir()) == files
 
 
-def test_a_ledger_that_is_removed_under_a_running_coordinator_ends_it_in_words(harmed, whole):
+def test_a_running_coordinator_reports_a_removed_ledger_and_exits(harmed, whole):
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
     with Coordinator(
         harmed, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)

@@ -1,4 +1,4 @@
-"""The deployment files: every command line in them is one that `factory` takes, every metric one that is served."""
+"""Checks the deployment files: every command line is valid, every metric exists."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _filled(words: Sequence[str]) -> list[str]:
 
 
 @pytest.mark.parametrize(("where", "words"), [pytest.param(*line, id=line[0][:60]) for line in command_lines()])
-def test_every_command_line_is_understood(where, words):
+def test_every_command_line_is_valid(where, words):
     command: click.Command = cli
     context = click.Context(cli)
     rest = list(words)
@@ -78,7 +78,7 @@ def test_every_command_line_is_understood(where, words):
     command.make_context(command.name, rest)  # parses every option and argument, runs nothing
 
 
-def test_every_manifest_is_taken_by_kustomize():
+def test_kustomize_accepts_every_manifest():
     named = {
         resource
         for path in MANIFESTS
@@ -90,7 +90,7 @@ def test_every_manifest_is_taken_by_kustomize():
 
 
 @pytest.mark.parametrize("place", ["base", "workers-as-job", "with-gateway"])
-def test_kustomize_renders_what_it_is_given(place):
+def test_kustomize_renders_the_manifests(place):
     if shutil.which("kubectl") is None:
         pytest.skip("needs kubectl")
     done = subprocess.run(["kubectl", "kustomize", str(DEPLOY / "kubernetes" / place)], capture_output=True, text=True)
@@ -104,14 +104,14 @@ def test_kustomize_renders_what_it_is_given(place):
     assert {document["metadata"].get("namespace", "minivla") for document in rendered} == {"minivla"}
 
 
-def test_the_image_holds_each_package_of_the_wheel() -> None:
+def test_the_image_contains_each_package_of_the_wheel() -> None:
     project = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
     packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     copied = re.findall(r"^COPY (\w+) \w+$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
     assert sorted(copied) == sorted(packages)
 
 
-def test_containers_run_without_any_privilege():
+def test_containers_run_without_privileges():
     compose = documents(DEPLOY / "compose.yaml")[0]
     for container in containers():
         assert container["securityContext"] == {
@@ -135,7 +135,7 @@ def test_every_mount_has_its_volume():
                 assert mounts == volumes
 
 
-def test_the_ledger_of_a_dataset_in_object_storage_outlasts_whatever_writes_it():
+def test_the_ledger_of_a_dataset_in_object_storage_is_on_a_persistent_volume():
     (image,) = re.findall(r"\bMINIVLA_STATE=(\S+)", (DEPLOY / "Dockerfile").read_text())
     (volumes,) = re.findall(r"^VOLUME (.*)$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
     assert any(image.startswith(f"{volume}/") for volume in json.loads(volumes))
@@ -169,7 +169,7 @@ def test_every_watched_metric_is_served(tmp_path):
             room_catalog(tmp_path),
             CoordinatorOptions(listen=endpoint, settings=settings),
         ) as running,
-        StatusServer(HttpAddress("127.0.0.1", 0), running.vitals) as server,
+        StatusServer(HttpAddress("127.0.0.1", 0), running.health) as server,
     ):
         page = ask(server, "/metrics")[1]
     served = set(re.findall(r"^# TYPE (\w+) ", page, re.MULTILINE))
@@ -186,7 +186,7 @@ def test_every_watched_metric_is_served(tmp_path):
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
-def test_systemd_takes_the_units(unit, tmp_path):
+def test_systemd_accepts_the_units(unit, tmp_path):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("needs systemd-analyze")
     text = unit.read_text().replace("/opt/minivla/bin/factory", shutil.which("true") or "/bin/true")
@@ -199,7 +199,7 @@ def test_systemd_takes_the_units(unit, tmp_path):
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
-def test_shell_scripts_are_sound(script):
+def test_shell_scripts_are_valid(script):
     shell = "bash" if "bash" in script.read_text().splitlines()[0] else "sh"
     assert subprocess.run([shell, "-n", str(script)]).returncode == 0
     if shutil.which("shellcheck") is None:
@@ -209,7 +209,7 @@ def test_shell_scripts_are_sound(script):
 
 
 class Cluster:
-    """Slurm as a stub: `scontrol` writes down what it is told, `factory` is a worker that leaves when told."""
+    """Stub of Slurm: `scontrol` records its arguments, `factory` is a worker that exits on a signal."""
 
     def __init__(self, folder: Path, worker: str) -> None:
         self.told = folder / "told"
@@ -240,7 +240,7 @@ class Cluster:
                     os.killpg(task.pid, signal.SIGKILL)
 
     def before(self, command: str, deed: str) -> None:
-        """Has the task do something before it runs a command: what would otherwise be a matter of luck."""
+        """Runs a script before a command of the task, to fix the order of events."""
         trap = self.bin / "trap.sh"
         trap.write_text(f"""trap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
         self.environment["BASH_ENV"] = str(trap)
@@ -251,7 +251,7 @@ class Cluster:
         path.chmod(0o755)
 
 
-def test_a_slurm_task_that_is_told_to_stop_lets_its_worker_leave_and_queues_again(tmp_path):
+def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself(tmp_path):
     left = tmp_path / "left"
     body = f"trap 'sleep 0.5; touch {left}; exit 0' TERM; echo up; while :; do sleep 0.05; done"
     cluster = Cluster(tmp_path, body)
@@ -264,7 +264,7 @@ def test_a_slurm_task_that_is_told_to_stop_lets_its_worker_leave_and_queues_agai
     assert cluster.told.read_text() == "requeue 15_2\n"
 
 
-def test_a_slurm_task_that_is_told_before_its_worker_has_a_name_stops_it_too(tmp_path):
+def test_a_slurm_task_stopped_before_its_worker_starts_stops_the_worker(tmp_path):
     cluster = Cluster(tmp_path, "while :; do sleep 0.05; done")
     cluster.before(r"worker=\$!", "kill -TERM $$")
     with cluster.task() as task:
@@ -274,7 +274,7 @@ def test_a_slurm_task_that_is_told_before_its_worker_has_a_name_stops_it_too(tmp
 
 @pytest.mark.parametrize("looks", ["early", "late"])
 @pytest.mark.parametrize("status", [0, 1])
-def test_a_slurm_task_ends_as_its_worker_does(tmp_path, status, looks):
+def test_a_slurm_task_returns_the_exit_status_of_its_worker(tmp_path, status, looks):
     cluster = Cluster(tmp_path, f'echo "$MINIVLA_CACHE $@"; exit {status}')
     if looks == "late":
         cluster.before(r'wait*|"kill -0"*', "sleep 1")

@@ -1,4 +1,4 @@
-"""An evaluation that joins a running collection: its workers drive the policies first and then collect on."""
+"""An evaluation that joins a running collection: workers run the evaluation first and then resume the collection."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EVALUATE = (sys.executable, "-m", "factory.eval.remote.eval_worker")
 
 @pytest.fixture(scope="module")
 def campaign(drives: Dataset) -> Campaign:
-    """Two episodes in which nobody moves."""
+    """Two episodes without motion."""
     return standing_still(drives)
 
 
@@ -47,7 +47,7 @@ def wait_for_more(hub: Coordinator, than: int) -> None:
         time.sleep(0.1)
 
 
-def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
+def test_workers_of_a_collection_run_an_evaluation_and_resume_the_collection(
     drives: Dataset, campaign: Campaign, tmp_path: Path
 ) -> None:
     settings = CoordinatorSettings(lease_ttl_s=15.0, reserve_bytes=0)
@@ -68,13 +68,15 @@ def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
         assert note is not None
         assert note.knows == "nothing"
         wait_for_more(hub, archived(hub))
-        # all is done, so that nothing has to be joined any more
+        # all episodes are finished, so that no collection is needed
         assert run_fleet(campaign, drives.meta.plan, store, FleetAccess(), threading.Event(), told.append)
     assert [pace.done for pace in told] == [0, 1, 2, 2]
     assert not (tmp_path / "out" / "fleet").exists()
 
 
-def test_an_evaluation_that_finds_nobody_to_join_says_so(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
+def test_an_evaluation_without_a_running_collection_reports_it(
+    drives: Dataset, campaign: Campaign, tmp_path: Path
+) -> None:
     door = FleetAccess(connect=(free_endpoint(),))
     with open_store(tmp_path / "out", campaign) as store, pytest.raises(TransientError, match="no coordinator at"):
         run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
@@ -91,7 +93,7 @@ for line in sys.stdin:
 """A program for evaluation tasks that executes none of them and says what it was given."""
 
 
-def test_a_checkpoint_travels_to_the_workers_by_its_digest(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
+def test_workers_fetch_a_checkpoint_by_its_digest(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
     weights = np.random.default_rng(1).bytes((2 << 20) + 77)
     (tmp_path / "policy.pt").write_bytes(weights)
     one = campaign.specs.only(None, 1)

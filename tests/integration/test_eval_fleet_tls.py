@@ -1,4 +1,4 @@
-"""An evaluation that borrows the workers of a collection behind mTLS; its certificate is worth nothing else."""
+"""An evaluation on workers of a collection behind mTLS; its certificate has no other rights."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def pki(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
-    """A collection that does not end by itself."""
+    """A collection that does not end automatically."""
     plan, catalog = room_plan(2000), room_catalog(tmp_path)
     guard = Guard(pki / "hub")
     with Coordinator(
@@ -58,14 +58,14 @@ def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
 
 @contextmanager
 def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
-    """A worker of the collection that can drive evaluations too."""
+    """A worker of the collection that supports evaluations."""
     more = {"host": "node", "tls": files_of(pki, "node"), "command": COLLECT, "eval_command": EVALUATE}
     with WorkerThread(settings_for(endpoint, folder / "worker", **more)):
         yield
 
 
 def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> list[tuple[str, int]]:
-    """What comes of two episodes in which nobody moves."""
+    """Results of two episodes without motion."""
     campaign = standing_still(drives)
     door = FleetAccess(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
     with open_store(folder / "results", campaign) as store:
@@ -81,7 +81,7 @@ def is_answered(hub: Coordinator, pki: Path) -> bool:
     return True
 
 
-def test_the_workers_of_a_collection_behind_tls_drive_an_evaluation_and_go_back(drives, hub, pki, tmp_path):
+def test_workers_behind_tls_run_an_evaluation_and_resume_the_collection(drives, hub, pki, tmp_path):
     with working(hub.endpoints[0], pki, tmp_path):
         until(lambda: hub.progress().jobs["archived"] > 0)
         assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2
@@ -89,7 +89,7 @@ def test_the_workers_of_a_collection_behind_tls_drive_an_evaluation_and_go_back(
         until(lambda: hub.progress().jobs["archived"] > before)
 
 
-def test_workers_behind_a_gateway_are_lent_too(drives, hub, pki, tmp_path):
+def test_workers_behind_a_gateway_run_an_evaluation(drives, hub, pki, tmp_path):
     guard = Guard(pki / "gw1", of_gateway=True)
     with (
         Gateway(tmp_path / "gw1", "gw1", hub.endpoints, ANY_PORT, SETTINGS, guard=guard) as gateway,
@@ -99,14 +99,14 @@ def test_workers_behind_a_gateway_are_lent_too(drives, hub, pki, tmp_path):
         assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2
 
 
-def test_an_evaluation_that_is_not_admitted_says_where_to_look(drives, hub, pki, tmp_path):
+def test_an_unauthorised_evaluation_names_the_host_list(drives, hub, pki, tmp_path):
     revoke(pki, "desk")
     until(lambda: not is_answered(hub, pki))
     with pytest.raises(TransientError, match=r"does not admit 'desk' \(its hosts\.txt\)"):
         evaluates(drives, hub, pki, tmp_path)
 
 
-def test_an_evaluator_can_neither_work_nor_steer(hub, pki):
+def test_an_evaluator_can_neither_claim_jobs_nor_administer_the_run(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "desk", files_of(pki, "desk")) as greedy:
         assert greedy.hello(version("minivla-factory")) is None
         assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token="0" * 32), ClaimReply) is None
@@ -114,14 +114,14 @@ def test_an_evaluator_can_neither_work_nor_steer(hub, pki):
     assert hub.progress().jobs["pending"] == 2000
 
 
-def test_an_evaluator_learns_nothing_of_the_progress_of_a_collection(hub, pki):
+def test_an_evaluator_cannot_read_the_progress_of_a_collection(hub, pki):
     assert is_answered(hub, pki)
     with pytest.raises(TransientError):
         ask_progress(hub.endpoints, "desk", files_of(pki, "desk"))
     assert ask_progress(hub.endpoints, "boss", files_of(pki, "boss")).planned == 2000
 
 
-def test_an_evaluator_hears_and_answers_nothing_of_the_collection(hub, pki):
+def test_an_evaluator_can_neither_receive_nor_answer_messages_of_the_collection(hub, pki):
     heard: list[str] = []
 
     def lie(query: zenoh.Query) -> None:

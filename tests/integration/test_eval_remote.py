@@ -1,4 +1,4 @@
-"""Policies behind a websocket: the wire, a late server, one that errs, hangs up, or is no policy server at all."""
+"""Policies behind a websocket: protocol, late servers, server errors, lost connections and other servers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Answer = Callable[[ServerConnection, dict[str, Any]], None]
 
 @contextmanager
 def server(answer: Answer, greeting: bytes | str = pack({"name": "test"})) -> Iterator[str]:
-    """Serves on loopback; `answer` is given the connection and each observation."""
+    """Serves on loopback; calls `answer` with the connection and each observation."""
 
     def handle(connection: ServerConnection) -> None:
         connection.send(greeting)
@@ -60,7 +60,7 @@ def begin(address: str, outside: Outside = QUICK) -> RemotePolicy:
     return policy
 
 
-def test_a_server_is_shown_the_observation_and_its_answer_comes_back() -> None:
+def test_a_server_receives_the_observation_and_its_answer_is_returned() -> None:
     seen: list[dict[str, Any]] = []
 
     def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
@@ -83,7 +83,7 @@ def test_a_server_is_shown_the_observation_and_its_answer_comes_back() -> None:
     assert policy.metadata == {"name": "test"}
 
 
-def test_an_error_of_the_server_is_the_policys_failure_with_its_last_words() -> None:
+def test_an_error_of_the_server_is_a_policy_failure_with_its_message() -> None:
     with server(lambda connection, _: connection.send("Traceback ...\nValueError: no key rgb")) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure, match="ValueError: no key rgb") as caught:
@@ -92,7 +92,7 @@ def test_an_error_of_the_server_is_the_policys_failure_with_its_last_words() -> 
     assert caught.value.fault is PolicyFault.RAISED
 
 
-def test_rubbish_is_an_invalid_answer() -> None:
+def test_malformed_bytes_are_an_invalid_answer() -> None:
     with server(lambda connection, _: connection.send(b"\xc1")) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure, match="not a valid msgpack message") as caught:
@@ -101,7 +101,7 @@ def test_rubbish_is_an_invalid_answer() -> None:
     assert caught.value.fault is PolicyFault.INVALID
 
 
-def test_a_late_answer_is_a_hang_and_never_taken_for_the_next_one() -> None:
+def test_a_late_answer_is_a_hang_and_is_never_used_for_the_next_request() -> None:
     calls: list[int] = []
 
     def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
@@ -121,7 +121,7 @@ def test_a_late_answer_is_a_hang_and_never_taken_for_the_next_one() -> None:
     assert caught.value.fault is PolicyFault.HUNG
 
 
-def test_a_connection_that_is_closed_is_opened_again_for_the_next_episode() -> None:
+def test_a_closed_connection_is_reopened_for_the_next_episode() -> None:
     calls: list[int] = []
 
     def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
@@ -141,7 +141,7 @@ def test_a_connection_that_is_closed_is_opened_again_for_the_next_episode() -> N
     assert caught.value.fault is PolicyFault.LOST
 
 
-def test_a_server_that_was_started_again_may_take_its_time_once_more() -> None:
+def test_a_restarted_server_gets_the_long_timeout_for_its_first_answer() -> None:
     calls: list[int] = []
 
     def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
@@ -163,7 +163,7 @@ def test_a_server_that_was_started_again_may_take_its_time_once_more() -> None:
         policy.close()
 
 
-def test_a_server_that_is_gone_is_nobodys_failure() -> None:
+def test_an_unreachable_server_is_not_a_policy_failure() -> None:
     with server(lambda connection, _: connection.close()) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure):
@@ -174,7 +174,7 @@ def test_a_server_that_is_gone_is_nobodys_failure() -> None:
         begin(address)
 
 
-def test_what_is_no_policy_server_is_said_at_once() -> None:
+def test_an_endpoint_without_a_policy_server_is_reported_immediately() -> None:
     with (
         server(lambda _c, _o: None, greeting="hello") as address,
         pytest.raises(UsageError, match="not an openpi policy server"),
@@ -185,7 +185,7 @@ def test_what_is_no_policy_server_is_said_at_once() -> None:
 
 
 @pytest.mark.parametrize("value", [np.float32(0.25), np.arange(6, dtype=np.int16).reshape(2, 3), {"a": [1, "b", None]}])
-def test_what_is_packed_comes_back(value: Any) -> None:
+def test_packed_values_are_unpacked_unchanged(value: Any) -> None:
     found = unpack(pack(value))
     np.testing.assert_equal(found, value)
     assert getattr(found, "dtype", None) == getattr(value, "dtype", None)
@@ -208,7 +208,7 @@ def test_arrays_are_packed_as_openpi_packs_them() -> None:
         {b"__npgeneric__": True, b"data": b"1234", b"dtype": "|O8"},
     ],
 )
-def test_an_array_that_contradicts_itself_is_refused_before_it_is_made(fake: dict[bytes, Any]) -> None:
+def test_an_array_with_inconsistent_metadata_is_refused_before_allocation(fake: dict[bytes, Any]) -> None:
     import msgpack
 
     with pytest.raises(WireError, match="contains an array"):
@@ -233,7 +233,7 @@ def test_the_example_server_drives_forward_on_free_floor_and_turns_before_a_wall
 
 
 def test_the_example_class_answers_with_actions_within_range(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(EXAMPLES)  # an own policy need not be installed: the working directory is enough
+    monkeypatch.chdir(EXAMPLES)  # a user policy need not be installed: the working directory is sufficient
     monkeypatch.setattr(sys, "path", list(sys.path))
     policy = make_policy("my_policy:TowardsOpenFloor", QUICK)
     policy.reset("Go to the chair.", INFO)
@@ -243,6 +243,6 @@ def test_the_example_class_answers_with_actions_within_range(monkeypatch: pytest
 
 
 def look(depth_m: float) -> PolicyInput:
-    """A view of a wall straight ahead."""
+    """An observation of a wall straight ahead."""
     rgb, depth = np.zeros((640, 640, 3), np.uint8), np.full((640, 640), depth_m, np.float32)
     return PolicyInput(rgb=rgb, depth=depth, instruction="Go to the chair.", step=0)

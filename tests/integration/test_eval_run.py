@@ -1,4 +1,4 @@
-"""Campaigns over real driving processes: what bad policies cost, that nothing is driven twice, that numbers repeat."""
+"""Evaluations with real processes: policy errors, resuming without repetition, and reproducible numbers."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def without_clocks(rows: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
     return [row.model_dump(exclude={"act_ms", "seconds"}) for row in rows]
 
 
-def test_experts_and_replay_do_what_the_archive_has(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+def test_experts_and_replay_reproduce_the_archive(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
     found = drive(tmp_path, campaign_of(drives, specs.only(frozenset({Split.TEST_ID}), 1), "expert", "replay"))
     for rows in found.values():
         assert [row.end for row in rows] == [EvalEnd.SUCCESS]
@@ -82,7 +82,7 @@ def test_experts_and_replay_do_what_the_archive_has(drives: Dataset, specs: Spec
             assert row.spl > 0.9
 
 
-def test_playback_carries_out_another_episodes_actions_and_stop_none(
+def test_playback_executes_the_actions_of_another_episode_and_stop_executes_none(
     drives: Dataset, specs: SpecSet, tmp_path: Path
 ) -> None:
     campaign = campaign_of(drives, short(specs, 20), "playback", "stop")
@@ -97,9 +97,7 @@ def test_playback_carries_out_another_episodes_actions_and_stop_none(
     assert [row.trajectory_length_m < 0.01 for row in found["stop"]] == [True] * 3
 
 
-def test_a_policy_that_fails_as_a_program_fails_its_episodes_and_nothing_else(
-    drives: Dataset, specs: SpecSet, tmp_path: Path
-) -> None:
+def test_a_policy_error_fails_only_its_own_episodes(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
     names = [f"{MINE}:{name}" for name in ("Raises", "Dies", "Hangs", "Tokens")]
     found = drive(tmp_path, campaign_of(drives, short(specs, 12).only(None, 2), *names, processes=2))
     ends = {name.partition(":")[2]: [row.end for row in rows] for name, rows in found.items()}
@@ -119,11 +117,9 @@ def test_a_policy_that_fails_as_a_program_fails_its_episodes_and_nothing_else(
 
 
 @pytest.mark.gl
-def test_policies_that_bring_libraries_drive_in_a_process_without_a_graphics_driver(
-    drives: Dataset, specs: SpecSet, tmp_path: Path
-) -> None:
-    """Also after a built-in policy, whose process renders by itself."""
-    names = ("expert", f"{MINE}:Guards", "stop")
+def test_policies_run_in_a_process_without_a_graphics_driver(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    """Also after a built-in policy, whose process renders in-process."""
+    names = ("expert", f"{MINE}:ChecksDriver", "stop")
     campaign = campaign_of(drives, short(specs, 12).only(None, 2), *names)
     setup = campaign.setup.model_copy(update={"renderer": "gl"})
     found = drive(tmp_path, dataclasses.replace(campaign, setup=setup))
@@ -132,10 +128,8 @@ def test_policies_that_bring_libraries_drive_in_a_process_without_a_graphics_dri
     assert not any(renders_apart(name) for name in ("expert:depth", "planner", "replay", "random", "ws://h:1"))
 
 
-def test_answers_that_are_no_action_are_named_for_what_they_were(
-    drives: Dataset, specs: SpecSet, tmp_path: Path
-) -> None:
-    rows = drive(tmp_path, campaign_of(drives, short(specs), f"{MINE}:Truant"))[f"{MINE}:Truant"]
+def test_invalid_actions_are_described_in_the_failure(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    rows = drive(tmp_path, campaign_of(drives, short(specs), f"{MINE}:InvalidAnswers"))[f"{MINE}:InvalidAnswers"]
     assert [row.end for row in rows] == [EvalEnd.POLICY_INVALID] * 3
     details = [row.detail for row in rows]
     assert "nan" in details[0]
@@ -143,18 +137,18 @@ def test_answers_that_are_no_action_are_named_for_what_they_were(
     assert "found str" in details[2]
 
 
-def test_a_model_is_shown_camera_and_words_only_and_other_words_reach_it(
+def test_a_policy_receives_only_camera_and_instruction_also_under_ablation(
     drives: Dataset, specs: SpecSet, tmp_path: Path
 ) -> None:
-    campaign = campaign_of(drives, short(specs, 10), f"{MINE}:Listens", "stop", variants=tuple(Variant))
+    campaign = campaign_of(drives, short(specs, 10), f"{MINE}:ChecksInput", "stop", variants=tuple(Variant))
     found = drive(tmp_path, campaign)
-    rows = found[f"{MINE}:Listens"]
+    rows = found[f"{MINE}:ChecksInput"]
     assert len(rows) == 12
     assert {row.end for row in rows} == {EvalEnd.TIMEOUT}, rows[0].detail
     yaw_change = {row.variant: abs(row.track[-1][2] - row.track[0][2]) for row in rows}
     assert yaw_change[Variant.EMPTY] > 0.01 > yaw_change[Variant.WRONG]
     assert {row.instruction for row in rows if row.variant is Variant.EMPTY} == {""}
-    assert len(found["stop"]) == 3  # it hears nothing, and is not asked again
+    assert len(found["stop"]) == 3  # it gets no instruction and is not evaluated again
     with open_store(tmp_path, campaign) as store:
         evaluation = publish(campaign, store, videos=0)
     listens, stop = evaluation.policies
@@ -164,7 +158,7 @@ def test_a_model_is_shown_camera_and_words_only_and_other_words_reach_it(
     assert not stop.reads_instruction
 
 
-def test_a_stopped_campaign_goes_on_where_it_was_and_gives_the_same_numbers(
+def test_a_stopped_evaluation_resumes_and_gives_the_same_numbers(
     drives: Dataset, specs: SpecSet, tmp_path: Path
 ) -> None:
     campaign = campaign_of(drives, short(specs, 15), "random")
@@ -180,9 +174,9 @@ def test_a_stopped_campaign_goes_on_where_it_was_and_gives_the_same_numbers(
         after = store.results("random")
     assert told[0] == len(done)
     assert told[-1] == 3
-    assert [row for row in after if row.spec_id in done] == before  # clocks and all: not driven again
-    calm = drive(tmp_path / "calm", campaign)["random"]
-    assert without_clocks(calm) == without_clocks(after)
+    assert [row for row in after if row.spec_id in done] == before  # equal wall times: not run again
+    uninterrupted = drive(tmp_path / "uninterrupted", campaign)["random"]
+    assert without_clocks(uninterrupted) == without_clocks(after)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +188,7 @@ def test_a_stopped_campaign_goes_on_where_it_was_and_gives_the_same_numbers(
         (f"{MINE}:RefusesToBeMade", r"FileNotFoundError: weights.pt \(.*policies.py:"),
     ],
 )
-def test_a_policy_that_cannot_be_made_stops_the_campaign_with_the_reason(
+def test_a_policy_that_cannot_be_constructed_stops_the_evaluation_with_the_reason(
     drives: Dataset, specs: SpecSet, tmp_path: Path, policy: str, message: str
 ) -> None:
     with pytest.raises(UsageError, match=message):

@@ -1,4 +1,4 @@
-"""The stepping simulator against the archive: the same drive, to the last bit; and the limits of its use."""
+"""The stepping simulator reproduces archived drives bit for bit and checks its arguments."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
             np.testing.assert_array_equal(view.frame.rgb, episode.rgb(-1))
 
 
-def test_an_expert_in_the_loop_drives_what_it_drove_for_the_archive(
+def test_an_expert_in_the_closed_loop_reproduces_its_archived_drive(
     drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
 ) -> None:
     spec = specs.specs[1]
@@ -63,7 +63,7 @@ def test_an_expert_in_the_loop_drives_what_it_drove_for_the_archive(
         np.testing.assert_array_equal(simulator.arrays().poses, drives[spec.spec_id].poses)
 
 
-def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(drives: Dataset, specs: SpecSet) -> None:
+def test_specs_contain_the_drawn_start_and_the_visible_objects(drives: Dataset, specs: SpecSet) -> None:
     for spec in specs.specs:
         meta = drives[spec.spec_id].meta
         assert spec.spawn_source == "job"
@@ -73,7 +73,7 @@ def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(drives: Datase
         assert set(spec.categories_in_view) <= {"crate", "barrel"}
 
 
-def test_an_episode_of_another_version_starts_at_its_first_frame(
+def test_an_episode_of_another_version_starts_at_its_first_recorded_pose(
     drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
 ) -> None:
     x, y, yaw = drives["ep_000001"].meta.rollout.spawn_pose
@@ -83,7 +83,7 @@ def test_an_episode_of_another_version_starts_at_its_first_frame(
         assert (pose.x, pose.y) == pytest.approx((x, y), abs=2e-3)
 
 
-def test_speeds_out_of_range_are_cut_and_reached_slowly(
+def test_speeds_out_of_range_are_clipped_and_slew_limited(
     specs: SpecSet, stage: SceneRenderer, place: LoadedScene
 ) -> None:
     with Simulator(stage, specs.settings) as simulator:
@@ -108,7 +108,9 @@ def test_standing_still_ends_at_the_limit_of_steps(specs: SpecSet, stage: SceneR
             simulator.step(Twist(0.0, 0.0))
 
 
-def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: SceneRenderer, place: LoadedScene) -> None:
+def test_a_start_inside_a_wall_is_refused_with_the_episode_name(
+    specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+) -> None:
     spec = specs.specs[0].model_copy(update={"spawn_pose": (-3.95, 0.0, 0.0)})
     with (
         Simulator(stage, specs.settings) as simulator,
@@ -122,7 +124,7 @@ def test_a_split_without_episodes_is_named(drives: Dataset) -> None:
         specs_of_dataset(drives, [Split.TEST_ID, Split.VAL_ID])
 
 
-def test_pictures_are_drawn_when_somebody_looks_and_never_of_an_episode_that_is_over(
+def test_frames_are_rendered_on_demand_and_never_after_the_end_of_an_episode(
     specs: SpecSet, place: LoadedScene
 ) -> None:
     laps: list[str] = []

@@ -1,4 +1,4 @@
-"""The process at the end of a worker's pipe in an evaluation: what it refuses by itself."""
+"""The evaluation process of a worker: the tasks that it refuses."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_classes_are_imported_only_where_the_worker_allows_it(tmp_path: Path) ->
     assert "--import-policies" in refused.detail
 
 
-def test_a_scene_that_is_not_there_is_no_result(tmp_path: Path) -> None:
+def test_a_missing_scene_gives_no_result(tmp_path: Path) -> None:
     last = said_to("stop", tmp_path)[-1]
     assert last.reason is FailReason.CRASH
     assert "no.scene" in last.detail

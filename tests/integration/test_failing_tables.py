@@ -1,4 +1,4 @@
-"""Tables that cannot be written for a while: the run goes on, the log stays short, and the end is told."""
+"""Tables that cannot be written for a time: the run continues, the log stays short, and the recovery is logged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENOUGH_S = 5.0
 """Time for hundreds of tries, were they not more and more seldom."""
 
 
-def test_tables_that_cannot_be_written_are_told_once_and_written_when_they_can_be(tmp_path: Path) -> None:
+def test_a_failed_table_write_is_logged_once_and_retried(tmp_path: Path) -> None:
     root = tmp_path / "out"
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1, checkpoint_s=0.01)
     obstacle = root / "metadata.parquet" / "in the way"
@@ -31,12 +31,12 @@ def test_tables_that_cannot_be_written_are_told_once_and_written_when_they_can_b
             CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings),
         ),
     ):
-        until(lambda: any(line["event"] == "chore_failed" for line in lines))
+        until(lambda: any(line["event"] == "periodic_task_failed" for line in lines))
         threading.Event().wait(ENOUGH_S)
         obstacle.rmdir()
         obstacle.parent.rmdir()
-        until(lambda: any(line["event"] == "chore_failed_recovered" for line in lines))
-    told = [line for line in lines if line["event"] == "chore_failed"]
+        until(lambda: any(line["event"] == "periodic_task_failed_recovered" for line in lines))
+    told = [line for line in lines if line["event"] == "periodic_task_failed"]
     assert len(told) == 1
     assert "exc_info" not in told[0]
     assert "metadata.parquet" in told[0]["error"]

@@ -1,4 +1,4 @@
-"""Commands in a folder whose files have the names of our modules and of those we use: none of them is executed."""
+"""Commands in a folder with files named like modules of the product and its libraries: none is executed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ raise ImportError("a file of the working directory was imported: " + __name__)
 
 @pytest.fixture
 def traps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The working directory; afterwards none of its files may have been executed."""
+    """The working directory; checks at the end that none of its files was executed."""
     folder = tmp_path / "dataset"
     make_dataset(folder, 2)
     text = TRAP.format(folder=str(tmp_path))
@@ -50,14 +50,14 @@ def factory(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, timeout=240)
 
 
-def test_a_validator_started_there_imports_only_ours(traps: Path, tmp_path: Path) -> None:
+def test_a_validator_started_there_imports_only_product_modules(traps: Path, tmp_path: Path) -> None:
     bundle = tmp_path / "x.part"
     bundle.write_bytes(bundle_bytes())
     with Validator() as validator:
         assert validator.check(bundle, job_for(), chair()).episode_id == "ep_000001"
 
 
-def test_a_simulation_started_there_imports_only_ours(traps: Path) -> None:
+def test_a_simulation_started_there_imports_only_product_modules(traps: Path) -> None:
     simulation = Simulation(WorkerSettings(connect=(), renderer="tiny").simulation_command, 60.0)
     simulation.start()
     report = simulation.receive(60.0)
@@ -66,17 +66,17 @@ def test_a_simulation_started_there_imports_only_ours(traps: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["", ":", ".:"])
-def test_a_command_there_imports_only_ours_whatever_the_python_path_says(traps: Path, path: str) -> None:
+def test_a_command_there_imports_only_product_modules_for_any_pythonpath(traps: Path, path: str) -> None:
     done = factory("verify", ".", PYTHONPATH=path + os.environ.get("PYTHONPATH", ""))
     assert "2 episodes" in done.stdout, done.stderr
 
 
-def test_a_deep_verification_in_several_processes_imports_only_ours(traps: Path) -> None:
+def test_a_deep_verification_in_several_processes_imports_only_product_modules(traps: Path) -> None:
     done = factory("verify", ".", "--deep")
     assert "2 episodes" in done.stdout, done.stderr
 
 
-def test_a_policy_of_the_working_directory_is_found_and_what_is_ours_stays_ours(traps: Path) -> None:
+def test_a_policy_of_the_working_directory_does_not_replace_product_modules(traps: Path) -> None:
     (traps / "own_pilot.py").write_text(
         "import own_helper\nclass Pilot:\n  def reset(self, instruction, info): import own_later\n"
         "  def act(self, observation): return own_helper.V, 0.0\n"

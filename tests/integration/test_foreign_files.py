@@ -1,4 +1,4 @@
-"""Files that others hand us and that parsers choke on: each ends in an error of ours that names the file."""
+"""External files that break parsers: each raises an error of the product that names the file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ YAML = {
     "an impossible date": "2026-99-99",
     "too large": "#" * (5 << 20),
     "a NUL": "a: \0",
-    "binary that is none": "!!binary '\u00e4'",
+    "invalid binary": "!!binary '\u00e4'",
 }
 
 
@@ -52,13 +52,13 @@ def write(path: Path, content: str | bytes) -> Path:
 
 
 @pytest.mark.parametrize("kind", list(TOML))
-def test_a_plan_that_a_parser_chokes_on_is_refused_by_name(tmp_path, kind):
+def test_an_unparsable_plan_is_refused_by_name(tmp_path, kind):
     with pytest.raises(UsageError):
         load_plan(str(write(tmp_path / "plan.toml", TOML[kind])))
 
 
 @pytest.mark.parametrize("kind", list(YAML))
-def test_yaml_that_a_parser_chokes_on_is_refused(tmp_path, kind):
+def test_unparsable_yaml_is_refused(tmp_path, kind):
     with pytest.raises(yaml.YAMLError):
         read_yaml(YAML[kind])
     path = write(tmp_path / "list.yaml", YAML[kind])
@@ -69,7 +69,7 @@ def test_yaml_that_a_parser_chokes_on_is_refused(tmp_path, kind):
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "x/" * 3000, "a\0b"])
-def test_a_path_that_cannot_be_is_refused_where_it_is_given(name):
+def test_an_impossible_path_is_refused_at_the_option(name):
     with pytest.raises(UsageError, match=r"NUL|bytes"):
         place_of(name)
     with pytest.raises(UsageError, match=r"NUL|bytes"):
@@ -80,7 +80,7 @@ def test_a_path_that_cannot_be_is_refused_where_it_is_given(name):
     "words",
     [("verify",), ("stats",), ("status",), ("show",), ("plan", "show"), ("scene", "inspect"), ("scene", "import")],
 )
-def test_an_over_long_path_is_wrong_usage_for_every_verb(monkeypatch, capsys, words):
+def test_an_overlong_path_is_a_usage_error_for_every_command(monkeypatch, capsys, words):
     more = {"show": ("1", "-o", "x.png"), "scene import": ("--name", "lab")}.get(" ".join(words), ())
     monkeypatch.setattr(sys, "argv", ["factory", *words, "a" * 300, *more])
     assert _run() in (1, 2)
@@ -88,14 +88,14 @@ def test_an_over_long_path_is_wrong_usage_for_every_verb(monkeypatch, capsys, wo
 
 
 @pytest.mark.parametrize("header", ["(((", "{'descr': " + "[" * 90, "\\", "{'descr': '<f4', 'shape': (1e999,)}", "'''"])
-def test_an_array_header_that_python_cannot_read_is_an_invalid_bundle(header):
+def test_an_unparsable_array_header_is_an_invalid_bundle(header):
     text = header.encode().ljust(117) + b"\n"
     data = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
     with pytest.raises(InvalidBundle, match="array"):
         decode_npy("poses.npy", data, np.float32, (None, 7))
 
 
-def test_text_that_is_no_utf8_in_a_table_is_damage(tmp_path):
+def test_invalid_utf8_in_a_table_is_reported_as_damage(tmp_path):
     make_dataset(tmp_path / "out")
     path = tmp_path / "out" / "metadata.parquet"
     table = pq.read_table(path)
@@ -111,7 +111,7 @@ def test_text_that_is_no_utf8_in_a_table_is_damage(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["[" * DEEP, '{"format": ' + "9" * 5000 + "}", '"' + "\\ud800" + '"'])
-def test_json_that_a_parser_chokes_on_is_damage(tmp_path, text):
+def test_unparsable_json_is_reported_as_damage(tmp_path, text):
     write(tmp_path / "dataset_meta.json", text)
     with pytest.raises(ArchiveCorrupt):
         read_dataset_meta(tmp_path)
@@ -119,7 +119,7 @@ def test_json_that_a_parser_chokes_on_is_damage(tmp_path, text):
         read_specs(write(tmp_path / "specs.json", text))
 
 
-def test_a_sound_file_is_still_read(tmp_path):
+def test_a_valid_file_is_read(tmp_path):
     assert load_plan("demo").episodes == 16
     assert read_yaml(json.dumps({"a": [1, "b"]})) == {"a": [1, "b"]}
     make_dataset(tmp_path / "out")

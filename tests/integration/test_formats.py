@@ -1,4 +1,4 @@
-"""Small exports, read back by the packages that people read them with."""
+"""Small exports, read back with their usual readers."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_datasets_streams_the_shards_by_the_card(shards, config, split):
     assert {rows for _, _, _, rows, _, _ in found} == {640}
 
 
-def test_datasets_finds_each_split_of_the_papers_tree(dataset, tmp_path):
+def test_datasets_loads_each_split_of_the_paper_tree(dataset, tmp_path):
     out = export(dataset, tmp_path / "out", "paper", split_names="published")
     code = (
         "import json, sys, datasets; loaded = datasets.load_dataset(sys.argv[1], cache_dir=sys.argv[2]); "
@@ -152,7 +152,7 @@ def test_datasets_finds_each_split_of_the_papers_tree(dataset, tmp_path):
     }
 
 
-def test_shards_are_plain_tars_that_the_list_describes(dataset, shards):
+def test_shards_are_plain_tar_files_described_by_the_index(dataset, shards):
     listed = json.loads((shards / "shards.json").read_text())["shards"]
     assert [(shard["split"], shard["samples"]) for shard in listed] == [("train_id", 8), ("test_id", 4)]
     for shard in listed:
@@ -166,7 +166,7 @@ def test_shards_are_plain_tars_that_the_list_describes(dataset, shards):
         np.testing.assert_array_equal(np.load(io.BytesIO(ids)), expected)
 
 
-def test_shards_close_at_their_size_and_lose_nothing(dataset, tmp_path):
+def test_shards_are_closed_at_their_size_limit_without_loss(dataset, tmp_path):
     out = export(dataset, tmp_path / "out", "webdataset", shard_mb=1)
     listed = json.loads((out / "shards.json").read_text())["shards"]
     assert sorted(episode for shard in listed for episode in shard["episodes"]) == [
@@ -179,7 +179,7 @@ def test_shards_close_at_their_size_and_lose_nothing(dataset, tmp_path):
     assert all(len(shard["episodes"]) == 1 for shard in listed if shard["member_bytes"] >= 1_000_000)
 
 
-def test_the_mcap_reader_finds_every_topic_at_its_rate(dataset, mcap):
+def test_the_mcap_reader_reads_every_topic_at_its_rate(dataset, mcap):
     for episode in Dataset(dataset):
         with (mcap / f"episodes/{episode.episode_id}.mcap").open("rb") as file:
             reader = make_reader(file, validate_crcs=True)
@@ -232,7 +232,7 @@ def test_mcap_images_and_poses_are_those_of_the_episode(dataset, mcap):
 
 
 class LoaderTrajectory:
-    """What the loaders of GNM, ViNT and NoMaD do with a trajectory, in the words of their published code."""
+    """The operations of the GNM, ViNT and NoMaD loaders on a trajectory, from their published code."""
 
     def __init__(self, data_folder: Path, name: str) -> None:
         with (data_folder / name / "traj_data.pkl").open("rb") as file:
@@ -251,7 +251,7 @@ class LoaderTrajectory:
         return (positions - positions[0]).dot(turn)[1:] / spacing
 
 
-def test_the_gnm_loaders_expectations_hold(dataset, gnm):
+def test_the_export_meets_the_expectations_of_the_gnm_loaders(dataset, gnm):
     data, config = Dataset(dataset), yaml.safe_load((gnm / "data_config.yaml").read_text())["minivla_nav"]
     names = (gnm / "data_splits/minivla_nav/train/traj_names.txt").read_text().split("\n")
     assert names.pop() == ""
@@ -269,19 +269,19 @@ def test_the_gnm_loaders_expectations_hold(dataset, gnm):
         assert np.abs(ahead[:, 1]).max() < 1e-6
 
 
-def test_gnm_waypoints_are_one_apart_on_average(dataset, gnm):
+def test_gnm_waypoints_have_an_average_spacing_of_one(dataset, gnm):
     spacing = yaml.safe_load((gnm / "data_config.yaml").read_text())["minivla_nav"]["metric_waypoint_spacing"]
     steps = [np.linalg.norm(np.diff(episode.poses[:, :2], axis=0), axis=1) for episode in Dataset(dataset)]
     assert spacing == pytest.approx(float(np.concatenate(steps).mean()), abs=1e-6)
 
 
-def test_gnm_pickles_name_nothing_but_plain_numpy(gnm):
+def test_gnm_pickles_reference_only_public_numpy_names(gnm):
     data = (gnm / "minivla_nav/ep_000001/traj_data.pkl").read_bytes()
-    assert b"numpy.core" not in data  # neither the old nor the new home of numpy's insides
+    assert b"numpy.core" not in data  # neither the old nor the new private numpy modules
     assert b"numpy._core" not in data
 
 
-def test_vlnce_files_parse_as_habitats_and_turn_back(dataset, vlnce):
+def test_vlnce_files_have_habitats_schema_and_convert_back(dataset, vlnce):
     data = Dataset(dataset)
     for split, ids in (("train_id", [1, 3]), ("test_id", [2])):
         with gzip.open(vlnce / f"{split}/{split}.json.gz", "rt") as file:

@@ -1,4 +1,4 @@
-"""Gateways between workers and a core, over real zenoh on loopback with real directories, ledger and validator."""
+"""Gateways between workers and a coordinator, over zenoh on loopback with real directories, ledger and validator."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from sqlalchemy import select
 
 from coordinator.gateway.gather import GatherReport, gather
 from coordinator.gateway.service import Gateway
-from coordinator.ledger.keepers import all_keepers
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.gateway_episodes import gateways_by_episode
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import RepairInput
+from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -35,13 +35,13 @@ EPISODES = 3
 
 
 class Shared:
-    """One sandboxed child for all tests: starting one takes longer than most of them."""
+    """One sandboxed child for all tests, because starting one takes longer than most tests."""
 
     def __init__(self, validator: Validator) -> None:
         self.check = validator.check
 
     def close(self) -> None:
-        """It lives on."""
+        """Keeps the shared child open."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def checker() -> Iterator[Shared]:
 
 
 class Site:
-    """A core and what is around it; every part can be closed and opened again."""
+    """A coordinator, gateways and workers; every part can be closed and opened again."""
 
     def __init__(self, folder: Path, checker: Shared, stack: ExitStack) -> None:
         self.folder, self.checker, self._stack = folder, checker, stack
@@ -84,15 +84,15 @@ class Site:
         return self._stack.enter_context(WireWorker(endpoints, self.core.run))
 
     def gather(self, *names: str, requeue_missing: bool = False) -> GatherReport:
-        """What `factory gather` does, with the core closed."""
+        """Gathers as `factory gather` does, with the coordinator closed."""
         out = self.folder / "out"
-        patient = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
+        repair_input = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
         sources = [self.folder / name for name in names]
-        return gather(patient, sources, datetime.now(UTC), requeue_missing=requeue_missing)
+        return gather(repair_input, sources, datetime.now(UTC), requeue_missing=requeue_missing)
 
     def keepers(self) -> dict[int, str]:
-        with look_into(self.url) as ledger:
-            return dict(all_keepers(ledger))
+        with open_ledger(self.url) as ledger:
+            return dict(gateways_by_episode(ledger))
 
     def files(self, name: str) -> list[str]:
         return sorted(path.name for path in (self.folder / name / "episodes").iterdir())
@@ -105,7 +105,7 @@ def site(tmp_path: Path, checker: Shared) -> Iterator[Site]:
 
 
 def bring(worker: WireWorker, count: int = 1) -> list[Job]:
-    """Claims and delivers so many episodes; returns their jobs."""
+    """Claims and delivers a number of episodes; returns their jobs."""
     jobs = []
     for _ in range(count):
         job, lease = worker.job()
@@ -119,14 +119,14 @@ def name_of(job: Job) -> str:
 
 
 def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
-    """Brings episodes and waits until the ledger owns them."""
+    """Delivers episodes and waits until the ledger has recorded them."""
     before = site.core.progress().jobs["archived"]
     jobs = bring(worker, count)
     until(lambda: site.core.progress().jobs["archived"] == before + count)
     return jobs
 
 
-def test_what_workers_bring_through_a_gateway_is_archived_there_and_nothing_of_it_at_the_core(site):
+def test_bundles_delivered_through_a_gateway_are_archived_only_there(site):
     gateway = site.open_gateway("gw1")
     worker = site.open_worker(gateway.endpoints)
     bring_home(worker, site, EPISODES)
@@ -140,7 +140,7 @@ def test_what_workers_bring_through_a_gateway_is_archived_there_and_nothing_of_i
     assert gateway.troubles() == ()
 
 
-def test_who_is_connected_to_the_core_brings_to_the_core(site):
+def test_workers_connected_to_the_coordinator_deliver_to_it(site):
     site.open_gateway("gw1")
     bring_home(site.open_worker((site.endpoint,)), site)
     assert site.files("gw1") == []
@@ -148,7 +148,7 @@ def test_who_is_connected_to_the_core_brings_to_the_core(site):
     assert site.core.progress().by_gateway == {}
 
 
-def test_a_gateway_refuses_a_bundle_that_is_not_what_was_asked_for(site):
+def test_a_gateway_refuses_a_bundle_of_another_job(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     job, lease = worker.job()
     worker.deliver(lease, bundle_for(job.model_copy(update={"index": 9})))
@@ -170,10 +170,10 @@ def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
     assert site.keepers() == {}
     assert site.files("out") == sorted(map(name_of, (one, two, three)))
     assert site.gather("gw1", "gw2").gathered == 0
-    assert site.open_core().progress().jobs["archived"] == EPISODES  # nothing is taken for lost
+    assert site.open_core().progress().jobs["archived"] == EPISODES  # no episode counts as lost
 
 
-def test_gathering_refuses_what_the_ledger_does_not_know_and_makes_it_anew_when_told(site):
+def test_gather_refuses_unknown_files_and_requeues_missing_ones_on_request(site):
     gateway = site.open_gateway("gw1")
     (job,) = bring_home(site.open_worker(gateway.endpoints), site)
     gateway.close()
@@ -189,7 +189,7 @@ def test_gathering_refuses_what_the_ledger_does_not_know_and_makes_it_anew_when_
     assert (again.progress().jobs["archived"], again.progress().jobs["pending"]) == (0, EPISODES)
 
 
-def test_a_gathering_cut_off_between_file_and_ledger_is_finished_by_the_next_start(site):
+def test_a_gather_interrupted_before_the_ledger_commit_is_completed_at_the_next_start(site):
     gateway = site.open_gateway("gw1")
     (job,) = bring_home(site.open_worker(gateway.endpoints), site)
     site.core.close()
@@ -199,14 +199,14 @@ def test_a_gathering_cut_off_between_file_and_ledger_is_finished_by_the_next_sta
     assert site.files("out") == [name_of(job)]
 
 
-def test_a_core_that_starts_again_takes_nothing_at_gateways_for_lost(site):
+def test_a_restarted_coordinator_does_not_requeue_episodes_of_gateways(site):
     bring_home(site.open_worker(site.open_gateway("gw1").endpoints), site)
     site.core.close()
     progress = site.open_core().progress()
     assert (progress.jobs["archived"], progress.by_gateway) == (1, {"gw1": 1})
 
 
-def test_a_gateway_that_starts_again_keeps_what_it_has_and_gives_up_what_is_gone(site):
+def test_a_restarted_gateway_reports_its_files_and_releases_missing_ones(site):
     gateway = site.open_gateway("gw1")
     worker = site.open_worker(gateway.endpoints)
     kept, gone = bring_home(worker, site, 2)
@@ -222,10 +222,10 @@ def test_a_gateway_that_starts_again_keeps_what_it_has_and_gives_up_what_is_gone
 
 
 @pytest.mark.parametrize("lease", ["in force", "lost"])
-def test_what_a_gateway_published_before_it_died_is_adopted_as_long_as_the_job_is_open(site, lease):
+def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_open(site, lease):
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
-    worker.is_frozen = True  # the core, which is to pull here, gets nothing
+    worker.is_frozen = True  # the coordinator, which pulls here, gets no bundle
     (job,) = bring(worker)
     (bundle,) = (data for _, data in worker.spool.values())
     if lease == "lost":
@@ -239,7 +239,7 @@ def test_what_a_gateway_published_before_it_died_is_adopted_as_long_as_the_job_i
     assert site.files("gw1") == [name_of(job)]
 
 
-def test_what_somebody_else_brought_meanwhile_is_set_aside_at_the_gateway(site):
+def test_a_gateway_quarantines_an_episode_that_another_process_archived(site):
     gateway = site.open_gateway("gw1")
     gateway.close()
     (job,) = bring_home(site.open_worker((site.endpoint,)), site)
@@ -250,7 +250,7 @@ def test_what_somebody_else_brought_meanwhile_is_set_aside_at_the_gateway(site):
     assert site.core.progress().by_gateway == {}
 
 
-def test_a_gateway_under_the_name_of_one_with_episodes_elsewhere_is_refused_and_nothing_given_up(site):
+def test_a_second_directory_under_the_name_of_a_gateway_is_refused(site):
     gateway = site.open_gateway("gw1")
     bring_home(site.open_worker(gateway.endpoints), site)
     gateway.close()
@@ -265,17 +265,17 @@ def test_a_directory_of_another_gateway_is_refused(site):
         site.open_gateway("gw2", "gw1")
 
 
-def test_two_who_pull_one_bundle_end_with_one_owner(site):
+def test_two_concurrent_pulls_of_one_bundle_end_with_one_owner(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     for number in range(1, EPISODES + 1):
-        bring(worker)  # that is the gateway's
+        bring(worker)  # owned by the gateway
         worker.knows_router = False
-        worker.beat()  # and now the core's too, as after a restart in which it has not heard of gateways yet
+        worker.beat()  # now also pulled by the coordinator, as after a restart before gateways have reported
         worker.knows_router = True
-        until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - waited for within the round
+        until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - joined within the iteration
     worker.close()
-    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the loser takes its copy away
-    with look_into(site.url) as ledger:
+    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the other one removes its copy
+    with open_ledger(site.url) as ledger:
         archived = [row.job_id for row in ledger.execute(select(events.c.job_id).where(events.c.event == "archived"))]
     assert len(archived) == len(set(archived)) == EPISODES
     assert site.core.progress().by_gateway.get("gw1", 0) == len(site.files("gw1"))

@@ -1,4 +1,4 @@
-"""A gateway behind mTLS: it passes on what its workers may ask, does its own work, and can do nothing else."""
+"""A gateway behind mTLS: it forwards permitted requests of its workers, sends its requests, and has no other rights."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def gateway(hub: Coordinator, pki: Path, tmp_path: Path) -> Iterator[Gateway]:
 
 
 def asks(hub: Coordinator, pki: Path, name: str, verb: Verb, message: Model, under: str = "") -> list[bytes]:
-    """What comes back when the bearer of a certificate asks the core, under its own name or another's."""
+    """Returns the reply of the coordinator to a request with a certificate, under its name or another name."""
     with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, name))) as session:
         key = verb_key(hub.run, under or name, verb)
         replies = session.get(key, zenoh.handlers.FifoChannel(4), payload=message.model_dump_json(), timeout=2.0)
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
-def test_a_worker_behind_a_gateway_goes_the_whole_way(hub, gateway, pki, tmp_path):
+def test_a_worker_behind_a_gateway_completes_a_job(hub, gateway, pki, tmp_path):
     with WireWorker(gateway.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
         assert isinstance(worker.hello(VERSION), HelloReply)
         for _ in range(2):
@@ -81,7 +81,7 @@ def test_a_worker_behind_a_gateway_goes_the_whole_way(hub, gateway, pki, tmp_pat
     assert list((tmp_path / "out" / "episodes").iterdir()) == []
 
 
-def test_a_gateway_lets_workers_in_and_nobody_else(hub, gateway, pki):
+def test_a_gateway_admits_only_workers(hub, gateway, pki):
     for name in ("boss", "gw2"):
         with WireWorker(gateway.endpoints, hub.run, name, files_of(pki, name)) as stranger:
             assert stranger.hello(VERSION) is None
@@ -93,7 +93,7 @@ def test_a_gateway_lets_workers_in_and_nobody_else(hub, gateway, pki):
     assert hub.progress().workers == ()
 
 
-def test_who_is_no_gateway_cannot_ask_what_gateways_ask(hub, pki):
+def test_only_gateways_can_send_gateway_requests(hub, pki):
     join = Join(version=VERSION, router="a")
     assert asks(hub, pki, "gw1", Verb.JOIN, join)
     for name in ("node", "boss", "gw2"):
@@ -101,14 +101,14 @@ def test_who_is_no_gateway_cannot_ask_what_gateways_ask(hub, pki):
     assert asks(hub, pki, "node", Verb.JOIN, join) == []
 
 
-def test_a_gateway_cannot_do_what_operators_do(hub, pki):
+def test_a_gateway_cannot_send_operator_requests(hub, pki):
     request = AdminRequest(action=AdminAction.CANCEL)
     assert asks(hub, pki, "gw1", Verb.ADMIN, request) == []
     assert asks(hub, pki, "gw1", Verb.ADMIN, request, under="boss") == []
     assert hub.progress().jobs["cancelled"] == 0
 
 
-def test_a_gateway_cannot_answer_for_the_core_or_serve_bundles(hub, gateway, pki):
+def test_a_gateway_can_neither_answer_as_coordinator_nor_serve_bundles(hub, gateway, pki):
     lies: list[str] = []
 
     def lie(query: zenoh.Query) -> None:
@@ -125,11 +125,13 @@ def test_a_gateway_cannot_answer_for_the_core_or_serve_bundles(hub, gateway, pki
             (answer,) = asks(hub, pki, "gw1", Verb.HOLD, Hold(lease=lease, seconds=1.0))
             assert Ack.model_validate_json(answer).accepted
             assert worker.deliver(lease, b"nothing that is an episode")
-            until(lambda: hub.progress().attempts.get("invalid") == 1)  # judged by what the worker itself served
+            until(
+                lambda: hub.progress().attempts.get("invalid") == 1
+            )  # validated with the bytes that the worker served
     assert lies == []
 
 
-def test_a_revoked_gateway_is_out(pki, tmp_path):
+def test_a_revoked_gateway_loses_its_access(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with Coordinator(
@@ -147,7 +149,7 @@ def test_a_revoked_gateway_is_out(pki, tmp_path):
                 return asks(hub, mine, "gw1", Verb.JOIN, join) == []
             return False
 
-        until(lambda: is_out() and hub_is_up(hub, mine) and is_out())  # the session reopens meanwhile
+        until(lambda: is_out() and hub_is_up(hub, mine) and is_out())  # the session reconnects in between
         assert asks(hub, mine, "gw2", Verb.JOIN, join)
 
 
@@ -158,7 +160,7 @@ def hub_is_up(hub: Coordinator, pki: Path) -> bool:
         return False
 
 
-def test_only_a_gateways_list_may_name_a_coordinator(pki):
+def test_only_the_host_list_of_a_gateway_may_name_a_coordinator(pki):
     assert Guard(pki / "gw1", of_gateway=True).admitted() == {
         "hub": Role.COORDINATOR,
         "node": Role.WORKER,

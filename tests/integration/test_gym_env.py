@@ -1,4 +1,4 @@
-"""The Gymnasium environment: its contract, what it ends with, and many of it at a time."""
+"""The Gymnasium environment: contract, termination, and vectorised environments."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def env(drives: Dataset, specs: SpecSet) -> Iterator[MiniVLANavEnv]:
         {"actions": "scaled", "instruction": "tokens"},
     ],
 )
-def test_gymnasiums_own_checker_has_nothing_to_say(drives: Dataset, specs: SpecSet, changes: dict[str, Any]) -> None:
+def test_gymnasiums_checker_reports_no_warning(drives: Dataset, specs: SpecSet, changes: dict[str, Any]) -> None:
     opened = make(drives, specs=specs, render_mode="rgb_array", **changes)
     try:
         check_env(opened.unwrapped, skip_render_check=True)
@@ -58,7 +58,7 @@ def test_gymnasiums_own_checker_has_nothing_to_say(drives: Dataset, specs: SpecS
         opened.close()
 
 
-def test_of_physical_ranges_the_checker_only_says_that_scaled_ones_are_usual(drives: Dataset, specs: SpecSet) -> None:
+def test_the_checker_only_recommends_scaled_actions_for_physical_ranges(drives: Dataset, specs: SpecSet) -> None:
     opened = make(drives, specs=specs)
     with pytest.warns(UserWarning, match="symmetric and normalized") as said:
         check_env(opened.unwrapped, skip_render_check=True)
@@ -66,7 +66,7 @@ def test_of_physical_ranges_the_checker_only_says_that_scaled_ones_are_usual(dri
     assert len(said) == 1
 
 
-def test_scaled_actions_are_shares_of_the_limits(drives: Dataset, specs: SpecSet) -> None:
+def test_scaled_actions_are_fractions_of_the_limits(drives: Dataset, specs: SpecSet) -> None:
     tracks = []
     for actions, action in (("continuous", [0.5, 0.75]), ("scaled", [0.5, 0.5])):
         opened = MiniVLANavEnv(drives.root, specs=specs, actions=actions, with_pose=True, size=SMALL)  # type: ignore[arg-type]
@@ -76,7 +76,7 @@ def test_scaled_actions_are_shares_of_the_limits(drives: Dataset, specs: SpecSet
     assert tracks[0] == tracks[1]
 
 
-def test_recorded_actions_end_in_success_with_all_there_is_to_know(drives: Dataset, env: MiniVLANavEnv) -> None:
+def test_recorded_actions_end_in_success_with_a_complete_info(drives: Dataset, env: MiniVLANavEnv) -> None:
     _, info = env.reset(options={"episode": "ep_000003"})
     rewards = 0.0
     for action in drives["ep_000003"].actions:
@@ -91,7 +91,7 @@ def test_recorded_actions_end_in_success_with_all_there_is_to_know(drives: Datas
     assert 0.9 < info["spl"] <= 1.0
 
 
-def test_the_limit_of_steps_truncates(drives: Dataset, specs: SpecSet) -> None:
+def test_the_step_limit_truncates_an_episode(drives: Dataset, specs: SpecSet) -> None:
     task = specs.settings.task.model_copy(update={"max_steps": 3})
     short = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
     opened = MiniVLANavEnv(drives.root, specs=short, actions="tokens", size=SMALL)
@@ -101,7 +101,7 @@ def test_the_limit_of_steps_truncates(drives: Dataset, specs: SpecSet) -> None:
     assert ends == [(False, False), (False, False), (False, True)]
 
 
-def test_seeds_choose_the_episode_and_names_do(env: MiniVLANavEnv) -> None:
+def test_the_episode_is_chosen_by_seed_or_by_name(env: MiniVLANavEnv) -> None:
     drawn = [env.reset(seed=seed)[1]["episode_id"] for seed in (1, 1, 2, 3, 4, 5)]
     assert drawn[0] == drawn[1]
     assert set(drawn) == {"ep_000002", "ep_000003"}
@@ -121,7 +121,7 @@ def test_the_pose_begins_at_the_origin_and_moves_forward(drives: Dataset, specs:
 
 
 @pytest.mark.parametrize("action", [np.array([np.nan, 0.0]), np.zeros(3), np.array(0.0)])
-def test_what_is_no_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) -> None:
+def test_an_invalid_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) -> None:
     env.reset(seed=0)
     with pytest.raises(ValueError, match="two finite numbers"):
         env.step(action)
@@ -149,7 +149,7 @@ def test_without_data_the_error_names_the_argument() -> None:
         gymnasium.make("factory.gym:MiniVLANav-v0")
 
 
-def test_frames_of_any_size_show_what_the_camera_sees_and_change_no_episode(drives: Dataset, specs: SpecSet) -> None:
+def test_frames_of_any_size_show_the_camera_view_and_do_not_change_the_episode(drives: Dataset, specs: SpecSet) -> None:
     actions = drives["ep_000002"].actions[:15]
     seen: dict[int, tuple[Any, list[float]]] = {}
     for size in (640, 100):
@@ -168,7 +168,7 @@ def test_frames_of_any_size_show_what_the_camera_sees_and_change_no_episode(driv
     assert np.median(np.abs(small["depth"] - shrunk)) < 0.02
 
 
-def test_tokens_are_numbers_of_words_and_alike_in_all_splits(drives: Dataset) -> None:
+def test_tokens_are_word_ids_and_equal_in_all_splits(drives: Dataset) -> None:
     found = []
     for split in ("train_id", "test_id"):
         opened = MiniVLANavEnv(drives.root, split=split, size=SMALL, instruction="tokens")
@@ -186,7 +186,7 @@ def test_tokens_are_numbers_of_words_and_alike_in_all_splits(drives: Dataset) ->
     assert {"crate", "red", "halt"} <= set(found[0])
 
 
-def test_a_vocabulary_of_the_training_is_kept_and_words_outside_of_it_are_unknown(drives: Dataset) -> None:
+def test_a_training_vocabulary_is_kept_and_other_words_are_unknown(drives: Dataset) -> None:
     words = ("<pad>", "<unknown>", "<any>", "go", "to")
     opened = MiniVLANavEnv(drives.root, size=SMALL, instruction="tokens", vocabulary=words)
     observation, info = opened.reset(seed=0)
@@ -196,7 +196,7 @@ def test_a_vocabulary_of_the_training_is_kept_and_words_outside_of_it_are_unknow
     assert opened.observation_space.contains(observation)
 
 
-def test_without_an_instruction_it_is_in_the_info_alone(drives: Dataset) -> None:
+def test_the_instruction_is_only_in_the_info_when_excluded_from_observations(drives: Dataset) -> None:
     opened = MiniVLANavEnv(drives.root, size=SMALL, instruction="none")
     observation, info = opened.reset(seed=0)
     opened.close()
@@ -207,10 +207,10 @@ def test_without_an_instruction_it_is_in_the_info_alone(drives: Dataset) -> None
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("context", [None, "forkserver", "spawn"])
 @pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
-def test_make_vec_works_with_every_way_to_start_processes(
+def test_make_vec_works_with_every_start_method(
     drives: Dataset, specs: SpecSet, context: str | None, instruction: str
 ) -> None:
-    """`None`, Gymnasium's default, forks a process that has already made an environment, for its spaces."""
+    """`None`, Gymnasium's default, forks a process that has already created an environment for its spaces."""
     vector = gymnasium.make_vec(
         "factory.gym:MiniVLANav-v0",
         num_envs=2,
@@ -249,7 +249,7 @@ def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, 
 
 
 @pytest.mark.timeout(120)
-def test_an_environment_from_before_a_fork_names_what_works(env: MiniVLANavEnv) -> None:
+def test_using_an_environment_after_a_fork_names_the_alternatives(env: MiniVLANavEnv) -> None:
     env.reset(seed=0)
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
@@ -266,12 +266,12 @@ def test_an_environment_from_before_a_fork_names_what_works(env: MiniVLANavEnv) 
     said = [ours.recv() if ours.poll(60) else "hangs" for _ in range(2)]
     process.join(30)
     assert ["make_vec(ID, num_envs=4, vectorization_mode='async'" in each for each in said] == [True, True]
-    env.step(np.zeros(2))  # the environment itself goes on
+    env.step(np.zeros(2))  # the environment in the parent still works
 
 
 @pytest.mark.gl
 def test_the_process_of_an_environment_never_loads_a_graphics_driver(drives: Dataset) -> None:
-    """So that it can load any library with an LLVM, or another OpenGL, at any time."""
+    """The process can then load any library with LLVM or another OpenGL at any time."""
     program = f"""
 import gymnasium, numpy
 env = gymnasium.make("factory.gym:MiniVLANav-v0", data={str(drives.root)!r}, size=64, renderer="gl")

@@ -1,4 +1,4 @@
-"""Peers that speak as gateways and mean harm: the core stays up, honest workers go on, no episode is lost."""
+"""Hostile peers in the role of gateways: the coordinator stays up, honest workers continue, no episode is lost."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select
 
 from coordinator.expansion.draw import to_job
-from coordinator.ledger.keepers import count_by_gateway
+from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.opening import ledger_url_of, planned_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import jobs
@@ -29,7 +29,7 @@ from coordinator.protocol.relay import (
     JoinReply,
     Refused,
 )
-from coordinator.protocol.relay_desk import serve_gateway
+from coordinator.protocol.relay_handlers import serve_gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.base import MAX_COUNT
@@ -73,7 +73,7 @@ def told_of(summary: EpisodeSummary, lease: Lease | None = None) -> Archived:
 
 
 def attack(peer: WireWorker, number: int) -> list[Any]:
-    """Sends one of everything that a gateway can say and that is not true; returns the replies."""
+    """Sends every kind of false gateway message; returns the replies."""
     foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
     messages = (
         (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
@@ -88,7 +88,7 @@ def attack(peer: WireWorker, number: int) -> list[Any]:
     return [peer.ask(verb, message, reply) for verb, message, reply in messages]
 
 
-def test_a_hostile_gateway_takes_nothing_from_honest_workers(hub: Coordinator) -> None:
+def test_a_hostile_gateway_cannot_affect_honest_workers(hub: Coordinator) -> None:
     stop, rounds = threading.Event(), []
 
     def disturb(name: str) -> None:
@@ -125,7 +125,7 @@ def test_a_hostile_gateway_takes_nothing_from_honest_workers(hub: Coordinator) -
 
 
 class Core:
-    """What the core answers to a gateway, on a ledger in memory."""
+    """The coordinator's handlers of gateway requests, on a ledger in memory."""
 
     def __init__(self, episodes: int) -> None:
         self.desk = Desk(room_plan(episodes))
@@ -136,7 +136,7 @@ class Core:
             return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.desk.now).reply
 
     def summaries(self) -> dict[int, EpisodeSummary]:
-        """Returns the row that each episode of the plan would have."""
+        """Returns the row of each episode of the plan."""
         with self.desk.open() as connection:
             rows = connection.execute(select(jobs)).all()
         meta = parts_for().meta
@@ -159,7 +159,7 @@ class Core:
         *(("split", "test_id"), ("target_id", "chair_999"), ("file_name", "../../etc/passwd"), ("instruction", "x")),
     ],
 )
-def test_an_episode_that_is_not_of_the_run_is_refused_by_its_field(field: str, value: Any) -> None:
+def test_an_episode_of_another_run_is_refused_with_the_field_name(field: str, value: Any) -> None:
     core = Core(1)
     true = core.summaries()[1]
     false = EpisodeSummary.model_validate(true.model_dump() | {field: value})
@@ -170,7 +170,7 @@ def test_an_episode_that_is_not_of_the_run_is_refused_by_its_field(field: str, v
     assert core.ask(told_of(true)) == Ack(accepted=True)
 
 
-def test_a_draw_that_the_ledger_does_not_have_is_not_wanted() -> None:
+def test_an_unknown_draw_is_refused() -> None:
     core = Core(1)
     later = core.summaries()[1].model_copy(update={"draw": 3})
     assert core.ask(told_of(later)) == Ack(accepted=False)
@@ -191,7 +191,7 @@ def test_inventories_are_served_in_bounded_steps_until_all_lost_episodes_are_que
     assert core.kept() == len(sizes)
 
 
-def test_a_file_outside_the_bounds_of_its_inventory_is_not_judged() -> None:
+def test_a_file_outside_the_range_of_its_inventory_is_ignored() -> None:
     core = Core(3)
     for summary in core.summaries().values():
         core.ask(told_of(summary))
@@ -200,7 +200,7 @@ def test_a_file_outside_the_bounds_of_its_inventory_is_not_judged() -> None:
     assert core.kept() == 3
 
 
-def test_another_gateway_cannot_give_up_what_this_one_keeps() -> None:
+def test_a_gateway_cannot_release_episodes_of_another_gateway() -> None:
     core = Core(2)
     for summary in core.summaries().values():
         core.ask(told_of(summary))

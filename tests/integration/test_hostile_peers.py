@@ -1,4 +1,4 @@
-"""Peers that mean harm, or whose host is broken, against a real coordinator: the others go on."""
+"""Hostile peers and broken hosts against a real coordinator: the other workers continue."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EPISODES = 4
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Coordinator]:
-    """A coordinator; on either database each test ends with a sound ledger."""
+    """A coordinator; checks at the end that the ledger of either database is valid."""
     is_server = request.param == "postgresql"
     url = request.getfixturevalue("postgres_server").new_database() if is_server else None
     catalog = room_catalog(tmp_path)
@@ -60,7 +60,7 @@ def peer(hub: Coordinator) -> Iterator[WireWorker]:
 
 
 def with_every_number(message: dict[str, Any], number: Any) -> Iterator[dict[str, Any]]:
-    """Yields copies of a message in which one value, however deep, is another."""
+    """Yields copies of a message with one changed value at any depth."""
     for key, value in message.items():
         if isinstance(value, dict):
             yield from (message | {key: inner} for inner in with_every_number(value, number))
@@ -96,7 +96,7 @@ def test_no_message_of_a_peer_makes_the_coordinator_fail(hub, peer, verb):
 
 
 def answer(peer: WireWorker, verb: str, message: dict[str, Any]) -> bytes | None:
-    """Returns the reply as it came."""
+    """Returns the raw reply."""
     key = verb_key(peer.run, peer.host, Verb(verb))
     channel = zenoh.handlers.FifoChannel(4)
     for reply in peer._session.get(key, channel, payload=json.dumps(message), timeout=5.0):
@@ -105,7 +105,7 @@ def answer(peer: WireWorker, verb: str, message: dict[str, Any]) -> bytes | None
     return None
 
 
-def test_refusals_of_one_peer_fill_no_log(hub, peer):
+def test_refusals_of_one_peer_do_not_fill_the_log(hub, peer):
     with structlog.testing.capture_logs() as lines:
         for _ in range(200):
             assert isinstance(peer.ask("done", b'{"job_id": 9223372036854775808}', Ack), Refusal)
@@ -165,7 +165,7 @@ def test_a_restarted_worker_of_the_same_host_goes_on_with_its_lease(hub, peer):
         until(lambda: hub.progress().jobs["archived"] == 1)
 
 
-def test_a_host_that_announces_rubbish_ends_no_run_and_is_released_by_an_operator(hub, peer, tmp_path):
+def test_a_host_that_announces_invalid_bundles_is_barred_and_can_be_released(hub, peer, tmp_path):
     stop = threading.Event()
 
     def spoil() -> None:
@@ -213,8 +213,8 @@ def test_hosts_are_released_without_a_running_coordinator(tmp_path):
     assert administer(out, request, datetime.now(UTC)).hosts == ()
 
 
-def test_a_finished_run_is_told_with_a_beat_and_stays_until_its_workers_have_left(hub):
-    farewell = threading.Thread(target=hub.see_off)
+def test_a_finished_run_is_announced_in_the_heartbeat_reply_and_waits_for_its_workers(hub):
+    farewell = threading.Thread(target=hub.wait_for_departures)
     with WireWorker(hub.endpoints, hub.run) as peer:
         assert not peer.beat().finished
         peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply)

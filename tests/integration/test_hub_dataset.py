@@ -1,4 +1,4 @@
-"""A dataset directory as the hubs read it: `datasets.load_dataset` finds the splits and decodes the thumbnails."""
+"""A dataset directory on the Hub: `datasets.load_dataset` loads the splits and decodes the thumbnails."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def loaded(tmp_path_factory: pytest.TempPathFactory) -> Loaded:
     return load(folder / "dataset", folder)
 
 
-def test_each_split_is_a_split_of_its_own(loaded: Loaded) -> None:
+def test_each_split_loads_as_a_separate_split(loaded: Loaded) -> None:
     assert list(loaded["default"]) == [str(split) for split in Split]
     for split, table in loaded["default"].items():
         assert {row["split"] for row in table["rows"]} == {split}
@@ -77,7 +77,7 @@ def test_columns_are_those_of_the_metadata_and_the_thumbnail(loaded: Loaded) -> 
         assert table["columns"] == [*EpisodeSummary.model_fields, SIDE_COLUMN, THUMBNAIL]
 
 
-def test_the_whole_table_and_the_failed_attempts_are_configurations_of_their_own(loaded: Loaded) -> None:
+def test_the_whole_table_and_the_failed_attempts_are_separate_configurations(loaded: Loaded) -> None:
     assert list(loaded) == ["default", "metadata", "attempts"]
     (table,) = loaded["metadata"].values()
     assert [row["episode_id"] for row in table["rows"]] == [f"ep_{index:06d}" for index in range(1, 8)]

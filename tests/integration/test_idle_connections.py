@@ -1,4 +1,4 @@
-"""Connections that never begin a handshake: closed soon, and no hindrance to those who do."""
+"""Connections without a handshake: closed quickly, and other clients can connect."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def listening(scheme: str, tls: TlsFiles | None = None, admitted: dict[str, Role
 
 
 def connect(node: ZenohNode, tls: TlsFiles | None = None) -> None:
-    """Opens and closes a session; raises when there is none within two seconds."""
+    """Opens and closes a session; raises if it takes more than two seconds."""
     zenoh.open(client_config(node.endpoints, LEASE_S, tls)).close()
 
 
@@ -57,5 +57,5 @@ def test_a_connection_without_a_handshake_is_closed(scheme: str, said: bytes, tm
         silent = idle(node, stack)
         silent.sendall(said)
         with suppress(ConnectionResetError):
-            assert silent.recv(1) in {b"", b"\x15"}  # the end, or the alert of TLS before it
+            assert silent.recv(1) in {b"", b"\x15"}  # end of stream, possibly after a TLS alert
         connect(node, files_of(authority, "node") if tls else None)

@@ -1,4 +1,4 @@
-"""A job gives the same bytes whatever kernels BLAS and numpy choose for the processor."""
+"""A job gives the same bytes with every choice of BLAS and numpy kernels."""
 
 from __future__ import annotations
 

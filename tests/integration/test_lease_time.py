@@ -1,4 +1,4 @@
-"""How soon a dead worker's job is back, by the ledger's own timestamps: no wall time is measured, nothing can flake."""
+"""Time until the job of a dead worker is pending, from the timestamps of the ledger; independent of wall time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
@@ -23,7 +23,7 @@ LATE_S = 1.0
 
 
 class SweptClock:
-    """Time that passes by one pause of the housekeeper's with each look at the ledger, and not otherwise."""
+    """Clock that advances by one sweep interval with each sweep of the ledger."""
 
     def __init__(self, pause_s: float) -> None:
         self._now, self._pause = datetime(2026, 1, 2, tzinfo=UTC), timedelta(seconds=pause_s)
@@ -35,15 +35,19 @@ class SweptClock:
 
 
 def times_of(url: str, event: Event) -> list[float]:
-    with look_into(url) as ledger:
+    with open_ledger(url) as ledger:
         return [row.at for row in ledger.execute(select(events.c.at).where(events.c.event == event))]
 
 
 @pytest.mark.parametrize("goes", ["silent", "gone"])
 @pytest.mark.parametrize("lease_ttl_s", [2.0, CoordinatorSettings().lease_ttl_s])
-def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path, lease_ttl_s: float, goes: str):
+def test_the_job_of_a_dead_worker_is_pending_within_its_lease_plus_one_second(
+    tmp_path: Path, lease_ttl_s: float, goes: str
+):
     clock = SweptClock(CoordinatorSettings().sweep_s)
-    settings = CoordinatorSettings(reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005)  # looks come faster here
+    settings = CoordinatorSettings(
+        reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005
+    )  # sweeps are more frequent here
     url = f"sqlite:///{tmp_path / 'out' / 'ledger.db'}"
     with Coordinator(
         tmp_path / "out",
@@ -66,7 +70,7 @@ def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path
 
 
 class SteppedClock:
-    """Time that a test lets pass."""
+    """Clock that the test advances."""
 
     def __init__(self) -> None:
         self.now = datetime(2026, 1, 2, tzinfo=UTC)

@@ -1,4 +1,4 @@
-"""Looking into a dataset's ledger: it leaves no file behind, and says who works there now."""
+"""Reading the ledger of a dataset: leaves no file and reports active workers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sqlalchemy.engine import Engine
 from coordinator.archive.staging import Staging
 from coordinator.ledger.engine import open_writer, sqlite_url
 from coordinator.ledger.opening import open_run
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, count_jobs
 from coordinator.ledger.workers import note_alive
 from factory.dataset.site import site_of
@@ -24,7 +24,7 @@ LEASE_S = 3600.0
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
-    """A dataset directory whose one worker was heard of just now."""
+    """A dataset directory with one worker that has just sent a heartbeat."""
     root = tmp_path / "data"
     with closing(Staging(root, "data")):
         engine = begun(root, tmp_path)
@@ -44,20 +44,20 @@ def ledger_files(root: Path) -> list[str]:
     return sorted(path.name for path in root.iterdir() if path.name.startswith("ledger.db"))
 
 
-def test_a_look_at_a_ledger_leaves_no_files_beside_it(data: Path) -> None:
+def test_reading_a_ledger_leaves_no_files_beside_it(data: Path) -> None:
     assert progress_of(site_of(str(data))).planned == 2
     assert plan_of(site_of(str(data))) == room_plan(2)
     assert ledger_files(data) == ["ledger.db"]
 
 
-def test_a_look_beside_a_running_coordinator_sees_what_it_has_committed(data: Path, tmp_path: Path) -> None:
+def test_a_reader_sees_what_a_running_coordinator_has_committed(data: Path, tmp_path: Path) -> None:
     engine = begun(data, tmp_path)
     try:
         before = ledger_files(data)
         with engine.begin() as connection:
             note_alive(connection, "worker-2", "host", datetime.now(UTC))
         assert {worker.sid for worker in progress_of(site_of(str(data))).workers} == {"worker-1", "worker-2"}
-        with look_into(sqlite_url(data / "ledger.db")) as connection:
+        with open_ledger(sqlite_url(data / "ledger.db")) as connection:
             assert count_jobs(connection, JobFilter()) == 2
         assert ledger_files(data) == before
     finally:

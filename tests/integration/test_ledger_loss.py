@@ -18,7 +18,7 @@ from coordinator.ledger.engine import open_writer, sqlite_url
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import repair
+from coordinator.recovery.repair_dataset import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -108,7 +108,7 @@ def test_a_start_after_losing_the_ledger_keeps_every_whole_episode(run, accident
 
 
 @pytest.mark.parametrize("tables", ["with tables", "without tables"])
-def test_a_start_with_an_older_copy_of_the_ledger_adopts_what_came_after_it(tmp_path, tables):
+def test_a_start_with_an_older_ledger_adopts_newer_episodes(tmp_path, tables):
     young = ArchivedRun(tmp_path / "young", planned=4, done=0, misses=1)
     run = ArchivedRun(tmp_path / "out", planned=4, done=3, misses=3)
     files = run.digests()
@@ -125,7 +125,7 @@ def test_a_start_with_an_older_copy_of_the_ledger_adopts_what_came_after_it(tmp_
     assert recalled == (failed if tables == "with tables" else 1)
 
 
-def test_a_log_that_a_lost_ledger_left_is_not_replayed_into_the_next_one(run, tmp_path):
+def test_the_write_ahead_log_of_a_lost_ledger_is_not_replayed_into_the_next_ledger(run, tmp_path):
     other = ArchivedRun(tmp_path / "other", planned=5, done=2)
     with closing(sqlite3.connect(other.root / "ledger.db", isolation_level=None)) as raw:
         raw.execute("UPDATE jobs SET reason = 'of another run'")
@@ -138,7 +138,7 @@ def test_a_log_that_a_lost_ledger_left_is_not_replayed_into_the_next_one(run, tm
     assert quarantined(run) == []
 
 
-def test_failed_attempts_and_given_up_draws_are_recalled_at_a_start_without_a_ledger(tmp_path):
+def test_failed_attempts_and_abandoned_draws_are_restored_at_a_start_without_a_ledger(tmp_path):
     run = ArchivedRun(tmp_path / "out", planned=2, done=0, misses=3)
     before = [(row.draw, row.state, row.attempt, row.misses, row.target_id) for row in run.desk.rows(1)]
     failed = pq.read_table(run.root / "attempts.parquet")
@@ -160,7 +160,7 @@ def test_attempts_of_another_run_do_not_move_an_episode(tmp_path):
     assert [(row.idx, row.draw, row.attempt) for row in run.desk.rows()] == [(1, 0, 1), (2, 0, 1)]
 
 
-def test_a_damaged_episode_is_made_again_while_the_whole_ones_are_kept(run):
+def test_a_damaged_episode_is_simulated_again_and_intact_ones_are_kept(run):
     ledger(run).unlink()
     data = bytearray(run.file(2).read_bytes())
     data[len(data) // 2] ^= 1
@@ -205,40 +205,40 @@ def test_a_ledger_of_another_plan_is_named_at_the_start_and_set_aside_by_repair(
     files, site = run.digests(), site_of(str(run.root))
     with pytest.raises(WorldError, match=r"is of run room-\w+, and dataset_meta.json of .*`factory repair"):
         plan_of(site)
-    patient = dataclasses.replace(run.patient(), stranger="is of another run")
-    report = repair(patient, validator, run.desk.now, apply=True)
+    repair_input = dataclasses.replace(run.repair_input(), stranger="is of another run")
+    report = repair(repair_input, validator, run.desk.now, apply=True)
     assert report.episodes == 3
     assert run.digests() == files
     assert set(run.states().values()) == {"archived"}
     assert plan_of(site) == run.plan
 
 
-def test_of_two_plans_that_ledger_and_description_name_the_episodes_tell_the_right_one(tmp_path):
+def test_the_episodes_decide_between_the_plans_of_ledger_and_description(tmp_path):
     plan = make_dataset(tmp_path / "out")
     (package,) = (tmp_path / "out" / "scenes").iterdir()
     engine = open_writer(sqlite_url(tmp_path / "out" / "ledger.db"))
     open_run(engine, small_plan(9), {"office": read_entry(package)}, 15.0, NOW, planned=())
     engine.dispose()
-    patient = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
-    assert patient.plan == plan
-    assert "the episodes of run" in patient.stranger
+    repair_input = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
+    assert repair_input.plan == plan
+    assert "the episodes of run" in repair_input.stranger
     with pytest.raises(UsageError, match="the directory contains run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
 
-def test_the_plan_of_a_directory_without_ledger_is_the_one_it_was_begun_with(run):
+def test_a_directory_without_a_ledger_keeps_its_original_plan(run):
     ledger(run).unlink()
     assert plan_of(site_of(str(run.root))) == run.plan
 
 
-def test_status_without_ledger_points_to_repair_and_to_no_new_run(run):
+def test_status_without_a_ledger_suggests_repair_instead_of_a_new_run(run):
     ledger(run).unlink()
     with pytest.raises(WorldError, match="factory repair") as said:
         progress_of(site_of(str(run.root)))
     assert "factory run" not in str(said.value)
 
 
-def test_repair_brings_whole_episodes_back_from_quarantine(run, validator):
+def test_repair_restores_intact_episodes_from_quarantine(run, validator):
     files = run.digests()
     for index in (1, 3):
         run.file(index).rename(run.root / "quarantine" / f"ep_{index:06d}.zip.0badcafe")
@@ -246,11 +246,11 @@ def test_repair_brings_whole_episodes_back_from_quarantine(run, validator):
     bad = bytearray(run.file(2).read_bytes())
     bad[len(bad) // 2] ^= 1
     (run.root / "quarantine" / "ep_000002.zip.00000000").write_bytes(bad)
-    start(run)  # as a coordinator without this remedy left it: two episodes queued again
+    start(run)  # as left by a coordinator without this feature: two episodes queued again
     assert run.states() == {1: "pending", 2: "archived", 3: "pending"}
-    report = repair(run.patient(), validator, run.desk.now, apply=True)
+    report = repair(run.repair_input(), validator, run.desk.now, apply=True)
     assert [str(action.kind) for action in report.actions if action.what.startswith("quarantine")] == ["restore"] * 2
     assert run.digests() == files
     assert set(run.states().values()) == {"archived"}
     assert [path.name for path in (run.root / "quarantine").iterdir()] == ["ep_000002.zip.00000000"]
-    assert repair(run.patient(), validator, run.desk.now, apply=False).is_sound
+    assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound

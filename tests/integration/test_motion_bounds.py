@@ -1,4 +1,4 @@
-"""The physics and the laws of motion agree: what the simulated robot does is never refused by validation."""
+"""Physics and validation agree: validation accepts every motion of the simulated robot."""
 
 from __future__ import annotations
 
@@ -55,15 +55,15 @@ def test_simulated_drive_keeps_the_laws_of_motion(driver: Driver, start: tuple[f
     assert motion_findings(arrays, ROBOT, HZ, contacts) == []
 
 
-def test_hidden_contact_is_found() -> None:
-    """A robot held by a wall, in an episode that denies any contact."""
+def test_unreported_contact_is_found() -> None:
+    """A robot blocked by a wall in an episode that reports no contact."""
     arrays, contacts = record(*DRIVES["into the wall"])
     assert contacts > 0
     assert any("distance driven" in finding for finding in motion_findings(arrays, ROBOT, HZ, 0))
 
 
 def test_shifted_commands_are_found() -> None:
-    """Actions that stand a fifth of a second from the poses they caused."""
+    """Actions that are shifted by 0.2 s against the poses."""
     arrays, contacts = record(*DRIVES["straight and stop"])
     late = np.concatenate([np.zeros((12, 2), np.float32), arrays.actions_continuous[:-12]])
     shifted = EpisodeArrays(late, tokens_of(late), arrays.poses)

@@ -1,4 +1,4 @@
-"""An archive in a bucket of a real S3 server: what goes wrong between a coordinator and its store."""
+"""An archive in a bucket of a real S3 server: failures between a coordinator and its store."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import RepairInput, repair
+from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.card_configs import names_split_tables
@@ -47,7 +47,7 @@ def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
 
 @pytest.fixture
 def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
-    """A fresh bucket behind the relay."""
+    """A new bucket behind the relay."""
     url = bucket_url()
     monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
     return ObjectPath.at(f"{url}/run")
@@ -60,7 +60,7 @@ def publish(archive: Archive, index: int, data: bytes) -> None:
 
 
 def said_by(action: Callable[[], object]) -> str:
-    """Returns an error's message; whatever a log could show of it, chained errors included, holds no secret."""
+    """Returns the message of an error; asserts that the error and its causes contain no secret."""
     with pytest.raises(WorldError) as caught:
         action()
     everything = "".join(traceback.format_exception(caught.value))
@@ -106,7 +106,7 @@ def test_credentials_in_a_url_are_refused_and_not_repeated() -> None:
 
 
 @pytest.mark.parametrize("url", ["s3://", "ftp://host/run", "s3://bucket/../other", "s3://bucket/run?versionId=1"])
-def test_url_that_names_no_place_is_refused(url: str) -> None:
+def test_an_incomplete_url_is_refused(url: str) -> None:
     with pytest.raises(UsageError, match="is not a valid location of a dataset"):
         place_of(url)
 
@@ -115,13 +115,13 @@ def test_file_url_is_a_directory() -> None:
     assert place_of("file:///data/my%20run") == Path("/data/my run")
 
 
-def test_server_that_is_away_is_named(store: ObjectPath, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreachable_server_is_named(store: ObjectPath, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     said = said_by(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/away")))
     assert "the store cannot be reached; check the network and AWS_ENDPOINT_URL" in said
 
 
-def test_upload_that_is_cut_off_leaves_nothing_and_may_be_repeated(
+def test_an_interrupted_upload_leaves_nothing_and_may_be_repeated(
     store: ObjectPath, relay: StoreRelay, tmp_path: Path
 ) -> None:
     with open_archive(tmp_path, store) as archive:
@@ -136,7 +136,7 @@ def test_upload_that_is_cut_off_leaves_nothing_and_may_be_repeated(
         assert archive.present()[1].read_bytes() == BIG
 
 
-def test_upload_whose_answer_was_lost_is_taken_for_published(
+def test_an_upload_whose_answer_was_lost_counts_as_published(
     store: ObjectPath, relay: StoreRelay, tmp_path: Path
 ) -> None:
     with open_archive(tmp_path, store) as archive:
@@ -148,7 +148,7 @@ def test_upload_whose_answer_was_lost_is_taken_for_published(
             publish(archive, 1, BIG[::-1])
 
 
-def test_upload_in_parts_that_was_never_finished_is_not_seen(
+def test_an_unfinished_multipart_upload_is_not_listed(
     store: ObjectPath, object_store: ObjectServer, tmp_path: Path
 ) -> None:
     bucket, prefix = str(store).removeprefix("s3://").split("/")
@@ -168,7 +168,9 @@ def test_store_that_ignores_conditions_is_refused(store: ObjectPath, relay: Stor
     assert list(store.walk()) == []
 
 
-def test_dataset_belongs_to_one_home_until_it_is_closed_or_taken_over(store: ObjectPath, tmp_path: Path) -> None:
+def test_a_dataset_belongs_to_one_coordinator_until_it_is_closed_or_taken_over(
+    store: ObjectPath, tmp_path: Path
+) -> None:
     first = ObjectArchive(store, tmp_path / "first")
     said = said_by(lambda: open_archive(tmp_path / "second", store))
     assert f"is in use by another coordinator {store}: that of {tmp_path / 'first'} on host" in said
@@ -181,7 +183,7 @@ def test_dataset_belongs_to_one_home_until_it_is_closed_or_taken_over(store: Obj
     assert list(store.walk()) == []
 
 
-def test_forked_process_is_told_to_be_spawned_instead_of_hanging(store: ObjectPath) -> None:
+def test_a_forked_process_raises_an_error_instead_of_hanging(store: ObjectPath) -> None:
     store.objects.put("note", b"text")
     said: multiprocessing.Queue[str] = multiprocessing.get_context("fork").Queue()
     child = multiprocessing.get_context("fork").Process(target=_read_in_child, args=(store, said))
@@ -197,8 +199,8 @@ def _read_in_child(store: ObjectPath, said: multiprocessing.Queue[str]) -> None:
         said.put(str(error))
 
 
-def test_object_is_read_as_a_file_is(store: ObjectPath) -> None:
-    data = bytes(range(251)) * 12_000  # longer than what is read ahead, and than the tail
+def test_an_object_is_read_like_a_file(store: ObjectPath) -> None:
+    data = bytes(range(251)) * 12_000  # longer than the read-ahead and the tail
     store.objects.put("big", data)
     with (store / "big").open() as file:
         assert file.seek(0, 2) == len(data)
@@ -211,7 +213,7 @@ def test_object_is_read_as_a_file_is(store: ObjectPath) -> None:
         (store / "nothing").open()
 
 
-def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
+def test_a_run_resumes_after_an_outage_of_its_store(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
     settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0)
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
@@ -226,7 +228,7 @@ def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRela
         until(lambda: relay.cuts > 0)
         assert running.progress().jobs.get("archived", 0) == 0
         relay.is_cutting = False
-        until(lambda: bool(worker.beat().drop))  # each beat announces the bundle again
+        until(lambda: bool(worker.beat().drop))  # each heartbeat announces the bundle again
         job, lease = worker.job()
         worker.deliver(lease, bundle_for(job))
         until(running.is_finished)
@@ -236,7 +238,9 @@ def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRela
     pictures = [read_pictures(store / table.name) for table in split_tables_of(store)]
     assert sum(map(len, pictures)) == 2
     assert names_split_tables((store / "README.md").read_text())
-    assert {finding.file.split("/")[0] for finding in verify(store, deep=True).findings} == {"scenes"}  # no real one
+    assert {finding.file.split("/")[0] for finding in verify(store, deep=True).findings} == {
+        "scenes"
+    }  # not a real secret
     assert not (store / ".lock").exists()
     assert (tmp_path / "home/ledger.db").is_file()
 
@@ -294,7 +298,7 @@ def test_another_plan_on_a_bucket_without_ledger_is_refused_and_moves_nothing(
     assert list((store / "quarantine").walk()) == []
 
 
-def test_reader_verification_and_statistics_say_the_same_of_a_bucket(store: ObjectPath, tmp_path: Path) -> None:
+def test_reader_verification_and_statistics_agree_for_a_bucket(store: ObjectPath, tmp_path: Path) -> None:
     run = ArchivedRun(tmp_path / "out")
     copy_to(store, run.root)
     here, there = Dataset(run.root), Dataset(str(store))
@@ -317,16 +321,18 @@ def test_reader_verification_and_statistics_say_the_same_of_a_bucket(store: Obje
     assert "ep_000003" in measure_dataset(store).remarks[0].text
 
 
-def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_sets_damage_aside(store: ObjectPath, tmp_path: Path) -> None:
+def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_quarantines_damaged_files(
+    store: ObjectPath, tmp_path: Path
+) -> None:
     run = ArchivedRun(tmp_path / "out")
     copy_to(store, run.root)
     store.objects.put("episodes/ep_000002.zip", b"torn")
     store.objects.put("episodes/sub/notes.txt", b"mine")
     home = tmp_path / "home"
-    patient = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
+    repair_input = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
     with Validator() as validator:
-        report = repair(patient, validator, run.desk.now, apply=True)
-        again = repair(patient, validator, run.desk.now, apply=False)
+        report = repair(repair_input, validator, run.desk.now, apply=True)
+        again = repair(repair_input, validator, run.desk.now, apply=False)
     assert sorted(str(action.kind) for action in report.actions) == [
         "adopt",
         "adopt",
@@ -341,20 +347,20 @@ def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_sets_damage_aside(sto
     assert len(Dataset(str(store))) == 2
 
 
-def test_store_that_is_away_is_no_damage(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
+def test_an_unreachable_store_is_not_reported_as_damage(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
     run = ArchivedRun(tmp_path / "out")
     copy_to(store, run.root)
     found = Dataset(str(store))
     relay.is_denying = True
     assert "403" in said_by(lambda: verify(store))
     assert "403" in said_by(lambda: found[0].rgb(0))
-    patient = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
+    repair_input = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
     with Validator() as validator:
-        assert "403" in said_by(lambda: repair(patient, validator, run.desk.now, apply=False))
+        assert "403" in said_by(lambda: repair(repair_input, validator, run.desk.now, apply=False))
 
 
 @pytest.mark.parametrize("kind", ["directory", "bucket"])
-def test_tables_that_a_killed_coordinator_owed_are_written_by_the_next(
+def test_tables_left_unwritten_by_a_killed_coordinator_are_written_by_the_next_one(
     kind: str, store: ObjectPath, tmp_path: Path
 ) -> None:
     run = ArchivedRun(tmp_path / "out", planned=2, done=2)

@@ -1,4 +1,4 @@
-"""A coordinator killed between an object's put and the ledger's commit, at every step of the way, and started again."""
+"""A coordinator killed at every step between the put of an object and the ledger commit, and restarted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import func, select
 
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
@@ -41,7 +41,7 @@ EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
 
 @dataclass(frozen=True)
 class Step:
-    """Where the coordinator is killed: a moment of the first request of a method for a key, since the episode's put."""
+    """Moment of the kill: a stage of the first request with a method and key after the put of the episode."""
 
     moment: Moment
     method: str
@@ -67,7 +67,7 @@ STEPS = [
 
 
 class Killer:
-    """Kills a process at a step, and waits until it is dead before the request goes on."""
+    """Kills a process at a step and waits for its exit before the request continues."""
 
     def __init__(self, step: Step, process: subprocess.Popen[bytes]) -> None:
         self._step, self._process = step, process
@@ -91,16 +91,16 @@ def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
 
 @pytest.fixture
 def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
-    """A fresh bucket behind the relay."""
+    """A new bucket behind the relay."""
     url = bucket_url()
     monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
     return ObjectPath.at(f"{url}/run")
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same run in a directory, where nothing is killed."""
-    folder = tmp_path_factory.mktemp("calm")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same run in a directory without kills."""
+    folder = tmp_path_factory.mktemp("reference")
     with (
         Coordinator(
             folder / "out",
@@ -116,7 +116,7 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subprocess.Popen[bytes]]:
-    """Runs a coordinator as a process of its own, from when it listens."""
+    """Runs a coordinator in a separate process; returns when it listens."""
     words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, store)
     command = [sys.executable, "-m", "tests.builders.room_coordinator", *map(str, words)]
     process = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=os.environ, stderr=subprocess.DEVNULL)
@@ -129,7 +129,7 @@ def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subpro
 
 
 def finish(running: Coordinator, worker: WireWorker) -> None:
-    """Claims, delivers and beats until the run is finished."""
+    """Claims, delivers and sends heartbeats until the run is finished."""
 
     def is_finished() -> bool:
         reply = worker.claim()
@@ -146,8 +146,8 @@ def episodes(root: Place) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("step", STEPS, ids=str)
-def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episode(
-    step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, calm: Path, tmp_path: Path
+def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_an_episode(
+    step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, reference: Path, tmp_path: Path
 ) -> None:
     endpoint = free_endpoint()
     with coordinator(tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
@@ -156,7 +156,7 @@ def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episod
         assert worker.deliver(lease, bundle_for(job))
         process.wait(60)
     relay.watch = lambda _moment, _method, _path: False
-    wanted, kept = episodes(calm), episodes(store)
+    wanted, kept = episodes(reference), episodes(store)
     assert kept.items() <= wanted.items()
     assert len(kept) == step.is_kept
     home = tmp_path / "out"
@@ -169,12 +169,12 @@ def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episod
         assert list((home / ".staging").iterdir()) == []
         assert running.progress().jobs["archived"] == len(kept)
         finish(running, worker)
-        with look_into(f"sqlite:///{home / 'ledger.db'}") as ledger:
+        with open_ledger(f"sqlite:///{home / 'ledger.db'}") as ledger:
             ends = events.c.event.in_((Event.ARCHIVED, Event.ADOPTED))
             counts = select(func.count()).where(ends).group_by(events.c.job_id)
             assert ledger.execute(counts).scalars().all() == [1] * EPISODES
     assert episodes(store) == wanted
-    assert Dataset(store).digest == Dataset(calm).digest
+    assert Dataset(store).digest == Dataset(reference).digest
     assert Dataset(store).meta.complete
     assert list(find_faults(store, deep=True)) == []
     assert list((store / "quarantine").walk()) == []

@@ -1,4 +1,4 @@
-"""Both pages in Chromium: axe finds no violation, nothing is cut off, and films can be paused."""
+"""Both pages in Chromium: axe finds no violation, no content is clipped, and videos can be paused."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ async film => {
 
 
 def write_evaluation(folder: Path) -> str:
-    """An evaluation that is not complete, with a policy that fails as a program, other words and a film."""
+    """An incomplete evaluation with a failing policy, ablated instructions and a video."""
     evaluation = evaluation_of("expert", _LONG)
     raised = result_of(1, success=False, end=EvalEnd.POLICY_RAISED, detail="ValueError: " + "x" * 200)
     note = PolicyNote(policy="m:P", knows="camera", reads_instruction=True, renderer="", software={})

@@ -1,4 +1,4 @@
-"""The planner expert in real physics: around a wall to its target without a touch, by the laws of motion."""
+"""The planner expert in real physics: drives around a wall to its target without contact."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
 DARK = RenderedFrame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
 
 
-class Darkness:
-    """A renderer that shows nothing: the planner needs no eyes."""
+class EmptyRenderer:
+    """A renderer that returns empty frames: the planner uses no images."""
 
     description = "darkness"
 
@@ -66,11 +66,11 @@ def drive_from(scene: CompiledScene, start: tuple[float, float, float]) -> Drive
         world.place(*start)
         expert = make_expert(job)
         assert expert.begin(world.pose(), Grid.from_scene(scene), target)
-        return drive(job, target, world, Darkness(), expert, lambda _frame: None, lambda _step: None)
+        return drive(job, target, world, EmptyRenderer(), expert, lambda _frame: None, lambda _step: None)
 
 
 @pytest.mark.parametrize("start", [(-1.5, 0.5, 0.0), (-1.0, 0.0, 2.8), (-2.5, 1.5, -1.6)])
-def test_planner_drives_around_a_wall_and_stops_without_a_touch(start):
+def test_the_planner_drives_around_a_wall_and_stops_without_contact(start):
     scene = box_room([WALL])
     done = drive_from(scene, start)
     assert done.end_reason is EndReason.SUCCESS, done.end
@@ -82,7 +82,7 @@ def test_planner_drives_around_a_wall_and_stops_without_a_touch(start):
     assert motion_findings(done.arrays, job.robot, job.task.control_hz, done.contact_steps) == []
 
 
-def test_the_same_drive_twice_is_the_same_to_the_bit():
+def test_two_runs_of_the_same_drive_are_bit_identical():
     first, second = (drive_from(box_room([WALL]), (-1.5, 0.5, 0.0)) for _ in range(2))
     assert np.array_equal(first.arrays.poses, second.arrays.poses)
 
@@ -95,7 +95,7 @@ def test_planner_finds_no_path_through_a_fence():
     assert list(draw_poses(job, scene.info.target(job.target_id), prepare_scene(scene), job.rng())) == []
 
 
-def test_far_starts_of_the_planner_have_a_short_way_and_may_lie_behind_walls():
+def test_far_starts_of_the_planner_may_be_behind_walls_within_the_distance_limit():
     scene = box_room([WALL])
     place = prepare_scene(scene)
     target = scene.info.target(planner_job(scene).target_id)

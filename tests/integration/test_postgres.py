@@ -1,4 +1,4 @@
-"""A whole run on a PostgreSQL ledger: one writer, a repair from nothing, readers that cannot write, clear refusals."""
+"""A complete run on a PostgreSQL ledger: single writer, rebuild, read-only readers, error messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import RepairInput, repair
+from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -37,7 +37,7 @@ def url(postgres_server: Postgres) -> str:
 
 @pytest.fixture
 def finished(tmp_path: Path, url: str) -> RepairInput:
-    """A run of two episodes that ended well."""
+    """A finished run of two episodes."""
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
         Coordinator(
@@ -65,7 +65,7 @@ def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finishe
         assert again.progress().jobs["archived"] == 2
 
 
-def test_a_second_coordinator_is_refused_even_from_another_directory(finished, tmp_path):
+def test_a_second_coordinator_is_refused_also_from_another_directory(finished, tmp_path):
     with (
         Coordinator(
             finished.root,
@@ -119,7 +119,7 @@ def test_an_emptied_database_is_rebuilt_from_plan_and_archive(finished, postgres
         assert repair(moved, validator, datetime.now(UTC), apply=False).is_sound
 
 
-def test_a_writer_gets_through_a_lost_connection(url, postgres_server):
+def test_a_writer_survives_a_lost_connection(url, postgres_server):
     engine = open_writer(url)
     with engine.connect() as connection:
         (own,) = connection.execute(text("select pg_backend_pid()")).one()
@@ -133,7 +133,7 @@ def test_a_writer_gets_through_a_lost_connection(url, postgres_server):
     assert now != own
 
 
-def test_a_server_that_is_not_there_is_named_without_the_password():
+def test_an_unreachable_server_is_named_without_the_password():
     endpoint = free_endpoint().removeprefix("tcp/")
     pytest.importorskip("psycopg")
     for opening in (open_writer, open_reader):
@@ -144,4 +144,4 @@ def test_a_server_that_is_not_there_is_named_without_the_password():
 
 def test_a_missing_driver_is_named_with_the_remedy():
     with pytest.raises(UsageError, match=r"pip install 'psycopg\[binary\]'"):
-        open_writer("postgresql+psycopg2://me:secret@localhost/run")  # the driver that nobody has here
+        open_writer("postgresql+psycopg2://me:secret@localhost/run")  # a driver that is not installed

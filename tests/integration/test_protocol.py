@@ -1,4 +1,4 @@
-"""The lease protocol end to end: a real coordinator on loopback with a real archive, a worker that speaks the wire."""
+"""The lease protocol end to end: a real coordinator on loopback with a real archive, and a scripted worker."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def worker(opened: Coordinator) -> Iterator[WireWorker]:
         yield speaking
 
 
-def test_a_run_of_two_episodes_ends_archived_and_its_worker_may_drop_and_leave(opened, worker, tmp_path):
+def test_a_run_of_two_episodes_is_archived_and_its_worker_drops_its_bundles_and_exits(opened, worker, tmp_path):
     hello = worker.hello(VERSION)
     assert isinstance(hello, HelloReply)
     assert hello.run == opened.run
@@ -74,7 +74,7 @@ def test_a_run_of_two_episodes_ends_archived_and_its_worker_may_drop_and_leave(o
     assert [(status.sid, status.archived, status.alive) for status in progress.workers] == [(worker.sid, 2, True)]
 
 
-def test_a_repeated_claim_finds_its_job_again(worker):
+def test_a_repeated_claim_returns_the_same_job(worker):
     token = "a" * 32
     assert worker.claim(token) == worker.claim(token)
 
@@ -102,13 +102,13 @@ def test_a_bundle_of_another_job_is_refused_as_invalid_and_the_attempt_repeated(
     assert opened.progress().jobs["archived"] == 0
 
 
-def test_a_bundle_damaged_on_its_way_is_refused(opened, worker):
+def test_a_bundle_damaged_in_transfer_is_refused(opened, worker):
     job, lease = worker.job()
     worker.deliver(lease, bundle_for(job), sha256="0" * 64)
     until(lambda: opened.progress().attempts == {"invalid": 1})
 
 
-def test_a_worker_that_does_not_serve_is_asked_again_after_its_next_beat(opened, worker):
+def test_a_worker_that_does_not_serve_is_asked_again_after_its_next_heartbeat(opened, worker):
     job, lease = worker.job()
     worker.is_frozen = True
     worker.deliver(lease, bundle_for(job))
@@ -139,7 +139,7 @@ def test_a_silent_worker_loses_its_job_to_another_and_its_late_result_is_refused
         assert lease.fence > stale.fence
 
 
-def test_a_world_failure_brings_the_next_attempt_and_a_repeated_report_changes_nothing(worker):
+def test_a_world_failure_starts_the_next_attempt_and_a_repeated_report_has_no_effect(worker):
     job, lease = worker.job()
     assert worker.fail(lease, FailReason.TIMEOUT)
     assert worker.fail(lease, FailReason.TIMEOUT)
@@ -149,7 +149,7 @@ def test_a_world_failure_brings_the_next_attempt_and_a_repeated_report_changes_n
     assert (again.index, again.attempt) == (job.index, 2)
 
 
-def test_a_restarted_coordinator_goes_on_where_the_last_one_stopped(tmp_path):
+def test_a_restarted_coordinator_resumes_the_run(tmp_path):
     catalog, plan, out = room_catalog(tmp_path), room_plan(2), tmp_path / "out"
     with (
         Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
@@ -167,7 +167,7 @@ def test_a_restarted_coordinator_goes_on_where_the_last_one_stopped(tmp_path):
         assert worker.beat([unfinished]).lost == ()
 
 
-def test_a_lost_file_is_made_again_under_the_same_attempt(tmp_path):
+def test_a_lost_file_is_produced_again_under_the_same_attempt(tmp_path):
     catalog, plan, out = room_catalog(tmp_path), room_plan(1), tmp_path / "out"
     with (
         Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
@@ -201,7 +201,7 @@ def test_a_full_disk_gives_out_no_jobs(tmp_path):
         assert not reply.finished
 
 
-def test_drain_tells_workers_to_leave_and_gives_out_nothing(opened, worker):
+def test_drain_sends_workers_away_and_gives_out_no_jobs(opened, worker):
     assert worker.ask(Verb.ADMIN, AdminRequest(action=AdminAction.DRAIN), AdminReply) == AdminReply(changed=())
     assert worker.beat().drain
     assert worker.claim().job is None
@@ -240,15 +240,15 @@ def test_a_worker_of_another_version_is_refused_by_name(worker):
     assert VERSION in refusal.error
 
 
-def test_a_beat_says_which_bundles_need_not_be_announced_again(worker):
+def test_a_heartbeat_reply_lists_bundles_that_need_no_further_announcement(worker):
     _, lease = worker.job()
-    worker.is_frozen = True  # so that the bundle is announced and stays
+    worker.is_frozen = True  # so that the bundle stays announced
     worker.deliver(lease, b"x")
     reply = worker.beat()
     assert (reply.waiting, reply.drop) == ((lease,), ())
 
 
-def test_a_beat_of_unknown_leases_loses_them_all(worker):
+def test_a_heartbeat_with_unknown_leases_loses_all_of_them(worker):
     _, lease = worker.job()
     stale = lease.model_copy(update={"fence": lease.fence + 1})
     assert worker.ask(Verb.BEAT, Beat(sid=worker.sid, spool=(stale, lease)), BeatReply) == BeatReply(drop=(stale,))
@@ -258,7 +258,7 @@ def test_anyone_can_ask_for_progress_without_knowing_the_run(opened):
     assert ask_progress(opened.endpoints).run == opened.run
 
 
-def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_the_lock(tmp_path):
+def test_operator_requests_run_in_the_coordinator_or_under_the_lock_without_one(tmp_path):
     out, now = tmp_path / "out", datetime.now(UTC)
     with Coordinator(
         out, room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=settings())

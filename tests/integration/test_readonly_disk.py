@@ -1,4 +1,4 @@
-"""A finished dataset on a disk that nobody may write to: an archive, a snapshot, another team's folder."""
+"""A finished dataset on a read-only disk, for example a snapshot."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import pytest
 
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import open_run, read_info
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from schemas.errors import WorldError
 from tests.builders.ledger import room_catalog, room_plan
 
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of its own; only root may have one."""
+    """A separate disk; requires root."""
     path = tmp_path / "disk"
     path.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", "size=8m", "small", str(path)]
@@ -34,27 +34,27 @@ def protect(disk: Path) -> None:
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
 
 
-def test_a_ledger_on_a_disk_that_is_not_written_to_is_read(disk: Path, tmp_path: Path) -> None:
+def test_a_ledger_on_a_read_only_disk_is_read(disk: Path, tmp_path: Path) -> None:
     url, plan = f"sqlite:///{disk / 'ledger.db'}", room_plan(2)
     engine = open_writer(url)
     open_run(engine, plan, room_catalog(tmp_path), 30.0, datetime(2026, 1, 2, tzinfo=UTC))
     engine.dispose()
     protect(disk)
     assert [path.name for path in disk.iterdir()] == ["ledger.db"]
-    with look_into(url) as ledger:
+    with open_ledger(url) as ledger:
         assert read_info(ledger).run == plan.run
 
 
-def test_a_log_that_cannot_be_read_there_is_not_passed_over(disk: Path) -> None:
+def test_an_unreadable_write_ahead_log_is_not_ignored(disk: Path) -> None:
     writer = sqlite3.connect(disk / "ledger.db")
     writer.execute("PRAGMA journal_mode=WAL")
     writer.execute("CREATE TABLE info (key, value)")
     writer.commit()
-    killed = disk / "killed"  # as a kill leaves it: the log is there, the index of it is not
+    killed = disk / "killed"  # state after a kill: the log exists without its index
     killed.mkdir()
     for name in ("ledger.db", "ledger.db-wal"):
         shutil.copy(disk / name, killed / name)
     writer.close()
     protect(disk)
-    with pytest.raises(WorldError, match="cannot be read"), look_into(f"sqlite:///{killed / 'ledger.db'}"):
+    with pytest.raises(WorldError, match="cannot be read"), open_ledger(f"sqlite:///{killed / 'ledger.db'}"):
         pass

@@ -1,4 +1,4 @@
-"""The recipes of docs/recipes run as they stand: fine-tuning on tokens with a tiny model, and vla-eval's benchmark."""
+"""The recipes of docs/recipes run unchanged: fine-tuning on tokens with a tiny model, and vla-eval's benchmark."""
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ needs_vla_eval = pytest.mark.skipif(
 
 @pytest.fixture
 def recipes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes the recipes importable, as their folder being the working directory does."""
+    """Makes the recipes importable, as in their folder."""
     monkeypatch.syspath_prepend(str(RECIPES))
 
 
 @needs_torch
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning:torch")
-def test_tokens_are_learned_and_driven_with(tmp_path: Path, recipes: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_is_trained_on_tokens_and_drives_with_them(
+    tmp_path: Path, recipes: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     make_dataset(tmp_path / "data", 2)
     command = [sys.executable, str(RECIPES / "finetune_tokens.py"), "--data", str(tmp_path / "data"), "--steps", "40"]
     done = subprocess.run(
@@ -61,7 +63,7 @@ def test_tokens_are_learned_and_driven_with(tmp_path: Path, recipes: None, monke
 
 
 @needs_torch
-def test_tokens_take_the_last_words_of_the_vocabulary(recipes: None) -> None:
+def test_tokens_replace_the_last_entries_of_the_vocabulary(recipes: None) -> None:
     import finetune_tokens
 
     every = np.array([(v, w) for v in range(7) for w in range(7)])
@@ -76,7 +78,7 @@ def test_tokens_take_the_last_words_of_the_vocabulary(recipes: None) -> None:
 
 
 class Straight:
-    """The side of a connection that a runner sees; answers every observation with driving ahead."""
+    """Connection of a runner that answers every observation with driving straight ahead."""
 
     def __init__(self) -> None:
         self.heard: list[dict[str, Any]] = []
@@ -94,7 +96,7 @@ class Straight:
 
 
 @needs_vla_eval
-def test_vla_eval_drives_an_episode(tmp_path: Path, recipes: None) -> None:
+def test_vla_eval_runs_an_episode(tmp_path: Path, recipes: None) -> None:
     from vla_eval.benchmarks.base import StepBenchmark
     from vla_eval.registry import resolve_import_string
     from vla_eval.runners.sync_runner import SyncEpisodeRunner

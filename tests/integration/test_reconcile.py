@@ -1,4 +1,4 @@
-"""Ledger and archive brought to agree at start, with a real directory or bucket, ledger and validator."""
+"""Reconciles ledger and archive at start, with a real directory or bucket, ledger and validator."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def validator() -> Iterator[Validator]:
 
 
 class Scene:
-    """A ledger and an archive between two lives of a coordinator."""
+    """A ledger and an archive between two runs of a coordinator."""
 
     def __init__(self, home: Path, validator: Validator, store: ObjectPath | None = None) -> None:
         self.desk = Desk()
@@ -43,7 +43,7 @@ class Scene:
         self.terms = Terms(self.desk.plan, self.desk.catalog, "test", TTL_S, 1.0)
 
     def announce(self) -> tuple[Lease, bytes]:
-        """A worker has claimed a job and announced its bundle."""
+        """Claims a job and announces its bundle."""
         row = self.desk.claim()
         assert row is not None
         job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), row.attempt)
@@ -55,7 +55,7 @@ class Scene:
         return lease, bundle
 
     def lay(self, name: str, data: bytes) -> Place:
-        """A file as a crash left it among the episodes."""
+        """Writes a file among the episodes, as after a crash."""
         path = self.root / "episodes" / name
         if isinstance(path, ObjectPath):
             path.objects.put(path.key, data)
@@ -92,7 +92,7 @@ def test_a_published_bundle_whose_commit_was_lost_is_adopted(scene):
     assert scene.start().adopted == []
 
 
-def test_a_file_that_cannot_be_judged_now_stays_and_is_adopted_later(scene, validator):
+def test_a_file_that_cannot_be_validated_now_stays_and_is_adopted_later(scene, validator):
     _, bundle = scene.announce()
     path = scene.lay("ep_000001.zip", bundle)
     with Validator() as closed:
@@ -123,7 +123,7 @@ def test_a_bundle_with_a_flipped_bit_is_quarantined(scene):
     assert (len(result.quarantined), result.adopted) == (1, [])
 
 
-def test_files_that_nobody_expects_are_quarantined(scene):
+def test_unexpected_files_are_quarantined(scene):
     scene.lay("ep_000002.zip", b"stray")
     scene.lay("notes.txt", b"mine")
     result = scene.start()
@@ -132,7 +132,7 @@ def test_files_that_nobody_expects_are_quarantined(scene):
     assert scene.states() == ["pending"] * 3
 
 
-def test_an_episode_of_another_size_is_quarantined_and_made_again(scene):
+def test_an_episode_of_another_size_is_quarantined_and_requeued(scene):
     _, bundle = scene.announce()
     scene.lay("ep_000001.zip", bundle)
     scene.start()
@@ -142,7 +142,7 @@ def test_an_episode_of_another_size_is_quarantined_and_made_again(scene):
     assert scene.states()[0] == "pending"
 
 
-def test_an_orphan_in_the_staging_directory_is_gone(scene):
+def test_an_orphan_in_the_staging_directory_is_removed(scene):
     part = scene.home / ".staging" / "ep_000001.0.part"
     part.parent.mkdir(parents=True)
     part.write_bytes(b"half")

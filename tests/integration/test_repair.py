@@ -1,4 +1,4 @@
-"""`factory repair` on small datasets that are really damaged: real ledger, archive, tables and validator."""
+"""`factory repair` on small damaged datasets with real ledger, archive, tables and validator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.reading.records import read_attempts
-from coordinator.recovery.mend import repair
+from coordinator.recovery.repair_dataset import repair
 from coordinator.recovery.report import RepairReport
 from coordinator.tables.card_configs import names_split_tables
 from coordinator.validation.validator import Validator
@@ -51,19 +51,19 @@ def flip(path: Path) -> None:
 
 
 def mend(run: ArchivedRun, validator: Validator, **options: bool) -> RepairReport:
-    report = repair(run.patient(), validator, run.desk.now, apply=options.get("apply", True))
-    if report.applied:  # once is enough, whatever was wrong
-        assert repair(run.patient(), validator, run.desk.now, apply=False).is_sound
+    report = repair(run.repair_input(), validator, run.desk.now, apply=options.get("apply", True))
+    if report.applied:  # a second repair finds nothing
+        assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound
     return report
 
 
-def test_a_sound_dataset_is_left_as_it_is(run, validator):
+def test_a_valid_dataset_is_left_unchanged(run, validator):
     before = tree(run.root)
     assert mend(run, validator).is_sound
     assert tree(run.root) == before
 
 
-def test_a_dry_run_tells_and_changes_nothing(run, validator):
+def test_a_dry_run_reports_and_changes_nothing(run, validator):
     flip(run.file(2))
     run.file(3).unlink()
     (run.root / "metadata.parquet").unlink()
@@ -94,7 +94,7 @@ def test_a_lost_ledger_is_rebuilt_from_plan_and_archive(run, validator):
     assert pq.read_table(run.root / "metadata.parquet").equals(rows)
 
 
-def test_a_rebuilt_ledger_remembers_given_up_draws_and_failed_attempts(tmp_path, validator):
+def test_a_rebuilt_ledger_contains_abandoned_draws_and_failed_attempts(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=2, done=1, misses=3)
     before = [(row.draw, row.state, row.attempt, row.superseded, row.target_id) for row in run.desk.rows(1)]
     assert before[0][:4] == (0, "failed", 3, True)
@@ -110,7 +110,7 @@ def test_a_rebuilt_ledger_remembers_given_up_draws_and_failed_attempts(tmp_path,
     assert pq.read_table(run.root / "attempts.parquet").num_rows == failed.num_rows
 
 
-def test_an_unfinished_episode_goes_on_with_the_attempt_and_the_budget_it_had(tmp_path, validator):
+def test_an_unfinished_episode_resumes_with_its_attempt_and_budget(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=2, done=0, misses=1)
     (run.root / "ledger.db").unlink()
     mend(run, validator)
@@ -118,7 +118,7 @@ def test_an_unfinished_episode_goes_on_with_the_attempt_and_the_budget_it_had(tm
     assert (row.draw, row.attempt, row.misses, row.state) == (0, 2, 1, "pending")
 
 
-def test_an_episode_that_was_given_up_for_good_stays_given_up(tmp_path, validator):
+def test_a_finally_abandoned_episode_stays_abandoned(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=1, done=0, misses=6)
     assert run.states() == {1: "failed"}
     (run.root / "ledger.db").unlink()
@@ -126,7 +126,7 @@ def test_an_episode_that_was_given_up_for_good_stays_given_up(tmp_path, validato
     assert run.states() == {1: "failed"}
 
 
-def test_a_lost_ledger_without_attempts_is_brought_to_where_the_files_are(tmp_path, validator):
+def test_a_lost_ledger_without_an_attempt_log_is_rebuilt_from_the_files(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=1, done=1, misses=3)
     for name in ("ledger.db", "attempts.parquet"):
         (run.root / name).unlink()
@@ -134,7 +134,7 @@ def test_a_lost_ledger_without_attempts_is_brought_to_where_the_files_are(tmp_pa
     assert [(row.draw, row.state) for row in run.desk.rows(1)] == [(0, "failed"), (1, "archived")]
 
 
-def test_a_ledger_from_an_old_backup_adopts_what_came_after_it(tmp_path, validator):
+def test_a_ledger_from_an_old_backup_adopts_newer_episodes(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", done=3)
     young = ArchivedRun(tmp_path / "young", done=1)
     shutil.copy(young.root / "ledger.db", run.root / "ledger.db")
@@ -152,7 +152,7 @@ def test_a_damaged_ledger_is_kept_in_quarantine_and_rebuilt(run, validator):
     assert bytes(data) in kept
 
 
-def test_a_stranger_among_the_episodes_is_put_aside_with_the_reason(run, validator):
+def test_a_foreign_file_among_the_episodes_is_quarantined_with_the_reason(run, validator):
     stray = run.root / "episodes" / "ep_000009.zip"
     stray.write_bytes(run.file(1).read_bytes())
     (run.root / "episodes" / "notes.txt").write_text("mine")
@@ -177,7 +177,7 @@ def test_an_episode_of_another_plan_is_not_adopted(run, validator, tmp_path):
     assert "plan_digest" in why or "plan" in why
 
 
-def test_lost_tables_are_written_anew_from_the_ledger(run, validator):
+def test_lost_tables_are_rewritten_from_the_ledger(run, validator):
     before = pq.read_table(run.root / "metadata.parquet")
     for name in ("metadata.parquet", "attempts.parquet", "dataset_meta.json", "README.md"):
         (run.root / name).unlink()
@@ -186,7 +186,7 @@ def test_lost_tables_are_written_anew_from_the_ledger(run, validator):
 
 
 @pytest.mark.parametrize("how", ["missing", "damaged"])
-def test_a_split_table_is_written_anew_from_the_episodes(run, validator, how):
+def test_a_split_table_is_rewritten_from_the_episodes(run, validator, how):
     before = tree(run.root)
     (path,) = (run.root / "data").iterdir()
     if how == "missing":
@@ -200,13 +200,13 @@ def test_a_split_table_is_written_anew_from_the_episodes(run, validator, how):
     assert after.keys() == before.keys()
 
 
-def test_a_dataset_of_former_software_gets_its_split_tables(run, validator):
+def test_a_dataset_of_an_earlier_version_gets_split_tables(run, validator):
     shutil.rmtree(run.root / "data")
     assert kinds(mend(run, validator)) == {"rewrite": 1}
     assert names_split_tables((run.root / "README.md").read_text())
 
 
-def test_a_directory_in_use_is_not_touched(run, validator):
+def test_a_directory_in_use_is_not_changed(run, validator):
     flip(run.file(1))
     before = tree(run.root)
     with open_archive(run.root), pytest.raises(WorldError, match="another coordinator"):

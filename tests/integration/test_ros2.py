@@ -77,7 +77,7 @@ def test_rosbags_decodes_every_message_with_the_published_types(out: Path, bag: 
     assert {topic: found.msgtype for topic, found in connections.items()} == {
         topic: kind for topic, kind in ROS2_TOPICS.items() if topic in bag
     }
-    assert ROS2_TOPICS.keys() - bag.keys() <= {"/path/planned"}  # the expert of these episodes plans none
+    assert ROS2_TOPICS.keys() - bag.keys() <= {"/path/planned"}  # the expert of these episodes plans no path
     counts = Counter({topic: len(messages) for topic, messages in bag.items()})
     assert {counts[topic] for topic in IMAGES} == {STEPS // 2}
     assert {counts[topic] for topic in MOTION} == {STEPS}
@@ -107,7 +107,7 @@ def test_episodes_follow_each_other_without_overlap(out: Path, dataset: Path, tm
     assert read(later / "episodes/ep_000001.mcap")[0]["/odom"][0][0] == 1_800_000_000 * 10**9
 
 
-def test_frames_are_those_of_rep_105_and_end_in_the_optical_frame(bag: Bag, dataset: Path) -> None:
+def test_frames_follow_rep_105_and_end_in_the_optical_frame(bag: Bag, dataset: Path) -> None:
     static = {one.child_frame_id: one for one in bag["/tf_static"][0][1].transforms}
     chain = [(one.header.frame_id, one.child_frame_id) for one in static.values()]
     assert chain == [
@@ -172,7 +172,7 @@ def pixels(message: Any, encoding: str, dtype: str) -> np.ndarray:
     return message.data.view(dtype).reshape(640, 640)
 
 
-def test_the_calibration_projects_as_the_camera_does(bag: Bag) -> None:
+def test_the_calibration_matches_the_camera_projection(bag: Bag) -> None:
     for topic in ("/camera/rgb/camera_info", "/camera/depth/camera_info"):
         info = bag[topic][0][1]
         assert (info.width, info.height, info.distortion_model) == (640, 640, "plumb_bob")
@@ -242,7 +242,7 @@ def test_a_missing_package_is_named_with_its_extra(dataset: Path, tmp_path: Path
     assert not (tmp_path / "out").exists()
 
 
-def test_an_export_without_ros2_is_described_as_before() -> None:
+def test_an_export_without_ros2_keeps_its_description() -> None:
     assert McapOptions(fps=30).model_dump(mode="json") == {"fps": 30}
     assert McapOptions().model_dump(mode="json") == {"fps": None}
     assert McapOptions.model_validate_json(McapOptions(ros2=True).model_dump_json()).ros2

@@ -1,4 +1,4 @@
-"""A real world in USD: the AWS RoboMaker small warehouse, judged by the SLAM map that came with it."""
+"""A public USD world: the AWS RoboMaker small warehouse, compared with its SLAM map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def slam_points() -> np.ndarray:
 
 
 def share_explained(grid: Grid, points: np.ndarray, yaw: float, shift: np.ndarray) -> float:
-    """Share of the points within 0.10 m of an occupied cell after turning and shifting them."""
+    """Share of the points within 0.10 m of an occupied cell after a rigid transform."""
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     distance = distance_transform_edt(grid.occupancy == 0) * grid.resolution_m
     return float((grid.values_at(distance, points @ turn.T + shift, 9.0) <= 0.10).mean())
@@ -61,12 +61,12 @@ def test_the_warehouse_survives_a_round_trip(warehouse: CompiledScene) -> None:
     assert encode_scene(decode_scene(io.BytesIO(data))) == data
 
 
-def test_authored_collision_shapes_stand_for_the_render_meshes(warehouse: CompiledScene) -> None:
+def test_authored_collision_shapes_replace_the_render_meshes(warehouse: CompiledScene) -> None:
     assert 1000 < len(warehouse.collider_triangles) < 2000
     assert len(warehouse.positions) / 3 > 20000
 
 
-def test_the_floor_is_where_the_robot_drives(warehouse: CompiledScene) -> None:
+def test_the_floor_is_at_the_height_where_the_robot_drives(warehouse: CompiledScene) -> None:
     assert warehouse.info.floor_height_m == pytest.approx(0.034, abs=0.005)
     assert warehouse.info.free_area_m2 > 150
     assert len(warehouse.spawns) >= 40

@@ -1,4 +1,4 @@
-"""The real simulation process: what it reports, and that it ends with its supervisor."""
+"""The real simulation process: its reports, and its end with its supervisor."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def order_in(room: Path, folder: Path, **changes: object) -> SimulationOrder:
 
 
 def hear(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
-    """Waits for a report of one of the kinds, passing over others."""
+    """Waits for a report of one of the kinds and ignores others."""
     while True:
         heard = simulation.receive(0.2)
         assert not isinstance(heard, Death), heard
@@ -86,7 +86,7 @@ OUTCOMES = (SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE)
 
 
 @pytest.mark.gl
-def test_bundle_is_what_the_report_says(room, tmp_path):
+def test_the_bundle_matches_its_report(room, tmp_path):
     simulation = Simulation(FAST_COMMAND, 120.0)
     simulation.start()
     try:
@@ -103,7 +103,7 @@ def test_bundle_is_what_the_report_says(room, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["1.1.zip"]
 
 
-def test_process_outlives_a_scene_it_cannot_use(room, tmp_path, simulation):
+def test_a_process_survives_an_unusable_scene(room, tmp_path, simulation):
     hear(simulation, SimulationReportKind.READY)
     pid = simulation.pid
     (tmp_path / "bad.scene").write_bytes(b"no scene")

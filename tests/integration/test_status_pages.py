@@ -1,4 +1,4 @@
-"""`/healthz`, `/readyz` and `/metrics` of a real coordinator, asked over a real socket."""
+"""`/healthz`, `/readyz` and `/metrics` of a real coordinator over a real socket."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def opened(tmp_path: Path) -> Iterator[Coordinator]:
 
 @pytest.fixture
 def server(opened: Coordinator) -> Iterator[StatusServer]:
-    with StatusServer(LOOPBACK, opened.vitals) as serving:
+    with StatusServer(LOOPBACK, opened.health) as serving:
         yield serving
 
 
@@ -62,7 +62,7 @@ def figures(page: str) -> dict[tuple[str, str], float]:
     }
 
 
-def test_status_and_metrics_tell_what_confines_the_validator_after_the_first_bundle(opened, server, tmp_path):
+def test_status_and_metrics_show_the_validator_sandbox_after_the_first_bundle(opened, server, tmp_path):
     assert opened.progress().sandbox == ()
     assert not any(name == "minivla_validator_sandbox" for name, _ in figures(ask(server, "/metrics")[1]))
     with WireWorker(opened.endpoints, opened.run) as worker:
@@ -84,7 +84,7 @@ def test_a_running_coordinator_is_healthy_and_ready(server):
     assert ask(server, "/healthz", "HEAD") == (200, "")
 
 
-def test_figures_follow_the_run(opened, server):
+def test_metrics_follow_the_run(opened, server):
     with WireWorker(opened.endpoints, opened.run) as worker:
         worker.hello(version("minivla-factory"))
         job, lease = worker.job()
@@ -114,7 +114,7 @@ def test_a_closed_coordinator_is_neither_healthy_nor_ready(tmp_path):
     coordinator = Coordinator(
         tmp_path / "out", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=("tcp/127.0.0.1:0",))
     )
-    with StatusServer(LOOPBACK, coordinator.vitals) as server:
+    with StatusServer(LOOPBACK, coordinator.health) as server:
         coordinator.close()
         assert ask(server, "/healthz")[0] == 503
         status, text = ask(server, "/readyz")
@@ -126,12 +126,12 @@ def test_a_closed_coordinator_is_neither_healthy_nor_ready(tmp_path):
 @pytest.mark.parametrize(
     ("method", "path", "status"), [("GET", "/nothing", 404), ("POST", "/metrics", 405), ("GET", "/metrics/../", 404)]
 )
-def test_anything_else_is_refused(server, method, path, status):
+def test_other_requests_are_refused(server, method, path, status):
     assert ask(server, path, method)[0] == status
 
 
-def test_figures_behind_a_token_are_shown_to_its_owner_only_and_health_to_everybody(opened):
-    with StatusServer(LOOPBACK, opened.vitals, TOKEN) as server:
+def test_metrics_require_the_token_and_health_does_not(opened):
+    with StatusServer(LOOPBACK, opened.health, TOKEN) as server:
         assert ask(server, "/metrics")[0] == 401
         assert ask(server, "/metrics?token=x")[0] == 401
         assert ask(server, "/metrics", Authorization="Bearer 0123456789abcdeF")[0] == 401
@@ -145,7 +145,7 @@ def connected(server: StatusServer) -> socket.socket:
 
 
 def drip(client: socket.socket, text: bytes, most: int) -> int:
-    """Sends one byte every quarter of a second until the server hangs up; returns how many it took."""
+    """Sends one byte every 0.25 s until the server closes the connection; returns the number of bytes."""
     client.settimeout(0.25)
     for sent in range(most):
         try:
@@ -168,25 +168,25 @@ def drip(client: socket.socket, text: bytes, most: int) -> int:
     ],
     ids=["header", "first line", "body"],
 )
-def test_a_request_has_a_deadline_as_a_whole_however_steadily_its_bytes_come(server, text):
+def test_a_slow_request_is_closed_at_its_total_deadline(server, text):
     whole, _, _ = text.partition(b"aaaa")
     with connected(server) as client:
         client.sendall(whole)
         assert drip(client, b"a" * 200, 120) < 120, "a request of thirty seconds was waited for"
 
 
-def test_an_answer_that_is_not_taken_is_not_waited_for_for_ever(server):
+def test_a_client_that_does_not_read_its_response_is_disconnected(server):
     with connected(server) as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
         client.sendall(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n" * 2000)
         assert ask(server, "/healthz") == (200, "ok\n")
 
 
-def test_clients_that_send_a_byte_a_second_do_not_keep_others_out(server):
+def test_clients_that_send_one_byte_a_second_do_not_block_others(server):
     clients = [connected(server) for _ in range(300)]
     for _ in range(5):
         for client in clients:
-            with contextlib.suppress(OSError):  # the oldest were closed
+            with contextlib.suppress(OSError):  # the oldest connections were closed
                 client.sendall(b"G")
         assert ask(server, "/healthz") == (200, "ok\n")
         assert ask(server, "/metrics")[0] == 200
@@ -200,11 +200,11 @@ def test_an_endless_first_line_is_cut_off(server):
         with contextlib.suppress(OSError):
             endless.sendall(b"GET /" + b"a" * 10_000_000)
         assert ask(server, "/healthz") == (200, "ok\n")
-        with contextlib.suppress(ConnectionResetError):  # it was cut off with bytes unread
+        with contextlib.suppress(ConnectionResetError):  # closed with unread bytes
             assert not endless.recv(100).startswith(b"HTTP/1.1 200")
 
 
-def test_no_page_is_shown_under_a_foreign_name(server):
+def test_requests_with_a_foreign_host_name_are_refused(server):
     for host in ("evil.example", "evil.example:9464", "127.0.0.1.evil.example", "10.0.0.1", "", "[", "a@127.0.0.1"):
         for path in ("/", "/healthz", "/readyz", "/metrics", "/nothing"):
             status, text = ask(server, path, Host=host)
@@ -212,12 +212,12 @@ def test_no_page_is_shown_under_a_foreign_name(server):
             assert "minivla_" not in text
 
 
-def test_pages_are_shown_under_loopback_names(server):
+def test_requests_with_loopback_names_are_answered(server):
     for host in ("127.0.0.1", "localhost", "LOCALHOST.:9464", "[::1]:9464", "127.1.2.3:1"):
         assert ask(server, "/healthz", Host=host)[0] == 200
 
 
-def test_a_server_for_every_address_answers_to_addresses_and_its_own_name_only():
+def test_a_server_on_all_addresses_answers_only_to_addresses_and_its_own_name():
     everywhere, one = HttpAddress("0.0.0.0", 9464), HttpAddress("gw1.example.org", 9464)
     for host in ("10.1.2.3:9464", "[fe80::1]:9464", socket.gethostname(), "localhost"):
         assert is_own_name(host, everywhere)
@@ -226,7 +226,7 @@ def test_a_server_for_every_address_answers_to_addresses_and_its_own_name_only()
     assert not is_own_name("10.1.2.3", one)
 
 
-def test_many_who_ask_at_once_are_all_answered_or_turned_away(server):
+def test_many_concurrent_requests_are_all_answered_or_refused(server):
     answers: list[int] = []
 
     def once() -> None:
@@ -248,7 +248,7 @@ def test_many_who_ask_at_once_are_all_answered_or_turned_away(server):
 def test_a_taken_address_is_named(opened, server):
     port = int(server.url.rpartition(":")[2])
     with pytest.raises(WorldError, match=f"127.0.0.1:{port}"):
-        StatusServer(HttpAddress("127.0.0.1", port), opened.vitals)
+        StatusServer(HttpAddress("127.0.0.1", port), opened.health)
 
 
 @pytest.mark.parametrize("text", ["127.0.0.1:9464", "localhost:0", "[::1]:80"])

@@ -1,4 +1,4 @@
-"""`metadata.parquet` in groups: what is taken from the former table gives the very bytes of one written anew."""
+"""`metadata.parquet` in row groups: reusing groups of the former table gives the bytes of a new table."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FILES = ("metadata.parquet", "attempts.parquet", "README.md", "dataset_meta.json
 
 
 class Watched(ListedEpisodes):
-    """Counts the rows that are asked for."""
+    """Counts the requested rows."""
 
     asked = 0
 
@@ -49,7 +49,7 @@ def rows(numbers: Iterable[int], salt: int = 0) -> list[EpisodeSummary]:
 
 
 def write(root: Path, found: list[EpisodeSummary], *, anew: bool) -> int:
-    """Writes the tables; returns how many rows were made from the ledger."""
+    """Writes the tables; returns the number of rows read from the ledger."""
     episodes = Watched(found)
     with open_archive(root) as archive:
         write_tables(archive, PLAN, {}, episodes, [], NOW, anew=anew)
@@ -71,7 +71,7 @@ STEPS = {
 
 
 @pytest.mark.parametrize("step", list(STEPS))
-def test_a_table_made_from_its_former_one_has_the_bytes_of_a_new_one(tmp_path, step):
+def test_an_updated_table_has_the_bytes_of_a_new_one(tmp_path, step):
     (tmp_path / "new").mkdir()
     write(tmp_path / "old", rows(range(1, GROUP_ROWS + 1)), anew=True)
     write(tmp_path / "old", STEPS[step], anew=False)
@@ -79,7 +79,7 @@ def test_a_table_made_from_its_former_one_has_the_bytes_of_a_new_one(tmp_path, s
     assert read(tmp_path / "old") == read(tmp_path / "new")
 
 
-def test_only_groups_with_changes_are_made_from_the_ledger(tmp_path):
+def test_only_changed_groups_are_read_from_the_ledger(tmp_path):
     found = rows(range(1, 2 * GROUP_ROWS + 1))
     assert write(tmp_path, found, anew=True) == 2 * GROUP_ROWS
     assert write(tmp_path, found, anew=False) == 0
@@ -89,7 +89,7 @@ def test_only_groups_with_changes_are_made_from_the_ledger(tmp_path):
 
 
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"PAR1 no table PAR1"), Path.touch])
-def test_a_former_table_that_is_gone_or_damaged_is_made_anew(tmp_path, harm):
+def test_a_missing_or_damaged_former_table_is_rewritten(tmp_path, harm):
     found = rows(range(1, 31))
     write(tmp_path, found, anew=True)
     whole = read(tmp_path)
@@ -98,5 +98,5 @@ def test_a_former_table_that_is_gone_or_damaged_is_made_anew(tmp_path, harm):
     assert read(tmp_path) == whole
 
 
-def test_a_group_holds_a_range_of_the_plans_numbers():
-    assert metadata_table.GROUP_ROWS == 2000  # a change of it is a change of the bytes of every dataset
+def test_a_group_contains_a_range_of_plan_indices():
+    assert metadata_table.GROUP_ROWS == 2000  # changing it changes the bytes of every dataset

@@ -1,4 +1,4 @@
-"""What verbs print on a real terminal of 60, 80 and 120 columns: no line is wider, and no name is broken."""
+"""Output of commands on a real terminal of 60, 80 and 120 columns: no line is wider, and no name is broken."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORDS = ("cancelled", "archived", "warehouse_multiple_shelves", "test_paraphrase
 
 
 def on_terminal(columns: int, *words: str) -> str:
-    """Returns what `factory` prints on a terminal of that width, without its colours."""
+    """Returns the output of `factory` on a terminal of that width, without colours."""
     child, terminal = pty.fork()
     if child == 0:
         fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
@@ -31,7 +31,7 @@ def on_terminal(columns: int, *words: str) -> str:
     try:
         while data := os.read(terminal, 1 << 16):
             told += data
-    except OSError:  # Linux's way of saying that the other end is closed
+    except OSError:  # Linux reports the closed other end this way
         pass
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, told

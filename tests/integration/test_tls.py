@@ -1,4 +1,4 @@
-"""mTLS and access control over real zenoh on loopback: who is admitted works, everybody else has no effect."""
+"""mTLS and access control over zenoh on loopback: admitted clients work, requests of others are refused."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Another authority, which gives the same names."""
+    """Another authority with the same names."""
     return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("boss",))
 
 
@@ -86,7 +86,7 @@ def answers(session: zenoh.Session, selector: str, payload: str = "") -> list[by
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
-def test_an_admitted_worker_goes_the_whole_way(hub, pki):
+def test_an_admitted_worker_completes_a_job(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
         assert isinstance(worker.hello(version("minivla-factory")), HelloReply)
         for _ in range(2):
@@ -97,7 +97,7 @@ def test_an_admitted_worker_goes_the_whole_way(hub, pki):
         assert len(worker.beat().drop) == 2
 
 
-def test_the_real_worker_finds_its_run_and_brings_every_episode(hub, pki, tmp_path):
+def test_the_real_worker_finds_its_run_and_delivers_every_episode(hub, pki, tmp_path):
     settings = settings_for(
         hub.endpoints[0],
         tmp_path / "host",
@@ -111,7 +111,7 @@ def test_the_real_worker_finds_its_run_and_brings_every_episode(hub, pki, tmp_pa
     assert hub.progress().workers[0].host == "node"
 
 
-def test_nobody_connects_without_a_certificate_of_the_authority(hub, pki, foreign):
+def test_a_client_without_a_certificate_of_the_authority_cannot_connect(hub, pki, foreign):
     assert can_connect(hub.endpoints, files_of(pki, "node"))
     plain = tuple(endpoint.replace("tls/", "tcp/") for endpoint in hub.endpoints)
     stolen_name = files_of(foreign, "node")
@@ -132,13 +132,15 @@ def test_an_expired_certificate_does_not_connect(hub, pki, tmp_path):
 def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_path):
     folder = tmp_path / "beside"
     shutil.copytree(pki, folder)
-    admit(folder, "stranger", Role.WORKER, (), 1, datetime.now(UTC))  # signed, but not on the coordinator's list
+    admit(
+        folder, "stranger", Role.WORKER, (), 1, datetime.now(UTC)
+    )  # signed, but not in the host list of the coordinator
     with WireWorker(hub.endpoints, hub.run, "stranger", files_of(folder, "stranger")) as worker:
         assert worker.hello(version("minivla-factory")) is None
     assert hub.progress().workers == ()
 
 
-def test_a_host_cannot_ask_under_another_name(hub, pki):
+def test_a_host_cannot_send_requests_under_another_name(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
         assert liar.hello(version("minivla-factory")) is None
         assert liar.ask(Verb.CLAIM, Claim(sid=liar.sid, token=secrets.token_hex(16)), ClaimReply) is None
@@ -146,7 +148,7 @@ def test_a_host_cannot_ask_under_another_name(hub, pki):
     assert hub.progress().jobs["pending"] == 2
 
 
-def test_a_host_cannot_ask_what_operators_ask(hub, pki):
+def test_a_host_cannot_send_operator_requests(hub, pki):
     request = AdminRequest(action=AdminAction.CANCEL)
     with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
         assert worker.ask(Verb.ADMIN, request, AdminReply) is None
@@ -154,7 +156,7 @@ def test_a_host_cannot_ask_what_operators_ask(hub, pki):
 
 
 @pytest.mark.parametrize("victim", ["node-1", "other"])
-def test_a_host_cannot_serve_bundles_or_be_alive_as_another(hub, pki, victim):
+def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub, pki, victim):
     with WireWorker(hub.endpoints, hub.run, victim, files_of(pki, victim)) as honest:
         honest.hello(version("minivla-factory"))
         job, lease = honest.job()
@@ -170,7 +172,7 @@ def test_a_host_cannot_serve_bundles_or_be_alive_as_another(hub, pki, victim):
             liar.declare_queryable(bundle_key(hub.run, "*"), lie)
             token = liar.liveliness().declare_token(alive_key(hub.run, honest.sid))
             time.sleep(0.3)
-            token.undeclare()  # if it were seen, the honest worker's leases would be shortened
+            token.undeclare()  # if accepted, it would shorten the leases of the honest worker
             before = hub.progress()
             assert honest.deliver(lease, bundle_for(job))
             until(lambda: hub.progress().jobs["archived"] == 1)
@@ -178,11 +180,11 @@ def test_a_host_cannot_serve_bundles_or_be_alive_as_another(hub, pki, victim):
         assert asked == []
 
 
-def test_a_host_cannot_read_anothers_bundles(hub, pki):
+def test_a_host_cannot_read_bundles_of_another(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
         honest.hello(version("minivla-factory"))
         _, lease = honest.job()
-        honest.is_frozen = True  # towards the coordinator too, so that the bundle stays
+        honest.is_frozen = True  # also from the coordinator, so that the bundle stays
         honest.deliver(lease, b"secret" * 100)
         honest.is_frozen = False
         where = f"?job={lease.job_id};fence={lease.fence};off=0;n=10"
@@ -190,7 +192,7 @@ def test_a_host_cannot_read_anothers_bundles(hub, pki):
             assert answers(curious, bundle_key(hub.run, honest.sid) + where) == []
 
 
-def test_nobody_but_the_coordinator_answers_for_it(hub, pki):
+def test_only_the_coordinator_can_answer_coordinator_requests(hub, pki):
     lies: list[str] = []
 
     def lie(query: zenoh.Query) -> None:
@@ -209,7 +211,7 @@ def test_nobody_but_the_coordinator_answers_for_it(hub, pki):
     assert lies == []
 
 
-def test_a_workers_certificate_cannot_pass_for_a_coordinators(pki):
+def test_a_worker_certificate_is_not_accepted_as_a_coordinator_certificate(pki):
     endpoint = free_endpoint().replace("tcp/", "tls/")
     with zenoh.open(router_config([endpoint], 2.0, files_of(pki, "node"), {"other": Role.WORKER})):
         assert not can_connect((endpoint,), files_of(pki, "other"))
@@ -217,7 +219,7 @@ def test_a_workers_certificate_cannot_pass_for_a_coordinators(pki):
         assert can_connect((endpoint,), files_of(pki, "other"))
 
 
-def test_an_operator_sees_and_steers_and_claims_nothing(hub, pki, tmp_path):
+def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_path):
     files = files_of(pki, "boss")
     assert ask_progress(hub.endpoints, "boss", files).planned == 2
     request = AdminRequest(action=AdminAction.CANCEL, indices=(1,))
@@ -226,11 +228,11 @@ def test_an_operator_sees_and_steers_and_claims_nothing(hub, pki, tmp_path):
         assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token=secrets.token_hex(16)), ClaimReply) is None
     with pytest.raises(TransientError, match=r"hosts\.txt"):
         ask_progress(hub.endpoints, "somebody", files)
-    with pytest.raises(WorldError, match="another coordinator"):  # nobody to ask without a certificate
+    with pytest.raises(WorldError, match="another coordinator"):  # no coordinator is reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
 
 
-def test_a_revoked_host_is_out_while_the_others_work_on(pki, tmp_path):
+def test_a_revoked_host_loses_access_while_others_continue(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with (
@@ -259,7 +261,7 @@ def ask_hello(hub: Coordinator, pki: Path, name: str) -> bool:
         return False
 
 
-def test_the_job_of_a_host_revoked_at_work_goes_to_another_and_what_it_brings_is_not_taken(pki, tmp_path):
+def test_the_job_of_a_revoked_host_is_reassigned_and_its_bundle_is_refused(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with (

@@ -1,4 +1,4 @@
-"""`factory train bc` on small datasets: it learns, resumes to the same weights, and drives; or says what is missing."""
+"""`factory train bc` on small datasets: training, resuming to the same weights, driving, and error messages."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from tests.builders.dataset import make_dataset
 from tests.builders.needs_torch import needs_torch
 
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
-# torch 2.13 warns of its own use of what Python 3.14 will drop
+# torch 2.13 warns about a deprecated Python feature that it uses
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 
 
 @pytest.fixture(autouse=True)
 def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nets as small as these lose by threads, and on a busy machine wait for one another."""
+    """Small networks are slower with threads, above all on a busy machine."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     if importlib.util.find_spec("torch") is not None:
         import torch
@@ -51,7 +51,7 @@ def options(**changes: Any) -> BcOptions:
 
 
 def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99) -> list[float]:
-    """Trains, stops after some epochs of this call, and returns the losses of all of them."""
+    """Trains for some epochs and returns the losses of all epochs."""
     seen: list[int] = []
     watcher = Watcher(
         caching=lambda _done, _of: None,
@@ -91,7 +91,7 @@ def test_a_trained_policy_is_known_to_read_its_instruction() -> None:
 
 @needs_torch
 @pytest.mark.parametrize("head", ["continuous", "tokens"])
-def test_training_learns_by_heart(root: Path, tmp_path: Path, head: str) -> None:
+def test_training_overfits_a_small_dataset(root: Path, tmp_path: Path, head: str) -> None:
     losses = train(root, tmp_path / "out", options(head=head, epochs=12, peak_rate=1e-2))
     assert losses[-1] < 0.8 * losses[0]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
@@ -114,7 +114,7 @@ def test_resumed_training_ends_with_the_same_weights(root: Path, tmp_path: Path)
 
 
 @needs_torch
-def test_another_training_is_not_continued_and_its_options_are_named(root: Path, tmp_path: Path) -> None:
+def test_resuming_with_other_options_is_refused_with_their_names(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
     held = (tmp_path / "state.pt").read_bytes()
     with pytest.raises(UsageError, match=r"other options \(seed \d+, now 5; size 64, now 80\): give the same"):
@@ -123,7 +123,7 @@ def test_another_training_is_not_continued_and_its_options_are_named(root: Path,
 
 
 @needs_torch
-def test_a_training_on_other_episodes_is_not_continued(root: Path, tmp_path: Path) -> None:
+def test_resuming_with_other_episodes_is_refused(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
     order = TrainOrder(Dataset(root).filter(episode="ep_000001"), tmp_path, options(), device="cpu")
     watcher = Watcher(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
@@ -132,7 +132,7 @@ def test_a_training_on_other_episodes_is_not_continued(root: Path, tmp_path: Pat
 
 
 @needs_torch
-def test_seed_decides_the_weights(root: Path, tmp_path: Path) -> None:
+def test_the_seed_determines_the_weights(root: Path, tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         train(root, tmp_path / name, options(seed=seed, epochs=1))
     one, same, other = (weights(tmp_path / name) for name in "abc")
@@ -142,7 +142,7 @@ def test_seed_decides_the_weights(root: Path, tmp_path: Path) -> None:
 
 @needs_torch
 @pytest.mark.parametrize("head", ["continuous", "tokens"])
-def test_policy_answers_with_actions_of_the_hold(root: Path, tmp_path: Path, head: str) -> None:
+def test_the_policy_returns_actions_for_the_hold_time(root: Path, tmp_path: Path, head: str) -> None:
     train(root, tmp_path, options(head=head, epochs=1))
     policy = make_policy(f"bc:{tmp_path}", Outside())
     policy.reset("Go to the chair.", INFO)
@@ -154,7 +154,7 @@ def test_policy_answers_with_actions_of_the_hold(root: Path, tmp_path: Path, hea
 
 
 @needs_torch
-def test_words_change_what_is_done_and_not_in_the_ablated_twin(root: Path, tmp_path: Path) -> None:
+def test_the_instruction_changes_the_action_except_in_the_ablated_model(root: Path, tmp_path: Path) -> None:
     for name, ablate in (("reads", False), ("blind", True)):
         train(root, tmp_path / name, options(epochs=2, ablate_language=ablate))
         policy = make_policy(f"bc:{tmp_path / name}", Outside())
@@ -174,7 +174,7 @@ def test_another_clock_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
 
 
 @needs_torch
-def test_what_is_no_checkpoint_is_refused_unread(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_checkpoint_is_refused_before_loading(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"checkpoint .*nothing.* does not exist"):
         make_policy(f"bc:{tmp_path / 'nothing'}", Outside())
     import torch
@@ -187,8 +187,8 @@ def test_what_is_no_checkpoint_is_refused_unread(tmp_path: Path) -> None:
         make_policy(f"bc:{tmp_path}", Outside())
 
 
-class Evil:
-    """Would write a file when unpickled."""
+class WritesOnUnpickling:
+    """Writes a file when unpickled."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -203,14 +203,14 @@ class Evil:
 def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
     import torch
 
-    torch.save({"meta": "{}", "model": Evil(tmp_path / "written")}, tmp_path / "policy.pt")
+    torch.save({"meta": "{}", "model": WritesOnUnpickling(tmp_path / "written")}, tmp_path / "policy.pt")
     with pytest.raises(WorldError, match="damaged or not a checkpoint"):
         make_policy(f"bc:{tmp_path}", Outside())
     assert not (tmp_path / "written").exists()
 
 
 @needs_torch
-def test_command_prints_its_report_and_goes_on(root: Path, tmp_path: Path) -> None:
+def test_the_command_prints_its_report_and_resumes(root: Path, tmp_path: Path) -> None:
     base = [sys.executable, "-m", "factory", "train", "bc", str(root), "-o", str(tmp_path), "--size", "64"]
     first = subprocess.run(
         [*base, "--epochs", "1", "--json", "--device", "cpu"], capture_output=True, text=True, check=False

@@ -1,6 +1,6 @@
-"""Libraries that users train with, beside the simulation: Triton's LLVM, and Stable-Baselines3 on the environment.
+"""Training libraries beside the simulation: Triton's LLVM, and Stable-Baselines3 on the environment.
 
-They run in `make test-train`, where the packages are; elsewhere they are skipped.
+These tests run in `make test-train`; they are skipped without the packages.
 """
 
 from __future__ import annotations
@@ -68,12 +68,12 @@ def make(drives: Dataset, **changes: Any) -> gymnasium.Env[Any, Any]:
 
 
 @pytest.mark.parametrize("instruction", ["tokens", "none"])
-def test_stable_baselines_checks_the_environment_and_is_content(drives: Dataset, instruction: str) -> None:
+def test_the_environment_passes_the_checker_of_stable_baselines(drives: Dataset, instruction: str) -> None:
     from stable_baselines3.common.env_checker import check_env
 
     opened = make(drives, instruction=instruction, with_pose=True)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # it recommends other action ranges and flat images of depth
+        warnings.simplefilter("ignore", UserWarning)  # it recommends other action ranges and flat depth images
         check_env(opened.unwrapped)
     opened.close()
 

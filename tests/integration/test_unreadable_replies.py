@@ -1,4 +1,4 @@
-"""A worker beside a peer that answers for the coordinator with bytes that no version of the protocol knows."""
+"""A worker beside a peer that answers coordinator requests with bytes outside the protocol."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tests.builders.fake_coordinator import RUN, FakeCoordinator
 from workers.client.link import Link
 
 
-class Babbler(FakeCoordinator):
-    """Answers every question with rubbish."""
+class InvalidReplier(FakeCoordinator):
+    """Answers every request with random bytes."""
 
     def _take(self, query: zenoh.Query) -> None:
         *_, host, name = str(query.key_expr).split("/")
@@ -20,8 +20,8 @@ class Babbler(FakeCoordinator):
             query.reply(verb_key(RUN, host, Verb(name)), b"\x00\xff rubbish")
 
 
-def test_replies_that_cannot_be_read_count_as_none_and_fill_no_log() -> None:
-    babbler = Babbler(())
+def test_unreadable_replies_are_ignored_and_do_not_fill_the_log() -> None:
+    babbler = InvalidReplier(())
     babbler.open()
     link = Link((babbler.endpoint,), "host")
     try:

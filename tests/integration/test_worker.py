@@ -1,4 +1,4 @@
-"""The worker against a small coordinator over real zenoh, with simulation processes that do as they are told."""
+"""The worker against a minimal coordinator over zenoh, with scripted simulation processes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def wait_until(holds: Callable[[], object], what: str) -> None:
 
 
 def begun(folder: Path) -> dict[int, int]:
-    """Returns the process that works on each job."""
+    """Returns the process of each job."""
     names = [path.name.split(".") for path in (folder / "begun").iterdir()]
     return {int(job): int(pid) for job, pid in names}
 
@@ -49,7 +49,7 @@ def is_alive(pid: int) -> bool:
     return state != "Z"
 
 
-def test_worker_brings_every_bundle_whole_and_leaves_when_the_run_is_finished(tmp_path):
+def test_worker_delivers_every_bundle_intact_and_exits_when_the_run_is_finished(tmp_path):
     with (
         coordinator(*["bundle"] * 5) as hub,
         WorkerThread(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
@@ -60,7 +60,7 @@ def test_worker_brings_every_bundle_whole_and_leaves_when_the_run_is_finished(tm
     assert not list((tmp_path / "spool").rglob("*.zip"))
 
 
-def test_failure_of_the_world_is_reported_as_the_simulation_gave_it(tmp_path):
+def test_a_world_failure_is_reported_as_the_simulation_gave_it(tmp_path):
     with coordinator("miss") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         assert worker.join() == 0
         (fail,) = hub.ended.values()
@@ -84,7 +84,7 @@ def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
 
 
 def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
-    with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no beat comes between
+    with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no heartbeat in between
         hub.swallow[Verb.FAIL] = 2
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
@@ -111,7 +111,7 @@ def test_killed_simulation_is_a_crash_and_the_next_job_gets_a_fresh_process(tmp_
         assert len(set(begun(tmp_path).values())) == 2
 
 
-def test_crash_report_carries_exit_status_and_last_words(tmp_path):
+def test_crash_report_contains_exit_status_and_last_output(tmp_path):
     with coordinator("exit") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         assert worker.join() == 0
         assert hub.ended[1].detail == "exit status 3; last output: EGL: the driver is gone"
@@ -128,12 +128,12 @@ def test_simulation_without_progress_is_killed_and_reported_as_hung(tmp_path):
         assert not is_alive(begun(tmp_path)[1])
 
 
-def test_progress_reaches_the_coordinator_with_the_beats(tmp_path):
+def test_heartbeats_report_progress_to_the_coordinator(tmp_path):
     with coordinator("slow") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)):
         hub.wait_until(lambda: any(item.step > 3 for beat in hub.of(Beat) for item in beat.live), "a step")
 
 
-def test_lost_lease_kills_the_attempt_and_nothing_of_it_is_announced(tmp_path):
+def test_a_lost_lease_ends_the_attempt_without_an_announcement(tmp_path):
     with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         wait_until(lambda: (tmp_path / "begun").is_dir() and begun(tmp_path), "the attempt")
         hub.take_away(1)
@@ -156,7 +156,7 @@ def test_sigterm_gives_running_jobs_back_and_exits_within_five_seconds(tmp_path)
         assert not any(is_alive(pid) for pid in begun(tmp_path).values())
 
 
-def test_sigterm_with_the_coordinator_away_exits_and_keeps_what_is_spooled(tmp_path):
+def test_sigterm_without_a_coordinator_exits_and_keeps_spooled_bundles(tmp_path):
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
@@ -208,7 +208,7 @@ def test_simulations_die_with_a_supervisor_that_is_killed(tmp_path):
         wait_until(lambda: not any(is_alive(pid) for pid in begun(tmp_path).values()), "their end")
 
 
-def test_worker_goes_on_when_the_coordinator_comes_back(tmp_path):
+def test_a_worker_resumes_when_the_coordinator_returns(tmp_path):
     with coordinator("bundle", "bundle", "bundle") as hub:
         hub.pulls = False
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
@@ -231,7 +231,7 @@ def test_full_spool_stops_claims_until_bundles_are_fetched(tmp_path):
         assert set(hub.archived) == {1, 2, 3}
 
 
-def test_worker_sent_away_finishes_what_it_has_begun_and_claims_no_more(tmp_path):
+def test_a_draining_worker_finishes_its_jobs_and_claims_no_more(tmp_path):
     with coordinator("bundle", "bundle", "bundle") as hub:
         hub.pulls = False
         with WorkerThread(settings_for(hub.endpoint, tmp_path, max_bundles=1)) as worker:
@@ -250,7 +250,7 @@ def test_two_workers_on_one_host_share_scenes_but_not_a_spool(tmp_path):
     assert len(list((tmp_path / "scenes").glob("*.scene"))) == 1
 
 
-def test_worker_without_a_coordinator_says_where_it_looked(tmp_path):
+def test_a_worker_without_a_coordinator_names_the_endpoints_it_tried(tmp_path):
     endpoint = free_endpoint()
     with (
         WorkerThread(settings_for(endpoint, tmp_path, wait_s=0.1)) as worker,
@@ -259,13 +259,13 @@ def test_worker_without_a_coordinator_says_where_it_looked(tmp_path):
         worker.join()
 
 
-def test_worker_stopped_before_it_found_a_coordinator_leaves_in_peace(tmp_path):
+def test_a_worker_stopped_before_it_found_a_coordinator_exits_cleanly(tmp_path):
     with WorkerThread(settings_for(free_endpoint(), tmp_path)) as worker:
         worker.stop.set()
         assert worker.join() == 0
 
 
-def test_refused_worker_says_why(tmp_path):
+def test_a_refused_worker_reports_the_reason(tmp_path):
     with coordinator() as hub:
         hub.refuses = "hello: version 0 here, 1 there"
         with (
@@ -276,7 +276,7 @@ def test_refused_worker_says_why(tmp_path):
         assert len(hub.of(Hello)) == 1
 
 
-def test_worker_whose_simulations_do_not_start_takes_no_job(tmp_path):
+def test_a_worker_whose_simulations_do_not_start_claims_no_job(tmp_path):
     broken = fake_command(tmp_path, "broken")
     with coordinator("bundle") as hub:
         with (
@@ -287,8 +287,8 @@ def test_worker_whose_simulations_do_not_start_takes_no_job(tmp_path):
         assert not hub.of(Claim)
 
 
-def test_a_worker_whose_simulation_pauses_hears_with_a_beat_that_the_run_is_finished(tmp_path):
-    """Its one slot rests after crashes, so that it claims nothing for a while."""
+def test_a_worker_with_a_paused_simulation_learns_the_end_of_the_run_from_a_heartbeat(tmp_path):
+    """Its only slot pauses after crashes, so that it claims no job for a time."""
     with coordinator(*["die"] * 4) as hub:
         hub.tells_end_by_beat = True
         hub.swallow[Verb.CLAIM] = 0
@@ -299,7 +299,7 @@ def test_a_worker_whose_simulation_pauses_hears_with_a_beat_that_the_run_is_fini
             assert len(hub.of(Claim)) == claims
 
 
-def test_a_worker_that_heard_of_the_end_leaves_although_nobody_tells_what_to_do_with_its_bundles(tmp_path):
+def test_a_worker_exits_after_the_end_of_the_run_with_undelivered_bundles(tmp_path):
     with coordinator("bundle", "die") as hub:
         hub.pulls = False
         hub.tells_end_by_beat = True
@@ -315,7 +315,7 @@ def test_a_worker_that_heard_of_the_end_leaves_although_nobody_tells_what_to_do_
             assert worker.join() == 0
 
 
-def test_a_spool_with_more_bundles_than_a_beat_may_name_is_told_in_several(tmp_path):
+def test_a_large_spool_is_reported_in_several_heartbeats(tmp_path):
     with Spool(folder_of(tmp_path / "spool", RUN), 1000, 1 << 30) as spool:
         for number in range(1, 2 * MAX_LEASES + 50):
             stale = Lease(job_id=number, fence=9, token="9" * 32)

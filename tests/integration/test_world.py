@@ -1,4 +1,4 @@
-"""The world in real PyBullet: it drives as told, stops at walls, and does the same every time."""
+"""The world in PyBullet: follows commands, stops at walls, and is deterministic."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def open_world(scene: CompiledScene) -> World:
 
 @pytest.fixture
 def room() -> Iterator[World]:
-    """A room of 8 x 6 m with a crate, a barrel and a pillar; the robot stands in the middle."""
+    """A room of 8 x 6 m with a crate, a barrel and a pillar; the robot is in the middle."""
     with open_world(box_room()) as world:
         yield world
 
@@ -48,7 +48,7 @@ def drive(world: World, wanted: Iterable[Twist]) -> None:
 
 
 def trajectory_digest() -> str:
-    """Drives a fixed zigzag into the crate and digests every pose."""
+    """Drives a fixed zigzag into the crate and returns the digest of all poses."""
     rng = np.random.default_rng(7)
     digest = hashlib.sha256()
     with open_world(box_room()) as world:
@@ -73,7 +73,7 @@ def test_robot_drives_a_straight_metre(room: World) -> None:
 
 
 @pytest.mark.parametrize("yaw_rate", [-1.5, 1.5])
-def test_robot_holds_the_fastest_bend_of_the_action_grid_without_spinning_round(yaw_rate: float) -> None:
+def test_robot_follows_the_tightest_turn_of_the_action_grid_without_spinning(yaw_rate: float) -> None:
     walls = build_scene(room_walls((-10.0, -10.0), (10.0, 10.0)))
     with open_world(walls) as world:
         drive(world, [Twist(1.0, yaw_rate)] * 120)
@@ -105,7 +105,7 @@ def test_speed_is_that_of_base_link(room: World) -> None:
     assert room.speed() < 0.02
 
 
-def test_robot_comes_to_a_standstill(room: World) -> None:
+def test_robot_comes_to_a_stop(room: World) -> None:
     drive(room, [Twist(0.7, 0.3)] * 40)
     drive(room, [STOP] * 20)
     assert room.speed() < 0.02
@@ -129,14 +129,14 @@ def test_wheels_do_not_reach_beyond_the_footprint() -> None:
         assert not world.has_obstacle_contact()
 
 
-def test_floor_is_no_obstacle(room: World) -> None:
+def test_the_floor_is_not_an_obstacle(room: World) -> None:
     drive(room, [Twist(0.5, 0.5)] * 30)
     assert not room.has_obstacle_contact()
     assert room.deepest_penetration() == 0.0
 
 
 @pytest.mark.parametrize("depth", [0.01, 0.05, 0.3])
-def test_a_place_that_overlaps_a_wall_is_told_by_its_penetration(room: World, depth: float) -> None:
+def test_a_pose_that_overlaps_a_wall_has_a_penetration_depth(room: World, depth: float) -> None:
     room.place(4.0 - 0.14 + depth, 0.0, 0.0)
     assert room.deepest_penetration() > 0.005
     room.place(0.0, 0.0, 0.0)
@@ -161,7 +161,7 @@ def test_robot_stands_on_a_floor_of_any_height() -> None:
         assert world.pose().z == pytest.approx(1.2, abs=1e-3)
 
 
-def test_a_steady_drive_is_level_to_the_bit_and_hard_braking_is_not(room: World) -> None:
+def test_a_steady_drive_is_exactly_level_and_hard_braking_is_not(room: World) -> None:
     room.place(-3.0, 0.0, 0.0)
     drive(room, [Twist(0.7, 0.2)] * 60)
     assert (room.pose().qx, room.pose().qy) == (0.0, 0.0)
@@ -172,18 +172,18 @@ def test_a_steady_drive_is_level_to_the_bit_and_hard_braking_is_not(room: World)
     assert 1e-3 < max(leans) < 0.1
 
 
-def test_two_fresh_worlds_do_the_same_bit_for_bit() -> None:
+def test_two_new_worlds_are_bit_identical() -> None:
     assert trajectory_digest() == trajectory_digest()
 
 
-def test_another_process_does_the_same_bit_for_bit() -> None:
+def test_a_world_in_another_process_is_bit_identical() -> None:
     code = "from tests.integration.test_world import trajectory_digest as t; print(t())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == trajectory_digest()
     assert done.stderr == ""
 
 
-def test_two_worlds_side_by_side_do_not_disturb_each_other(room: World) -> None:
+def test_two_open_worlds_do_not_affect_each_other(room: World) -> None:
     drive(room, [Twist(0.5, 0.0)] * 5)
     before = room.pose()
     with open_world(box_room()) as other:
@@ -192,7 +192,7 @@ def test_two_worlds_side_by_side_do_not_disturb_each_other(room: World) -> None:
     drive(room, [Twist(0.5, 0.0)])
 
 
-def test_large_meshes_are_cut_into_pieces_that_hold_the_same_triangles() -> None:
+def test_large_meshes_are_split_into_pieces_with_the_same_triangles() -> None:
     rng = np.random.default_rng(0)
     vertices = rng.uniform(-1, 1, (500, 3)).astype(np.float32)
     triangles = rng.integers(0, 500, (MESH_TRIANGLES + 7, 3)).astype(np.int32)
@@ -202,8 +202,8 @@ def test_large_meshes_are_cut_into_pieces_that_hold_the_same_triangles() -> None
     assert np.array_equal(np.concatenate(corners), vertices[triangles.ravel()])
 
 
-def test_meshes_that_are_no_longer_needed_leave_nothing_behind() -> None:
-    """PyBullet keeps a reference to every list it was ever given."""
+def test_unused_meshes_leave_no_references() -> None:
+    """PyBullet keeps a reference to every list that it received."""
     rng = np.random.default_rng(0)
     vertices = rng.uniform(3, 4, (3000, 3)).astype(np.float32)
     scene = replace(
@@ -220,7 +220,7 @@ def test_meshes_that_are_no_longer_needed_leave_nothing_behind() -> None:
     assert counts[-1] - counts[2] < 300
 
 
-def test_a_refused_collider_is_told_with_its_size() -> None:
+def test_a_refused_collider_is_reported_with_its_size() -> None:
     scene = box_room()
     stray = ColliderMesh((MeshLists([[0.0, 0.0, 0.0]] * 131_073, [0, 1, 2]),))
     with pytest.raises(WorldError, match="131073 vertices, 1 triangles"):

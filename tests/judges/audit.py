@@ -1,7 +1,7 @@
-"""`make audit`: known vulnerabilities of the locked packages, as pip-audit finds them. Imports nothing of ours.
+"""`make audit`: reports known vulnerabilities of the locked packages with pip-audit. Does not import this project.
 
-Usage: audit.py PIP_AUDIT REQUIREMENTS [--strict]. Asks PyPI, then OSV. Exit 1 with a known vulnerability. Where no
-advisory database can be reached nothing is audited: that is said, and ends with 0, or with 1 under --strict.
+Usage: audit.py PIP_AUDIT REQUIREMENTS [--strict]. Asks PyPI, then OSV. Exits with 1 on a known vulnerability. If no
+advisory database is reachable, it audits nothing, prints a notice and exits with 0, or with 1 under --strict.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _LIMIT_S = 300
 
 
 def main() -> int:
-    """Audits and prints what was found."""
+    """Runs the audit and prints the result."""
     command, requirements, *options = sys.argv[1:]
     for service in _SERVICES:
         found, unknown, lines = summarise(_ask(command, requirements, service))
@@ -41,7 +41,7 @@ def _say(text: str) -> None:
 
 
 def summarise(report: dict[str, Any]) -> tuple[int, int, list[str]]:
-    """Returns vulnerabilities, packages that could not be audited, and a line a package, empty where none is known."""
+    """Returns vulnerabilities, packages that could not be audited, and one line for each vulnerable package."""
     found, unknown, lines = 0, 0, []
     for package in report.get("dependencies", []):
         flaws = package.get("vulns", [])
@@ -59,7 +59,7 @@ def _ask(command: str, requirements: str, service: str) -> dict[str, Any]:
     try:
         said = subprocess.run(words, capture_output=True, text=True, timeout=_LIMIT_S).stdout
         report: dict[str, Any] = json.loads(said)
-    except (subprocess.TimeoutExpired, json.JSONDecodeError):  # unreachable, in pip-audit's words a traceback
+    except (subprocess.TimeoutExpired, json.JSONDecodeError):  # unreachable; pip-audit prints a traceback
         return {}
     return report
 

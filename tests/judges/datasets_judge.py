@@ -1,6 +1,6 @@
-"""`datasets.load_dataset` opens, by their cards alone, a dataset and the exports that it can read.
+"""Checks that `datasets.load_dataset` opens a dataset and its supported exports by their cards.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/datasets_judge.py DATASET PAPER LEROBOT WEBDATASET
 
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def judge_rows(paper: Paper, place: Path, cache: str) -> str:
-    """A row an episode in its split, with its instruction."""
+    """Checks one row for each episode in its split, with its instruction."""
     splits = datasets.load_dataset(str(place), cache_dir=cache)
     told = {
         row["episode_id"]: (row["instruction"], split, row["num_steps"])
@@ -52,7 +52,7 @@ def facts(paper: Paper, name: str) -> tuple[str, str, int]:
 
 
 def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
-    """Both configurations that the card names, the frames in the order of the episodes."""
+    """Checks both configurations of the card, with frames in the order of the episodes."""
     episodes = datasets.load_dataset(str(place), "episodes", split="train", cache_dir=cache)
     frames = datasets.load_dataset(str(place), "frames", split="train", cache_dir=cache).with_format("numpy")
     poses = np.concatenate([paper.array(name, "poses") for name in episodes["episode_id"]])
@@ -61,7 +61,7 @@ def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
 
 
 def judge_shards(paper: Paper, place: Path, cache: str) -> str:
-    """Every split streams; whole samples of its first episode, the names of all."""
+    """Streams every split; checks all samples of its first episode and the names of all samples."""
     splits = sorted({shard["split"] for shard in json.loads((place / "shards.json").read_text())["shards"]})
     samples = 0
     for split in splits:

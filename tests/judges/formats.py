@@ -1,10 +1,10 @@
-"""Every format once: exports a dataset; prints a table of sizes, times and memory, and one of what judges read back.
+"""Exports a dataset to every format; prints a table of sizes, times and memory, and one of the results of the judges.
 
     python tests/judges/formats.py DATASET OUT [ENVIRONMENT=PYTHON ...] [visualnav=CHECKOUT]
 
 OUT must not exist. ENVIRONMENT is `readers`, `lerobot`, `lerobot-v2.1` or `habitat`, PYTHON its interpreter; CHECKOUT
-is of robodhruv/visualnav-transformer, whose loader is asked where it is given. Run with the own environment of the
-project; `make test-formats` does all of it. Ends with exit code 1 when a judge was not content.
+is a checkout of robodhruv/visualnav-transformer, whose loader is tested if given. Run it in the environment of the
+project; `make test-formats` does all steps. Exits with code 1 when a judge failed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RUNS: dict[str, tuple[str, ...]] = {
 
 
 class Judge(NamedTuple):
-    """A script beside this one."""
+    """A judge script in this folder."""
 
     environment: str
     shown: tuple[str, ...]
@@ -59,7 +59,7 @@ JUDGES: dict[str, Judge] = {
 
 
 class Measured(NamedTuple):
-    """One export in one process."""
+    """Measurements of one export in one process."""
 
     frames: int
     size_bytes: int
@@ -81,7 +81,7 @@ def main(dataset: Path, out: Path, places: dict[str, str]) -> int:
 
 
 def is_content(name: str, dataset: Path, out: Path, places: dict[str, str]) -> bool:
-    """Lets a judge print its rows; what else it or its libraries say goes to stderr."""
+    """Runs a judge and prints its rows; other output goes to stderr."""
     judge = JUDGES[name]
     if judge.environment not in places:
         sys.stderr.write(f"judge {name} cannot be asked: give {judge.environment}=PYTHON, that of its environment\n")

@@ -1,11 +1,11 @@
-"""A GNM export holds what the loaders of GNM, ViNT and NoMaD expect; their own loader reads it where their code is.
+"""Checks that a GNM export meets the expectations of the GNM, ViNT and NoMaD loaders, with their loader if available.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/gnm_judge.py PAPER EXPORT [CHECKOUT]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to gnm`. CHECKOUT:
-of robodhruv/visualnav-transformer, which is in no package index; its loader needs torch, torchvision, lmdb and tqdm.
+robodhruv/visualnav-transformer, which is not on a package index; its loader needs torch, torchvision, lmdb and tqdm.
 """
 
 import math
@@ -30,7 +30,7 @@ BACK_M = 0.01
 
 
 class PlainNumpy(pickle.Unpickler):
-    """Opens what numpy 1.x and 2.x both open: calls of `numpy.array` on lists of floats."""
+    """Unpickles only `numpy.array` on lists of floats, which numpy 1.x and 2.x support."""
 
     def find_class(self, module: str, name: str) -> Any:
         assert (module, name) in {("numpy", "array"), ("_codecs", "encode")}, f"the pickle names {module}.{name}"
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def judge_expectations(paper: Paper, export: Path) -> str:
-    """Lists, pickles, pictures and configuration, as the loaders' published code takes them."""
+    """Checks lists, pickles, images and configuration as the published loaders read them."""
     lists = {path.parent.name: path.read_text().split() for path in export.glob(f"data_splits/{NAME}/*/traj_names.txt")}
     assert {"train", "test"} <= lists.keys()
     assert not set(lists["train"]) & set(lists["test"])
@@ -78,7 +78,7 @@ def judge_expectations(paper: Paper, export: Path) -> str:
 
 
 def judge_trajectory(poses: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
-    """The arrays are those of the poses, and in the robot's frame waypoints lie ahead."""
+    """Checks that arrays equal the poses and that waypoints are ahead in the frame of the robot."""
     assert (position.dtype, yaw.dtype, position.shape, yaw.shape) == (float, float, (len(poses), 2), (len(poses),))
     np.testing.assert_array_equal(position, poses[:, :2])
     w, x, y, z = poses[:, 3:].T
@@ -90,7 +90,7 @@ def judge_trajectory(poses: np.ndarray, position: np.ndarray, yaw: np.ndarray) -
 
 
 def prepare(checkout: Path, export: Path, place: Path) -> Path:
-    """Makes the loader importable, with our entry as its configuration; returns a copy of the lists, for its caches."""
+    """Makes the loader importable with the entry of the export; returns a copy of the lists for its caches."""
     code = place / "train"
     shutil.copytree(checkout / "train/vint_train/data", code / "vint_train/data")
     (code / "vint_train/__init__.py").touch()
@@ -102,7 +102,7 @@ def prepare(checkout: Path, export: Path, place: Path) -> Path:
 
 
 def judge_loader(export: Path, split_folder: Path) -> str:
-    """Makes the loader of ViNT and NoMaD, and looks at forty of its samples."""
+    """Creates the loader of ViNT and NoMaD and checks forty samples."""
     from vint_train.data.vint_dataset import ViNT_Dataset
 
     dataset = ViNT_Dataset(

@@ -1,9 +1,9 @@
-"""Habitat's own VLN loader opens a `vlnce` export, and finds in it what the paper's tree of the same dataset holds.
+"""Opens a `vlnce` export with Habitat's VLN loader and compares it with the paper's tree of the same dataset.
 
-Runs in an environment of its own (Python 3.11, habitat-lab 0.3.3, trimesh; see `make test-formats`), imports nothing of
-ours, and ends with exit code 1 at the first thing that is not right. The simulator has no wheel: empty modules stand
-in for the three of habitat-lab that cannot be imported without it, none of which reads episodes, and trimesh opens the
-scenes in its place. VLN-CE's `VLNCEDatasetV1` does with a file what the loader asked here does.
+Runs in a separate environment (Python 3.11, habitat-lab 0.3.3, trimesh; see `make test-formats`), does not import this
+project, and exits with code 1 at the first failed check. The simulator has no wheel: empty modules replace the three
+modules of habitat-lab that cannot be imported without it, none of which reads episodes, and trimesh opens the
+scenes. VLN-CE's `VLNCEDatasetV1` parses files like the loader tested here.
 
     python tests/judges/habitat_judge.py PAPER EXPORT
 
@@ -78,7 +78,7 @@ def configuration(export: Path, split: str, scenes: tuple[str, ...] = ("*",)) ->
 
 
 def judge_episode(paper: Paper, episode: Any, words: VocabDict, split: str) -> None:
-    """Start, goal and words are those of the episode, seen with Habitat's own geometry."""
+    """Checks start, goal and instruction of the episode with Habitat's geometry."""
     meta = paper.meta(episode.info["minivla_episode_id"])
     x, y, _ = meta["target_centroid_m"]
     pose = paper.array(meta["episode_id"], "poses")[0].astype(np.float64)
@@ -102,7 +102,7 @@ def judge_episode(paper: Paper, episode: Any, words: VocabDict, split: str) -> N
 
 
 def judge_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
-    """The path for nDTW is every pose, and the reference path begins and ends with it."""
+    """Checks that the nDTW path contains every pose, and that the reference path has the same ends."""
     poses = paper.array(episode.info["minivla_episode_id"], "poses").astype(np.float64)
     expected = np.column_stack([poses[:, 0], poses[:, 2], -poses[:, 1]])
     locations = np.array(paths[str(episode.episode_id)]["locations"])
@@ -111,7 +111,7 @@ def judge_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
 
 
 def judge_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
-    """Habitat divides the work by scenes, and goes through all episodes."""
+    """Checks that Habitat splits the work by scenes and iterates over all episodes."""
     names = VLNDatasetV1.get_scenes_to_load(configuration(export, split))
     parts = [load(export, split, (name,)) for name in names]
     assert sorted(len(part.episodes) for part in parts) == sorted(
@@ -123,7 +123,7 @@ def judge_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
 
 
 def judge_scene(path: Path, episodes: list[Any]) -> str:
-    """The mesh loads, has its textures, and starts lie above a floor and within walls."""
+    """Checks that the mesh loads with its textures, and that starts are above a floor and within walls."""
     scene = trimesh.load(path, force="scene")
     meshes = list(scene.geometry.values())
     triangles = sum(len(mesh.faces) for mesh in meshes)

@@ -1,6 +1,6 @@
-"""What the loaders of LeRobot 0.3 and 0.6 are both asked: rows and frames of an export, chunks, shuffled batches.
+"""Checks shared by the judges of LeRobot 0.3 and 0.6: rows and frames of an export, chunks, shuffled batches.
 
-Runs in the environments of the two judges; imports nothing of ours.
+Runs in the environments of the two judges; does not import this project.
 """
 
 import json
@@ -19,7 +19,7 @@ CHUNK, BATCHES = 8, 8
 
 
 class Listed(NamedTuple):
-    """An episode as the loader lists it."""
+    """An episode in the list of the loader."""
 
     name: str
     """Of the original."""
@@ -58,7 +58,7 @@ def judge_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
 
 
 def judge_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int) -> None:
-    """Poses and mean commands of all kept frames are those of the paper's tree."""
+    """Compares poses and mean commands of all kept frames with the paper's tree."""
     actions, poses = paper.array(episode.name, "actions_continuous"), paper.array(episode.name, "poses")
     assert episode.length == len(range(0, len(actions), stride))
     rows = data.hf_dataset.select(range(start, start + episode.length))
@@ -67,7 +67,7 @@ def judge_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int
 
 
 def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:
-    """Returns the largest error; asserts that it is within half a step of the code, and that nothing stays nothing."""
+    """Returns the largest error; asserts that it is within half a step of the code, and that 0 stays 0."""
     assert np.array_equal(found_mm == 0, truth_m < 0.001)
     half_step_mm = 1000 * (truth_m + 3.5) * (np.log(33.5 / 3.5) / 4095) / 2 + 0.6  # the loader rounds to millimetres
     error = np.abs(found_mm - 1000.0 * truth_m)
@@ -76,10 +76,10 @@ def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:
 
 
 def judge_batches(export: Path, first_length: int) -> tuple[Any, str]:
-    """Chunks of actions, images from the past, and a shuffled loader with worker processes; returns the dataset too."""
+    """Checks chunks of actions, past images, and a shuffled loader with worker processes; returns the dataset."""
     fps = json.loads((export / "meta/info.json").read_text())["fps"]
     deltas = {RGB: [-1 / fps, 0.0], "action": [n / fps for n in range(CHUNK)]}
-    # pyav: LeRobot keeps torchcodec's decoders and their open files, which forked loader processes would share
+    # pyav: forked loader processes would share the open files of torchcodec's decoders
     data = LeRobotDataset("judge/nav", root=export, delta_timestamps=deltas, video_backend="pyav")
     last = data[first_length - 1]
     assert last["action"].shape == (CHUNK, 2)

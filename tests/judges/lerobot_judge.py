@@ -1,12 +1,12 @@
-"""LeRobot's own loader opens our exports and finds in them what the paper's tree of the same dataset holds.
+"""Opens exports with LeRobot's loader and compares them with the paper's tree of the same dataset.
 
-Runs in an environment of its own (Python 3.12, `lerobot[dataset]==0.6.1`, see `make test-formats`), imports nothing of
-ours, and ends with exit code 1 at the first thing that is not right.
+Runs in a separate environment (Python 3.12, `lerobot[dataset]==0.6.1`, see `make test-formats`), does not import this
+project, and exits with code 1 at the first failed check.
 
     python tests/judges/lerobot_judge.py PAPER EXPORT [EXPORT ...]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to lerobot`, with any
-of `--fps`, `--depth` and `--ids`; or as `--to lerobot-v2.1`, which LeRobot's own converter first makes v3.0 of.
+of `--fps`, `--depth` and `--ids`; or as `--to lerobot-v2.1`, which LeRobot's converter first converts to v3.0.
 """
 
 import json
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def backends() -> list[str]:
-    """Returns the video decoders that work here; torchcodec needs FFmpeg's shared libraries."""
+    """Returns the working video decoders; torchcodec needs FFmpeg's shared libraries."""
     try:
         import torchcodec  # noqa: F401
     except (ImportError, RuntimeError, OSError):
@@ -58,7 +58,7 @@ def judge(paper: Paper, export: Path, backend: str) -> str:
 
 
 def judge_parts(export: Path) -> str:
-    """Chunks and batches, and the episodes of every split by its range and by a filter."""
+    """Checks chunks and batches, and the episodes of every split by range and by filter."""
     lengths = LeRobotDataset("judge/nav", root=export).meta.episodes["length"]
     data, said = judge_batches(export, lengths[0])
     splits = json.loads((export / "meta/info.json").read_text())["splits"]
@@ -72,7 +72,7 @@ def judge_parts(export: Path) -> str:
 
 
 def judge_conversion(paper: Paper, export: Path) -> str:
-    """LeRobot makes version 3.0 of an export of version 2.1, which then holds the same."""
+    """Converts an export of version 2.1 to version 3.0 with LeRobot and compares the content."""
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place) / "export"
         shutil.copytree(export, copy)
@@ -81,7 +81,7 @@ def judge_conversion(paper: Paper, export: Path) -> str:
 
 
 def judge_aggregate(export: Path) -> str:
-    """LeRobot joins the export with itself; the second half equals the first."""
+    """Aggregates the export with itself; the second half equals the first."""
     with tempfile.TemporaryDirectory() as place:
         target = Path(place) / "joined"
         aggregate_datasets(["judge/a", "judge/b"], "judge/joined", roots=[export, export], aggr_root=target)

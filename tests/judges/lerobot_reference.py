@@ -1,8 +1,8 @@
-"""Writes a dataset of our features with LeRobot's own writer and prints its schema; runs in the judge's environment.
+"""Writes a dataset with the same features with LeRobot's writer and prints its schema; runs in the judge's environment.
 
     python tests/judges/lerobot_reference.py > tests/judges/lerobot_schema.json
 
-What it prints is frozen in `lerobot_schema.json`; the quick suite compares our files with that.
+Its output is stored in `lerobot_schema.json`; the quick suite compares exports with it.
 """
 
 import json

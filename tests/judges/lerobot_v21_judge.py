@@ -1,13 +1,13 @@
-"""LeRobot 0.3's own loader opens a v2.1 export, and the rules of GR00T's loaders hold for it.
+"""Opens a v2.1 export with LeRobot 0.3's loader and checks the rules of GR00T's loaders.
 
-Runs in an environment of its own (Python 3.12, `lerobot==0.3.3 av==15.1.0`, the last release that reads v2.1; see
-`make test-formats`), imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Runs in a separate environment (Python 3.12, `lerobot==0.3.3 av==15.1.0`, the last release that reads v2.1; see
+`make test-formats`), does not import this project, and exits with code 1 at the first failed check.
 
     python tests/judges/lerobot_v21_judge.py PAPER EXPORT [EXPORT ...]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to lerobot-v2.1`.
-Isaac-GR00T is in no package index: what its `LeRobotSingleDataset` (N1, N1.5) and `LeRobotEpisodeLoader` (N1.6 on) do
-with `meta/modality.json` is done here in their manner.
+Isaac-GR00T is not on a package index: the operations of `LeRobotSingleDataset` (N1, N1.5) and
+`LeRobotEpisodeLoader` (N1.6 on) on `meta/modality.json` are reimplemented here.
 """
 
 import json
@@ -47,7 +47,7 @@ def judge_lerobot(paper: Paper, export: Path) -> str:
 
 
 def judge_parts(export: Path) -> str:
-    """Chunks of actions as openpi asks for them, shuffled batches, and one episode alone."""
+    """Checks chunks of actions as openpi requests them, shuffled batches, and a single episode."""
     first = lines_of(export / "meta/episodes.jsonl")[0]
     _, said = judge_batches(export, first["length"])
     part = LeRobotDataset("judge/nav", root=export, episodes=[0], video_backend="pyav")
@@ -57,7 +57,7 @@ def judge_parts(export: Path) -> str:
 
 
 def judge_statistics(export: Path) -> str:
-    """What LeRobot adds up from the episodes is what the export says of all of them."""
+    """Compares the statistics that LeRobot aggregates from the episodes with those of the export."""
     added = LeRobotDataset("judge/nav", root=export, video_backend="pyav").meta.stats
     told = json.loads((export / "meta/stats.json").read_text())
     assert added.keys() == told.keys()
@@ -68,7 +68,7 @@ def judge_statistics(export: Path) -> str:
 
 
 def judge_gr00t(paper: Paper, export: Path) -> str:
-    """Reads every episode by the names of `meta/modality.json`."""
+    """Reads every episode by the names in `meta/modality.json`."""
     info = json.loads((export / "meta/info.json").read_text())
     modality = json.loads((export / "meta/modality.json").read_text())
     tasks = {line["task_index"]: line["task"] for line in lines_of(export / "meta/tasks.jsonl")}
@@ -93,7 +93,7 @@ def judge_gr00t(paper: Paper, export: Path) -> str:
 
 
 def judge_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:
-    """A part of state or action is cut out of every statistic of its column."""
+    """Slices the parts of state and action out of every statistic of their column."""
     stats = json.loads((export / "meta/stats.json").read_text())
     for found in stats.values():
         assert found.keys() >= NEEDED_STATISTICS
@@ -122,7 +122,7 @@ def parts_of(kind: str, modality: dict[str, Any], table: pd.DataFrame) -> dict[s
 
 
 def judge_motion(paper: Paper, name: str, parts: dict[str, dict[str, np.ndarray]], stride: int) -> None:
-    """The parts are what their names say, held against poses and commands of the paper's tree."""
+    """Compares the parts with poses and commands of the paper's tree."""
     poses, actions = paper.array(name, "poses"), paper.array(name, "actions_continuous")
     odometry, twist = parts["state"]["odometry"], parts["state"]["twist"]
     way = np.linalg.norm(poses[::stride, :2] - poses[0, :2], axis=1)
@@ -135,7 +135,7 @@ def judge_motion(paper: Paper, name: str, parts: dict[str, dict[str, np.ndarray]
 
 
 def times_of(video: Path) -> np.ndarray:
-    """Returns when each frame of a video is shown, in seconds."""
+    """Returns the presentation time of each frame of a video, seconds."""
     with av.open(str(video)) as container:
         return np.array([frame.time for frame in container.decode(video=0)])
 

@@ -1,6 +1,6 @@
-"""The MCAP readers of others decode an export: what the paper's tree holds, in Foxglove's published schemas.
+"""Decodes an export with the MCAP readers and compares it with the paper's tree and Foxglove's published schemas.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/mcap_judge.py PAPER EXPORT
 
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def judge_schemas(path: Path) -> int:
-    """Compares the descriptors in a file with the published classes, field by field; returns how many there are."""
+    """Compares the descriptors in a file with the published classes, field by field; returns their number."""
     with path.open("rb") as file:
         schemas = list(make_reader(file).get_summary().schemas.values())
     published = [schema for schema in schemas if schema.name.startswith(PUBLISHED)]
@@ -56,7 +56,7 @@ def judge_schemas(path: Path) -> int:
 
 
 def judge_message(ours: Any, theirs: Any, done: set[str]) -> None:
-    """Compares two descriptors, and those of the messages inside."""
+    """Compares two descriptors and their nested messages."""
     assert fields(ours) == fields(theirs), f"{ours.full_name}: {fields(ours)}, published {fields(theirs)}"
     done.add(ours.full_name)
     for field in ours.fields:
@@ -94,7 +94,7 @@ def judge_file(paper: Paper, path: Path) -> Counter[str]:
 
 
 def judge_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any, t: int) -> None:
-    """Compares what can be compared of one message."""
+    """Compares the comparable fields of one message."""
     if topic == "/camera/rgb":
         assert schema == "foxglove.CompressedImage"
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(decoded.data))), paper.rgb(name, t))

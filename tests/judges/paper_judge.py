@@ -1,6 +1,6 @@
-"""Zip, zstandard and pyarrow find in the paper's tree, byte for byte, what the archived bundles hold.
+"""Compares the paper's tree with the archived bundles, byte for byte, with zipfile, zstandard and pyarrow.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/paper_judge.py DATASET PAPER
 
@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def judge_episode(bundle: Path, folder: Path) -> int:
-    """Compares every member of a bundle with its file: bytes as they are, of depth as they are decompressed."""
+    """Compares every member of a bundle with its file: raw bytes, and decompressed bytes for depth."""
     with zipfile.ZipFile(bundle) as stored:
         expected = {name.removesuffix(".zst"): name for name in stored.namelist()}
         found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
@@ -40,7 +40,7 @@ def judge_episode(bundle: Path, folder: Path) -> int:
 
 
 def judge_tables(dataset: Path, paper: Path) -> str:
-    """The rows of the tree are those of the dataset, with the published columns in front."""
+    """Checks that the rows of the tree equal those of the dataset, with the published columns first."""
     ours, theirs = pq.read_table(paper / "metadata.parquet"), pq.read_table(dataset / "metadata.parquet")
     assert ours.equals(theirs.select(ours.column_names))
     assert ours.column_names[:3] == ["episode_id", "split", "scene"]

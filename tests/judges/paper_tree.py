@@ -1,4 +1,4 @@
-"""The tree of the paper, as the truth that judges compare other exports with. Imports nothing of ours."""
+"""Reads the paper's tree, the reference of the judges for other exports. Does not import this project."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from PIL import Image
 
 
 class Paper:
-    """A dataset as `factory export --to paper` writes it; arrays as numpy or Pillow read them."""
+    """A dataset as `factory export --to paper` writes it; arrays are read with numpy or Pillow."""
 
     def __init__(self, root: Path) -> None:
         self.episodes = root / "episodes"
@@ -35,10 +35,10 @@ class Paper:
 
 
 def psnr(one: NDArray[Any], two: NDArray[Any]) -> float:
-    """Returns how near two 8-bit images are, in dB."""
+    """Returns the PSNR of two 8-bit images, dB."""
     return float(10 * np.log10(255.0**2 / np.mean((one.astype(np.float64) - two) ** 2)))
 
 
 def mean_commands(actions: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
-    """Returns (N, 2): what a robot was told on average from each kept frame to the next one."""
+    """Returns (N, 2): the mean command from each kept frame to the next one."""
     return np.stack([actions[t : t + stride].mean(axis=0) for t in range(0, len(actions), stride)])

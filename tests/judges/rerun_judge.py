@@ -1,7 +1,7 @@
 """Rerun reads back the recording of `factory view`, an MCAP export and LeRobot exports.
 
-Runs where `rerun-sdk` and this project are (it calls `factory view`; the judge imports nothing of ours), and ends with
-exit code 1 at the first thing that is not right.
+Runs in an environment with `rerun-sdk` and this project (it calls `factory view`, but does not import the project).
+Exits with code 1 at the first failed check.
 
     python tests/judges/rerun_judge.py DATASET PAPER MCAP LEROBOT [LEROBOT ...]
 
@@ -46,7 +46,7 @@ def run(*words: str) -> None:
 
 
 def judge_view(paper: Paper, name: str, path: Path) -> str:
-    """Poses of every step, depth and ids of every shown frame, map, target, way and words."""
+    """Checks poses of every step, depth and ids of every shown frame, map, target, path and instruction."""
     rows = rows_of(path)
     poses = paper.array(name, "poses")
     places = rows["/world/robot", "Transform3D:translation"]
@@ -66,7 +66,7 @@ def judge_view(paper: Paper, name: str, path: Path) -> str:
 
 
 def rows_of(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:
-    """Returns by entity and component what stands at each step; `None` is what holds always."""
+    """Returns the values by entity, component and step; step `None` has static values."""
     found: dict[tuple[str, str], dict[int | None, Any]] = {}
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
@@ -80,7 +80,7 @@ def rows_of(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:
 
 
 def judge_mcap(paper: Paper, name: str, path: Path) -> str:
-    """Every step of every topic arrives."""
+    """Checks that every topic has every step."""
     rows = Counter[str]()
     for chunk in RrdReader(path).stream():
         rows[chunk.entity_path] += chunk.num_rows
@@ -91,7 +91,7 @@ def judge_mcap(paper: Paper, name: str, path: Path) -> str:
 
 
 def judge_lerobot(export: Path) -> str:
-    """Every episode is listed and has its rows."""
+    """Checks that every episode is listed with its rows."""
     info = json.loads((export / "meta/info.json").read_text())
     reader = LeRobotReader(export)
     assert reader.version == info["codebase_version"].partition(".")[0]

@@ -1,7 +1,7 @@
-"""TFDS builds the RLDS recipe and reads it back: every step is that of the paper's tree.
+"""Builds the RLDS recipe with TFDS, reads it back and compares every step with the paper's tree.
 
-Runs where `tensorflow`, `tensorflow-datasets` and this project are (the builder needs it; the judge imports nothing of
-ours), and ends with exit code 1 at the first thing that is not right.
+Runs in an environment with `tensorflow`, `tensorflow-datasets` and this project (the builder needs it; the judge does
+not import it). Exits with code 1 at the first failed check.
 
     python tests/judges/rlds_judge.py DATASET PAPER BUILT
 
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def judge_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any]]) -> int:
-    """Compares every step of an episode; returns how many there are."""
+    """Compares every step of an episode; returns the number of steps."""
     job, stride = paper.meta(name)["job"], RECORDED_HZ // FPS
     assert split == job["split"]
     actions = mean_commands(paper.array(name, "actions_continuous"), stride)

@@ -1,6 +1,6 @@
-"""`rosbags` decodes an export for ROS 2: what the paper's tree holds, in the published messages.
+"""Decodes an export for ROS 2 with `rosbags` and compares it with the paper's tree and the published messages.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/ros2_judge.py PAPER EXPORT
 

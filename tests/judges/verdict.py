@@ -1,4 +1,4 @@
-"""How a judge says what it found: a row of the table that `formats.py` prints. Imports nothing of ours."""
+"""Prints the result of a judge: one row of the table of `formats.py`. Does not import this project."""
 
 import sys
 from importlib.metadata import version
@@ -6,11 +6,11 @@ from pathlib import Path
 
 
 def say(export: Path, reader: str, read_back: str) -> None:
-    """Prints one row: which export, opened with what, what was read back."""
+    """Prints one row: export, reader, and result."""
     sys.stdout.write(f"| `{export.name}` | {reader} | {read_back} |\n")
     sys.stdout.flush()
 
 
 def named(*packages: str) -> str:
-    """Returns packages with the versions they have here."""
+    """Returns package names with their installed versions."""
     return ", ".join(f"{package} {version(package)}" for package in packages)

@@ -1,6 +1,6 @@
-"""PyAV and ffprobe decode the videos of LeRobot exports: every frame there, in time, episodes begin on key frames.
+"""Decodes the videos of LeRobot exports with PyAV and ffprobe; checks frames, times and key frames at episode starts.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/video_judge.py EXPORT [EXPORT ...]
 
@@ -20,7 +20,7 @@ from verdict import named, say
 
 
 class Expected(NamedTuple):
-    """What a video holds by the tables of the export."""
+    """Expected content of a video from the tables of the export."""
 
     frames: int
     starts: list[int]
@@ -31,7 +31,7 @@ class Expected(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a reader found in a video."""
+    """Content of a video as read by a reader."""
 
     times_s: list[float]
     keys: list[bool]
@@ -54,7 +54,7 @@ def main() -> None:
 
 
 def expected_of(export: Path) -> list[tuple[Path, Expected]]:
-    """Returns every video that the tables of an export name, with what they say of it."""
+    """Returns every video in the tables of an export with its expected content."""
     info = json.loads((export / "meta/info.json").read_text())
     keys = {key: feature["info"] for key, feature in info["features"].items() if feature["dtype"] == "video"}
     videos: dict[tuple[Path, str], list[int]] = {}
@@ -70,7 +70,7 @@ def expected_of(export: Path) -> list[tuple[Path, Expected]]:
 
 
 def videos_of(export: Path, info: dict[str, Any], key: str) -> list[tuple[Path, int]]:
-    """Returns for every episode the video it is in and its frames; within a video they follow one another."""
+    """Returns the video and the frames of every episode; episodes are consecutive in a video."""
     if info["codebase_version"] == "v2.1":
         lines = [json.loads(line) for line in (export / "meta/episodes.jsonl").read_text().splitlines()]
         numbers = [(line["episode_index"], line["length"]) for line in lines]

@@ -1,6 +1,6 @@
-"""The webdataset package reads the shards, and finds in them what the paper's tree of the same dataset holds.
+"""Reads the shards with the webdataset package and compares them with the paper's tree of the same dataset.
 
-Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+Does not import this project. Exits with code 1 at the first failed check.
 
     python tests/judges/webdataset_judge.py PAPER EXPORT
 
@@ -29,7 +29,7 @@ def main() -> None:
 
 
 def judge_sample(paper: Paper, sample: dict) -> str:
-    """Compares a whole sample; returns the id of its episode."""
+    """Compares a complete sample; returns the id of its episode."""
     about = sample["json"]
     name, t, meta = about["episode_id"], about["step"], paper.meta(about["episode_id"])
     assert sample["__key__"].endswith(f"{name}_{t:06d}")

@@ -1,4 +1,4 @@
-"""What `make audit` makes of pip-audit's reports: a package that nobody could look up is not a sound one."""
+"""The summary of pip-audit's reports in `make audit`: a package without a result does not count as safe."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ UNKNOWN = {"name": "c", "skip_reason": "Dependency not found on PyPI and could n
         ("", ["--strict"], 1, "NOT AUDITED"),
     ],
 )
-def test_what_could_not_be_looked_up_is_said(
+def test_packages_that_could_not_be_audited_are_reported(
     tmp_path: Path, report: str, options: list[str], code: int, said: str
 ) -> None:
     (tmp_path / "report").write_text(report)

@@ -1,7 +1,7 @@
-"""Checks whether a ledger can be trusted: its file, the values in each column, and what its tables say of each other.
+"""Checks the integrity of a ledger: its file, the values of each column, and the consistency of its tables.
 
-Reads only. SQLite keeps no checksums: a flipped bit or a page of an older copy can leave a file that opens. Every value
-that decides which attempt is simulated is therefore compared with a second one.
+The module only reads. SQLite has no checksums: a file with a flipped bit or a stale page may still open. The audit
+therefore compares every value that determines the next simulated attempt with a second value.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["find_damage", "ledger_trouble"]
 
 _LARGEST = 2**53
 _LATEST_S = 32503680000.0
-"""The year 3000: larger times cannot be times of a run, and later ones not dates at all."""
+"""Upper limit of times, seconds since 1970: the year 3000."""
 _OUTCOMES = (SUCCESS, "expired", "lost", "cancelled", *FailReason)
 _ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
     {
@@ -79,7 +79,7 @@ _RULES: Mapping[str, str] = MappingProxyType(
             SELECT events.job_id FROM events LEFT JOIN jobs ON jobs.id = events.job_id WHERE jobs.id IS NULL""",
     }
 )
-"""What is wrong -> a query for the numbers of the episodes that show it."""
+"""Mapping of a fault to the query for the numbers of the affected episodes."""
 _SQLITE_RULES: Mapping[str, str] = MappingProxyType(
     {
         "an episode's row and its summary differ": """
@@ -107,14 +107,14 @@ _LONGEST_PAUSE_S = 3600.0
 
 
 def ledger_trouble(url: str, catalog: Catalog | None = None) -> str:
-    """Returns why a ledger cannot be used, in words; empty when it can.
+    """Returns the reason why a ledger cannot be used; empty if it can.
 
     Args:
-        url: of the ledger.
-        catalog: scenes of its plan, to compare redrawn jobs with the plan; `None` leaves that comparison out.
+        url: URL of the ledger.
+        catalog: scenes of its plan, for the comparison of redrawn jobs with the plan; `None` skips that comparison.
 
     Raises:
-        UsageError: the URL names a database this installation cannot open, or the ledger is of a newer format.
+        UsageError: this installation cannot open the database of the URL, or the ledger has a newer format.
         WorldError: a server cannot be reached.
     """
     if make_url(url).get_backend_name() == "sqlite" and not any(
@@ -132,14 +132,14 @@ def ledger_trouble(url: str, catalog: Catalog | None = None) -> str:
 
 
 def find_damage(connection: Connection, catalog: Catalog | None = None) -> str:
-    """Returns the first sign of damage in an open ledger, in words; empty when there is none.
+    """Returns a description of the first damage found in an open ledger; empty if there is none.
 
     Args:
-        connection: for reading.
-        catalog: scenes of its plan, to compare redrawn jobs with the plan.
+        connection: connection for reading.
+        catalog: scenes of its plan, for the comparison of redrawn jobs with the plan; `None` skips that comparison.
 
     Raises:
-        UsageError: the ledger is of a newer format.
+        UsageError: the ledger has a newer format.
     """
     try:
         return next(_findings(connection, catalog), "")
@@ -183,7 +183,7 @@ def _is_there(connection: Connection, table: Table) -> bool:
 
 
 def _value_findings(connection: Connection, table: Table) -> Iterator[str]:
-    """Looks for a value of another type, range or vocabulary than its column's; SQLite takes any value anywhere."""
+    """Yields a finding for a value outside its column's type, range or vocabulary; SQLite does not enforce them."""
     wrong = [(column.name, _wrong_value(table, column)) for column in table.columns]
     cases = " ".join(f"WHEN {condition} THEN '{name}'" for name, condition in wrong)
     anywhere = " OR ".join(condition for _, condition in wrong)
@@ -194,7 +194,7 @@ def _value_findings(connection: Connection, table: Table) -> Iterator[str]:
 
 
 def _wrong_value(table: Table, column: Column[object]) -> str:
-    """Returns the SQL condition under which a value of a column is wrong."""
+    """Returns the SQL condition for invalid values of a column."""
     name = f'"{column.name}"'
     match column.type:
         case Boolean():
@@ -220,10 +220,10 @@ def _plan_findings(connection: Connection, plan: Plan) -> Iterator[str]:
 
 
 def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
-    """Compares the counters of jobs that will be simulated with the attempts and events recorded of them."""
+    """Compares the counters of open jobs with their recorded attempts and events."""
     for row in connection.execute(text(_HISTORY)):
         attempt = row.last_attempt if row.last_attempt is not None else row.former if row.draw else 1
-        # the first attempt of a draw, and what `recall` brought back, rise without an event
+        # the first attempt of a draw, and attempts restored by `record_failures`, increase the number without an event
         if row.attempt <= (row.settled or 0) or (attempt is not None and row.attempt < attempt):
             yield f"is damaged: episode {row.idx} stands at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)
@@ -238,7 +238,7 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
 
 
 def _draw_findings(connection: Connection, plan: Plan, catalog: Catalog) -> Iterator[str]:
-    """Draws again what was redrawn: a redraw depends on plan, scene and number only."""
+    """Repeats every redraw and compares the results: a redraw depends on plan, scene and number only."""
     later = select(jobs).where(jobs.c.draw > 0).order_by(jobs.c.idx, jobs.c.draw)
     for row in connection.execute(later).all():
         before = connection.execute(select(jobs).where(jobs.c.idx == row.idx, jobs.c.draw == row.draw - 1)).one()

@@ -1,4 +1,4 @@
-"""Where a run stands, computed from the ledger; a reader that never writes and needs no running coordinator."""
+"""Computes the progress of a run from the ledger. Does not write and needs no running coordinator."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from sqlalchemy import Row, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
@@ -34,17 +34,19 @@ _HELD_BY = select(jobs.c.sid, func.count()).where(jobs.c.state.in_(HELD_STATES))
 
 
 class _Pace(NamedTuple):
-    """How fast episodes are archived, and how long the rest takes."""
+    """Rate of archived episodes and estimated remaining time."""
 
     per_hour: float | None
+    """Episodes per hour; `None` if too few are recent."""
     eta_s: float | None
+    """Remaining time, seconds; `None` if the rate is unknown."""
 
 
 def read_progress(connection: Connection, now: datetime) -> Progress:
-    """Returns the state of the run.
+    """Returns the progress of the run.
 
     Raises:
-        UsageError: the database holds no ledger, or one of a newer format.
+        UsageError: the database contains no ledger, or one with a newer format.
     """
     facts = read_info(connection)
     cells = connection.execute(_BY_CELL).all()
@@ -71,12 +73,12 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
 
 
 def count_frames(connection: Connection) -> int:
-    """Returns how many frames the archived episodes have."""
+    """Returns the number of frames in the archived episodes."""
     return int(connection.execute(_FRAMES).scalar_one())
 
 
 def _count_by(cells: list[Row[Any]] | Any, column: str | None) -> dict[str, dict[str, int]]:
-    """Returns group -> state -> jobs, every state named; without a column there is one group named ''."""
+    """Returns the job counts by group and state, with all states; without a column the only group is ''."""
     groups: dict[str, Counter[str]] = {} if column else {"": Counter()}
     for row in cells:
         groups.setdefault(getattr(row, column) if column else "", Counter())[row.state] += row.jobs

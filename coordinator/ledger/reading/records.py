@@ -1,4 +1,4 @@
-"""Reads the ledger for people and for the dataset's tables: jobs, their attempts, their history. Writes nothing."""
+"""Reads jobs, attempts, events and episodes of the ledger for reports and for the dataset's tables. Does not write."""
 
 from __future__ import annotations
 
@@ -37,79 +37,105 @@ _YIELD_ROWS = 1000
 
 @dataclass(frozen=True)
 class JobFilter:
-    """Which current draws are meant; an empty field means any."""
+    """Filter of current draws; an empty field matches any value."""
 
     states: tuple[JobState, ...] = ()
+    """States of the job."""
     scenes: tuple[str, ...] = ()
+    """Names of scenes."""
     tiers: tuple[Tier, ...] = ()
+    """Spawn tiers."""
     splits: tuple[Split, ...] = ()
+    """Splits."""
     index: int | None = None
-    """When given, all draws of that episode are meant, superseded ones too."""
+    """Episode number. It selects all draws of the episode, including superseded ones; other fields are ignored."""
 
 
 @dataclass(frozen=True)
 class JobRecord:
-    """One draw of one episode as it stands."""
+    """Current state of one draw of one episode."""
 
     index: int
+    """Episode number."""
     draw: int
+    """Number of the draw."""
     state: JobState
+    """Current state."""
     superseded: bool
     episode: EpisodeSpec
     attempt: int
-    """The attempt that is running, or that comes next."""
+    """Number of the running or next attempt."""
     misses: int
-    """Attempts of this draw that the world refused."""
+    """Number of task failures of this draw."""
     crashes: int
+    """Number of worker failures of this draw."""
     worker: str
-    """Session id of the worker that holds it or brought it; empty when none does."""
+    """Session id of the worker that holds or delivered the job; empty if there is none."""
     step: int
-    """Steps simulated, as last reported."""
+    """Number of simulated steps according to the last heartbeat."""
     reason: str
+    """Reason of the failure; empty if the draw has not failed."""
     changed_at: datetime
+    """Time of the last change of state."""
 
 
 @dataclass(frozen=True)
 class AttemptRecord:
-    """One attempt and how it ended."""
+    """Attempt and its outcome."""
 
     index: int
+    """Episode number."""
     draw: int
+    """Number of the draw."""
     attempt: int
+    """Number of the attempt."""
     outcome: str
+    """Outcome: success, a fail reason, expired, cancelled or lost."""
     detail: str
+    """Description with measured values."""
     steps: int
+    """Number of simulated steps."""
     seconds: float
+    """Wall time, seconds."""
     worker: str
+    """Session id of the worker."""
     at: datetime
+    """Time of the outcome, UTC."""
 
 
 @dataclass(frozen=True)
 class EventRecord:
-    """One line of a job's history."""
+    """Event of a job."""
 
     draw: int
+    """Number of the draw."""
     attempt: int
+    """Number of the attempt."""
     event: str
+    """Name of the event."""
     state: JobState
+    """State after the event."""
     worker: str
+    """Session id of the worker that caused the event; empty for the coordinator."""
     detail: str
+    """Description of the event."""
     at: datetime
+    """Time of the event, UTC."""
 
 
 def list_jobs(connection: Connection, wanted: JobFilter, limit: int = 100, offset: int = 0) -> list[JobRecord]:
-    """Returns jobs in the order of their episodes."""
+    """Returns jobs ordered by episode number and draw."""
     query = _filtered(select(jobs), wanted).order_by(jobs.c.idx, jobs.c.draw).limit(limit).offset(offset)
     return [_job_record(row) for row in connection.execute(query)]
 
 
 def count_jobs(connection: Connection, wanted: JobFilter) -> int:
-    """Returns how many jobs a filter means."""
+    """Returns the number of jobs that match a filter."""
     return int(connection.execute(_filtered(select(func.count()).select_from(jobs), wanted)).scalar_one())
 
 
 def read_attempts(connection: Connection, index: int | None = None) -> Iterator[AttemptRecord]:
-    """Yields attempts in the order of episode, attempt and time; of one episode, or of all."""
+    """Yields the attempts of one episode, or of all, ordered by episode, attempt and time."""
     query = select(attempts).order_by(attempts.c.idx, attempts.c.attempt, attempts.c.id)
     if index is not None:
         query = query.where(attempts.c.idx == index)
@@ -129,7 +155,7 @@ def read_attempts(connection: Connection, index: int | None = None) -> Iterator[
 
 
 def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
-    """Yields the history of an episode over all its draws, oldest first."""
+    """Yields the events of all draws of an episode, oldest first."""
     query = (
         select(events, jobs.c.draw)
         .join(jobs, jobs.c.id == events.c.job_id)
@@ -148,32 +174,32 @@ def read_archived(connection: Connection) -> frozenset[int]:
 
 
 def read_summaries(connection: Connection) -> Iterator[EpisodeSummary]:
-    """Yields the archived episodes in the order of the plan.
+    """Yields the archived episodes ordered by number.
 
     Raises:
-        WorldError: a row cannot be understood.
+        WorldError: a row is damaged.
     """
     return _summaries(connection, select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx))
 
 
 class LedgerEpisodes:
-    """The archived episodes as the writer of tables wants them.
+    """Source of archived episodes for the table writer.
 
     Args:
-        connection: for reading.
+        connection: connection for reading.
     """
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
     def digests(self) -> Iterator[tuple[int, str]]:
-        """Yields number and SHA-256 of the file of each episode, in ascending order."""
+        """Yields number and file SHA-256 of each episode, ascending."""
         query = select(episodes.c.idx, episodes.c.sha256).order_by(episodes.c.idx)
         for row in self._connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
             yield row.idx, row.sha256
 
     def rows(self, first: int, last: int) -> Iterator[EpisodeSummary]:
-        """Yields the rows of the episodes between two numbers, both included, in ascending order."""
+        """Yields the rows of the episodes from `first` to `last`, ascending."""
         query = select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx)
         return _summaries(self._connection, query.where(episodes.c.idx.between(first, last)))
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from coordinator.status.vitals import Watched
+from coordinator.status.health import StatusSource
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 
@@ -46,11 +46,11 @@ def _require_pages(context: click.Context, param: click.Parameter, http: str | N
 
 
 @contextmanager
-def status_pages(vitals: Watched, http: str | None, token_file: Path | None) -> Iterator[None]:
+def status_pages(source: StatusSource, http: str | None, token_file: Path | None) -> Iterator[None]:
     """Serves status pages while the context is open, if `--http` is given.
 
     Args:
-        vitals: source of the values on the pages.
+        source: source of the values on the pages.
         http: value of `--http`.
         token_file: value of `--http-token`.
 
@@ -66,7 +66,7 @@ def status_pages(vitals: Watched, http: str | None, token_file: Path | None) -> 
     from coordinator.status import StatusServer, parse_address  # its packages are an extra
 
     token = _read_token(token_file) if token_file is not None else None
-    with StatusServer(parse_address(http, token), vitals, token) as server:
+    with StatusServer(parse_address(http, token), source, token) as server:
         click.echo(f"status pages on {server.url}/metrics", err=True)
         yield
 

@@ -104,7 +104,7 @@ def start(
                     listen=listen, ledger_url=ledger, settings=settings, guard=guard, gate=gate, store=site.store
                 ),
             ) as coordinator,
-            status_pages(coordinator.vitals, http, http_token),
+            status_pages(coordinator.health, http, http_token),
         ):
             write_target_lists(catalog, site.place)
             where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
@@ -115,7 +115,7 @@ def start(
             if stay:
                 stop.wait()
             elif finished:
-                coordinator.see_off(stop)
+                coordinator.wait_for_departures(stop)
             progress = coordinator.progress()
     if not progress.finished:
         click.echo(f"stopped; continue with: factory coordinator start --out {site}", err=True)

@@ -48,7 +48,7 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
             sources,
             datetime.now(UTC),
             requeue_missing=requeue_missing,
-            tell=lambda done, total: bar.update(task, completed=done, total=total),
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     if as_json:
         print_json(report.model_dump(mode="json"))

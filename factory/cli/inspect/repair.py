@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import click
 
 from coordinator.expansion.file import load_plan
-from coordinator.recovery.mend import repair
+from coordinator.recovery.repair_dataset import repair
 from coordinator.recovery.report import RepairReport
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import Bars
@@ -60,7 +60,7 @@ def command(
             datetime.now(UTC),
             apply=not dry_run,
             take_over=take_over,
-            tell=lambda done, total: bar.update(task, completed=done, total=total),
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     if as_json:
         print_json(report.model_dump(mode="json"))

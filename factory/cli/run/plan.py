@@ -13,7 +13,7 @@ from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.spelling import spell_plan
+from coordinator.expansion.plan_toml import plan_to_toml
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.common.output import json_option, print_json, print_table, print_text, stderr
@@ -95,7 +95,7 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
     if found.plan is None:
         raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)
     if out is not None:
-        _write(out, spell_plan(found.plan))
+        _write(out, plan_to_toml(found.plan))
     if as_json:
         told = {"possible": not mistakes, "mistakes": mistakes, "changes": found.changes, "moved": found.moved}
         told |= {"plan": found.plan.model_dump(mode="json"), "cells": list(_rows(found.plan))}

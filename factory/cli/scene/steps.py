@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.catalog import read_entry
-from coordinator.expansion.spelling import spell_plan
+from coordinator.expansion.plan_toml import plan_to_toml
 from factory.runs.first_plan import draft_plan
 
 __all__ = ["Steps", "next_steps", "print_steps"]
@@ -40,7 +40,7 @@ def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, str
     plan = draft_plan(entry, str(usd.resolve()), **files)
     commands = (f"factory scene inspect {scene} -o {name}.png", f"factory scene survey {scene}")
     ready = (f"factory plan show {name}.toml",) if plan else ()
-    return Steps((*commands, *ready), None if plan is None else spell_plan(plan))
+    return Steps((*commands, *ready), None if plan is None else plan_to_toml(plan))
 
 
 def print_steps(steps: Steps) -> None:

@@ -18,7 +18,7 @@ from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, list_jobs
 from coordinator.ledger.states import JobState
 from coordinator.options import CoordinatorOptions
@@ -114,7 +114,7 @@ def run_fleet(
             is_over = coordinator.wait(_POLL_S, stop)
             intake.take(root)
         if is_over:
-            coordinator.see_off(stop)
+            coordinator.wait_for_departures(stop)
     if is_over:
         _require_whole(root, store)
         shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
@@ -145,7 +145,7 @@ def _try_failed_again(root: Path) -> None:
 
 
 def _require_whole(root: Path, store: Store) -> None:
-    with look_into(ledger_url_of(root)) as connection:
+    with open_ledger(ledger_url_of(root)) as connection:
         failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
     if failed:
         reasons = "\n".join(f"  - {job.episode.target_id} in {job.episode.scene}: {job.reason}" for job in failed)

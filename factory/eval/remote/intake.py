@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from coordinator.ledger.opening import ledger_url_of
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import read_archived
 from factory.eval.models.messages import EvalTask
 from factory.eval.process.run import Pace
@@ -50,7 +50,7 @@ class Intake:
         Args:
             root: directory of the run.
         """
-        with look_into(ledger_url_of(root)) as connection:
+        with open_ledger(ledger_url_of(root)) as connection:
             archived = read_archived(connection)
         for index in sorted(archived - self._done.keys()):
             with (root / file_name_of(episode_id(index))).open("rb") as file:

@@ -19,7 +19,7 @@ sys.stdin.read()
 """
 
 
-def test_processes_get_different_ports_even_when_they_search_from_the_same_one():
+def test_processes_get_different_ports_also_from_the_same_first_port():
     words = [sys.executable, "-c", _TAKES_THREE, "1234"]
     children = [
         subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)
@@ -32,7 +32,7 @@ def test_processes_get_different_ports_even_when_they_search_from_the_same_one()
     assert len(set(ports)) == 6
 
 
-def test_a_port_is_free_and_is_given_once():
+def test_a_port_is_free_and_returned_once():
     ports = [free_port() for _ in range(20)]
     assert len(set(ports)) == 20
     for port in ports:

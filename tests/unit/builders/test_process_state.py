@@ -1,4 +1,4 @@
-"""What a test changes in its process is restored, and the test is told."""
+"""Changes of a test to its process are restored and reported."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def enter_and_remove(folder: Path) -> None:
         (lower_limit, "resource limit"),
     ],
 )
-def test_what_a_test_leaves_changed_is_restored_and_named(change, named):
+def test_leftover_changes_of_a_test_are_restored_and_reported(change, named):
     before = ProcessState.now()
     with pytest.raises(AssertionError, match=named), unchanged_process():
         change()
@@ -66,7 +66,7 @@ def test_a_removed_working_directory_is_restored(tmp_path):
     assert Path.cwd() == before
 
 
-def test_what_a_command_configures_in_structlog_is_reset_after_the_test():
+def test_structlog_settings_of_a_command_are_reset_after_the_test():
     with unchanged_process():
         configure_logs()
         structlog.contextvars.bind_contextvars(job=1)

@@ -1,4 +1,4 @@
-"""The processes of a session build a shared thing once, and wait for the one that builds."""
+"""The processes of a session build shared data once and wait for the builder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ print(sorted(path.name for path in build_once(Path(sys.argv[1]), build).iterdir(
 """
 
 
-def test_processes_that_ask_at_once_get_the_whole_thing_of_one_of_them(tmp_path):
+def test_concurrent_processes_get_one_complete_build(tmp_path):
     words = [sys.executable, "-c", _BUILDS, str(tmp_path / "thing")]
     children = [subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) for _ in range(3)]
     found = {child.communicate()[0] for child in children}
@@ -35,7 +35,7 @@ def test_processes_that_ask_at_once_get_the_whole_thing_of_one_of_them(tmp_path)
     assert len(list((tmp_path / "thing").glob("by-*"))) == 1
 
 
-def test_a_build_that_failed_is_built_anew(tmp_path):
+def test_a_failed_build_is_repeated(tmp_path):
     def fail(folder: Path) -> None:
         folder.mkdir()
         (folder / "half").touch()
@@ -46,7 +46,7 @@ def test_a_build_that_failed_is_built_anew(tmp_path):
     assert list(build_once(tmp_path / "thing", Path.mkdir).iterdir()) == []
 
 
-def test_workers_of_a_session_share_the_folder_beside_theirs(tmp_path, monkeypatch):
+def test_workers_of_a_session_share_one_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTEST_XDIST_WORKER", "gw0")
     for name in ("popen-gw0", "popen-gw1"):
         (tmp_path / name).mkdir()

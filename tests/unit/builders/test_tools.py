@@ -1,4 +1,4 @@
-"""The tests find the system's tools with the PATH that Debian gives an ordinary user."""
+"""Tests find system tools with the PATH of an ordinary Debian user."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PROBE = "import shutil, tests.conftest; print(*(name for name in {names!r} if sh
 
 
 @pytest.mark.parametrize("path", [USER_PATH, f"{USER_PATH}:/usr/sbin:/sbin"])
-def test_tools_in_sbin_are_found_whatever_the_path_of_the_user(path: str) -> None:
+def test_tools_in_sbin_are_found_for_any_path_of_the_user(path: str) -> None:
     here = {name for name in TOOLS if shutil.which(name, path=f"{USER_PATH}:/usr/local/sbin:/usr/sbin:/sbin")}
     command = [sys.executable, "-c", PROBE.format(names=TOOLS)]
     done = subprocess.run(
@@ -27,7 +27,7 @@ def test_tools_in_sbin_are_found_whatever_the_path_of_the_user(path: str) -> Non
     assert set(done.stdout.split()) == here
 
 
-def test_the_product_starts_no_program_but_its_own_interpreter() -> None:
+def test_the_product_starts_only_the_python_interpreter() -> None:
     started = re.compile(r"(?:subprocess\.\w+|Popen|os\.exec\w+|os\.system|os\.popen)\(\s*\[?\s*[\"'](\w+)")
     files = [
         path for package in ("schemas", "coordinator", "workers", "factory") for path in (ROOT / package).rglob("*.py")

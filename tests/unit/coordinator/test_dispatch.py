@@ -1,4 +1,4 @@
-"""Who pulls a bundle, with gateways that name too many routers, or those of others."""
+"""Assignment of bundles to pullers, with gateways that claim too many routers or those of others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TARGET = room_catalog()["room"].info.targets[0]
 
 
 class Desk:
-    """A dispatch with a clock that the test turns."""
+    """A dispatch with a test clock."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -27,7 +27,7 @@ class Desk:
         return [pull.job.index for pull in self.dispatch.take(gateway, router, 64)]
 
 
-def test_a_gateway_cannot_take_the_router_of_another_that_is_there() -> None:
+def test_a_gateway_cannot_take_the_router_of_an_active_gateway() -> None:
     desk = Desk()
     assert desk.take("honest", "a") == []
     for _ in range(100):
@@ -38,7 +38,7 @@ def test_a_gateway_cannot_take_the_router_of_another_that_is_there() -> None:
         assert desk.take("honest", "a") == [1]
 
 
-def test_a_router_passes_to_another_gateway_when_the_former_is_silent() -> None:
+def test_a_router_is_reassigned_when_its_gateway_is_silent() -> None:
     desk = Desk()
     desk.take("former", "a")
     desk.now += 11.0
@@ -48,7 +48,7 @@ def test_a_router_passes_to_another_gateway_when_the_former_is_silent() -> None:
     assert desk.take("new", "a") == [1]
 
 
-def test_gateways_without_number_are_forgotten_and_an_honest_one_goes_on() -> None:
+def test_the_number_of_gateways_is_bounded_and_an_honest_one_is_served() -> None:
     desk = Desk()
     for number in range(3000):
         desk.take(f"hostile-{number}", f"{number:x}")
@@ -60,7 +60,7 @@ def test_gateways_without_number_are_forgotten_and_an_honest_one_goes_on() -> No
     assert desk.here == [2]
 
 
-def test_a_gateway_that_names_many_routers_has_the_last_one() -> None:
+def test_a_gateway_that_names_many_routers_keeps_the_last_one() -> None:
     desk = Desk()
     for number in range(100):
         desk.take("hostile", f"{number:x}")

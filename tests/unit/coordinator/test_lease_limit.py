@@ -23,7 +23,7 @@ STATES = {False: "leased", True: "submitted"}
 
 
 class Held:
-    """A ledger whose workers beat for ever, and the limit that its coordinator has."""
+    """A ledger whose workers send heartbeats without end, and the lease limit of its coordinator."""
 
     def __init__(self, desk: Desk, limit: LeaseLimit) -> None:
         self.desk, self.limit = desk, limit
@@ -35,7 +35,7 @@ class Held:
         return lease
 
     def pass_time(self, seconds: float) -> int:
-        """Lets time pass while every worker beats; returns how many leases the limit has ended."""
+        """Advances the time while every worker sends heartbeats; returns the number of leases ended by the limit."""
         ended, end = 0, self.desk.now + timedelta(seconds=seconds)
         while self.desk.now < end:
             self.desk.tick(min(TTL_S / 2, (end - self.desk.now).total_seconds()))
@@ -44,7 +44,7 @@ class Held:
         return ended
 
     def beat(self) -> list[Lease]:
-        """Beats once for each lease; returns those that are lost."""
+        """Sends one heartbeat for each lease; returns the lost leases."""
         lost: list[Lease] = []
         for lease, sid in self.leases.items():
             with self.desk.open() as connection:
@@ -76,7 +76,7 @@ def held(request: pytest.FixtureRequest) -> Iterator[Held]:
 
 
 @pytest.mark.parametrize("announced", [False, True], ids=["simulating", "announced"])
-def test_job_of_a_worker_that_beats_and_brings_nothing_goes_to_another_host(held, announced):
+def test_the_job_of_a_worker_that_only_sends_heartbeats_is_reassigned(held, announced):
     lease = held.claim("bad.1")
     if announced:
         assert held.desk.done(lease)
@@ -96,7 +96,7 @@ def test_job_of_a_worker_that_beats_and_brings_nothing_goes_to_another_host(held
         assert find_damage(connection, held.desk.catalog) == ""
 
 
-def test_only_leases_that_are_too_old_end(held):
+def test_only_leases_over_the_age_limit_end(held):
     old = held.claim("a.1")
     held.pass_time(LIMIT_S / 2)
     young = held.claim("b.1")
@@ -105,7 +105,7 @@ def test_only_leases_that_are_too_old_end(held):
     assert held.row(young).state == "leased"
 
 
-def test_a_job_that_no_host_ends_within_the_limit_is_given_up(held):
+def test_a_job_that_no_host_completes_within_the_limit_is_abandoned(held):
     for host in ("a.1", "b.1"):
         leases = [held.claim(host) for _ in range(EPISODES)]
         assert held.pass_time(LIMIT_S + TTL_S) == EPISODES
@@ -116,7 +116,7 @@ def test_a_job_that_no_host_ends_within_the_limit_is_given_up(held):
         assert "no episode after 200 s under one lease" in row.reason
 
 
-def test_leases_have_the_whole_limit_after_a_restart_of_the_coordinator(held):
+def test_leases_have_the_full_limit_after_a_restart_of_the_coordinator(held):
     lease = held.claim("a.1")
     held.pass_time(LIMIT_S - TTL_S)
     held.limit.restart()

@@ -1,4 +1,4 @@
-"""The public package: light, complete, and aware of foreign packages that hide the product's own."""
+"""The public package: light, complete, and robust against foreign packages with the same names."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_foreign_package_that_was_imported_before_is_named(tmp_path: Path) -> 
     assert f"but Python imports {tmp_path / 'schemas'}" in python(code, expect=1).stderr
 
 
-def test_a_folder_of_data_with_our_name_does_no_harm(tmp_path: Path) -> None:
+def test_a_data_folder_named_like_the_package_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "workers").mkdir()
     (tmp_path / "workers" / "ann.txt").touch()
     python("from minivla import Dataset", tmp_path)
@@ -101,7 +101,7 @@ def test_public_package_works_where_factory_init_was_overwritten(tmp_path: Path)
     assert "factory.dataset.reader.Dataset" in done.stdout, done.stderr
 
 
-def test_no_module_of_ours_is_overwritten_by_factory_boy() -> None:
+def test_factory_boy_overwrites_no_module_of_the_product() -> None:
     ours = {path.stem for path in (ROOT / "factory").iterdir() if path.name != "__init__.py"}
     assert not ours & FACTORY_BOY
 

@@ -1,4 +1,4 @@
-"""Whatever a peer sends is bounded: every number, text, list and map of every model, however deep it is nested."""
+"""All data of peers is bounded: every number, text, list and map of every model at any depth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import coordinator.protocol.relay
 import schemas.wire
 from coordinator.protocol.protocol import ParsedRequest, parse
 from coordinator.protocol.relay import MAX_FILES, Duty, Inventory, Refused
-from coordinator.protocol.relay_desk import RELAY_MESSAGES
+from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.validation.validator import Verdict
 from schemas.base import MAX_COUNT, MAX_ROWS, Model
 from schemas.episode import EpisodeMeta
@@ -104,7 +104,7 @@ def test_every_number_text_list_and_map_that_is_received_has_a_bound(model: type
     ],
     ids=str,
 )
-def test_the_walk_finds_what_has_no_bound(kind: Any) -> None:
+def test_the_check_finds_unbounded_fields(kind: Any) -> None:
     inner = create_model("Inner", __base__=Model, value=(kind | None, None))
     outer = create_model("Outer", __base__=Model, parts=(tuple[inner, bool], ...))  # type: ignore[valid-type]
     assert list(unbounded(TypeAdapter(outer).core_schema, "Outer"))
@@ -112,12 +112,12 @@ def test_the_walk_finds_what_has_no_bound(kind: Any) -> None:
 
 @pytest.mark.parametrize("number", [10**15, 2**63, 2**64, 10**400, -1, 0])
 @pytest.mark.parametrize("field", ["job_id", "fence"])
-def test_a_number_that_no_column_holds_is_not_understood(field: str, number: int) -> None:
+def test_a_number_beyond_the_column_range_is_refused(field: str, number: int) -> None:
     with pytest.raises(ValidationError):
         Lease.model_validate_json(json.dumps(LEASE | {field: number}))
 
 
-def test_a_text_that_no_database_stores_is_not_understood() -> None:
+def test_a_text_that_databases_cannot_store_is_refused() -> None:
     with pytest.raises(ValidationError):
         Fail.model_validate({"sid": "a", "lease": LEASE, "reason": "crash", "detail": "a\0b"})
 
@@ -137,14 +137,14 @@ def test_a_text_that_no_database_stores_is_not_understood() -> None:
     ],
     ids=["deep", "surplus", "many", "long text", "long name", "digits", "bytes", "empty"],
 )
-def test_a_refusal_is_short_whatever_was_wrong(verb: str, payload: bytes) -> None:
+def test_a_refusal_message_is_short_for_any_input(verb: str, payload: bytes) -> None:
     refusal = parse(verb, "host", payload, RELAY_MESSAGES if verb in RELAY_MESSAGES else None)
     assert isinstance(refusal, Refusal)
     assert len(refusal.error) < 1500
 
 
 @pytest.mark.parametrize("host", ["", "h" * 49, "a.b", "UPPER", "a" * 1_000_000, "sp ace"], ids=lambda host: host[:9])
-def test_a_host_of_no_such_name_is_refused_without_its_name_in_full(host: str) -> None:
+def test_an_invalid_host_name_is_refused_and_shortened_in_the_message(host: str) -> None:
     refusal = parse("claim", host, b"{}")
     assert isinstance(refusal, Refusal)
     assert "not a valid host name" in refusal.error

@@ -1,4 +1,4 @@
-"""The bundle: whole round trips, equal bytes for equal content, and every way in which a file can be none."""
+"""The bundle: round trips, equal bytes for equal content, and refusal of invalid files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def edited(edit: Callable[[dict[str, object]], object]) -> bytes:
     return pack(members | {"meta.json": json.dumps(meta).encode()})
 
 
-def test_everything_comes_back_as_it_was_written() -> None:
+def test_all_values_are_read_back_as_written() -> None:
     parts = parts_for()
     with BundleReader(io.BytesIO(parts.write())) as bundle:
         assert bundle.length == 12
@@ -87,7 +87,7 @@ def test_members_are_the_papers_tree() -> None:
     assert names[-4:] == ("actions_continuous.npy", "actions_tokens.npy", "poses.npy", "meta.json")
 
 
-def test_sizes_are_told_by_kind() -> None:
+def test_sizes_are_reported_by_kind() -> None:
     sizes = BundleReader(io.BytesIO(bundle_bytes())).member_bytes()
     images, arrays = (
         ("rgb_front", "depth_front", "seg_front"),
@@ -134,7 +134,7 @@ def test_metadata_that_breaks_its_model_is_refused(edit: Callable[[dict[str, obj
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe", b"[" * 100_000, b"null"])
-def test_metadata_that_is_no_json_is_refused(text: bytes) -> None:
+def test_metadata_that_is_not_json_is_refused(text: bytes) -> None:
     refused(pack(members_of(bundle_bytes()) | {"meta.json": text}))
 
 
@@ -169,7 +169,7 @@ def test_frame_outside_its_spec_is_named() -> None:
         bundle.frame_digest(2)
 
 
-def test_abandoned_bundle_is_none() -> None:
+def test_an_abandoned_bundle_is_invalid() -> None:
     buffer = io.BytesIO()
     writer = BundleWriter(buffer)
     writer.add_frame(*parts_for().frames[0])

@@ -24,7 +24,7 @@ def again(scene: CompiledScene) -> CompiledScene:
     return decode_scene(io.BytesIO(encode_scene(scene)))
 
 
-def test_light_survives_the_package() -> None:
+def test_light_is_stored_in_the_package() -> None:
     scene = lit_room()
     assert (again(scene).light_map == scene.light_map).all()
     assert (again(scene).light_uvs == scene.light_uvs).all()
@@ -34,12 +34,12 @@ def test_a_scene_may_have_no_light() -> None:
     assert again(box_room()).light_map.shape == (0, 0, 3)
 
 
-def test_light_without_a_place_for_each_vertex_is_refused() -> None:
+def test_light_without_coordinates_for_each_vertex_is_refused() -> None:
     with pytest.raises(InvalidBundle, match="light_uvs"):
         again(replace(lit_room(), light_uvs=np.empty((0, 2), np.float32)))
 
 
-def test_places_outside_the_light_map_are_refused() -> None:
+def test_coordinates_outside_the_light_map_are_refused() -> None:
     scene = lit_room()
     with pytest.raises(InvalidBundle, match="light_uvs"):
         again(replace(scene, light_uvs=scene.light_uvs + 1))

@@ -7,7 +7,7 @@ import numpy as np
 from schemas.tokens import GRID_POINTS, V_GRID_MPS, W_GRID_RPS, actions_of, tokens_of
 
 
-def test_every_token_survives_the_way_to_an_action_and_back():
+def test_every_token_converts_to_an_action_and_back():
     tokens = np.array([(v, w) for v in range(GRID_POINTS) for w in range(GRID_POINTS)], np.int16)
     assert (tokens_of(actions_of(tokens)) == tokens).all()
 
@@ -24,5 +24,5 @@ def test_a_token_is_the_nearest_grid_point():
     assert (tokens[:, 1] == np.abs(W_GRID_RPS - actions[:, 1:]).argmin(axis=1)).all()
 
 
-def test_values_beyond_the_range_take_its_end():
+def test_values_beyond_the_range_are_clipped():
     assert tokens_of(np.array([(2.0, -9.0)], np.float32)).tolist() == [[6, 0]]

@@ -28,7 +28,7 @@ class MinivlaNav(tfds.core.GeneratorBasedBuilder):
     """One RLDS episode for each archived episode, in the splits of the dataset."""
 
     VERSION = tfds.core.Version("1.0.0")
-    RELEASE_NOTES = {"1.0.0": "Initial release."}  # noqa: RUF012 - as tfds wants it
+    RELEASE_NOTES = {"1.0.0": "Initial release."}  # noqa: RUF012 - required by tfds
 
     def _info(self) -> tfds.core.DatasetInfo:
         side = _IMAGE_PX

@@ -1,4 +1,4 @@
-"""The archive on a real directory: links, part files and full disks; what all archives promise is in the contract."""
+"""The archive on a directory: links, part files and full disks. The contract suite tests what archives share."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def parts_of(archive: Archive) -> list[Path]:
     return list((archive.root / ".staging").iterdir())
 
 
-def test_staged_file_knows_size_and_digest_of_all_that_was_written(tmp_path: Path) -> None:
+def test_a_staged_file_has_size_and_digest_of_the_written_bytes(tmp_path: Path) -> None:
     with open_archive(tmp_path) as archive, archive.stage(1) as staged:
         for chunk in (b"ab", b"", b"c" * 100_000):
             staged.write(chunk)
@@ -31,7 +31,7 @@ def test_staged_file_knows_size_and_digest_of_all_that_was_written(tmp_path: Pat
         assert staged.sha256 == hashlib.sha256(b"ab" + b"c" * 100_000).hexdigest()
 
 
-def test_abandoned_part_file_is_gone(tmp_path: Path) -> None:
+def test_an_abandoned_part_file_is_removed(tmp_path: Path) -> None:
     with open_archive(tmp_path) as archive:
         with pytest.raises(TypeError), archive.stage(1) as staged:
             staged.write("no bytes")  # type: ignore[arg-type]
@@ -39,14 +39,14 @@ def test_abandoned_part_file_is_gone(tmp_path: Path) -> None:
         assert archive.present() == {}
 
 
-def test_two_part_files_of_one_episode_do_not_meet(tmp_path: Path) -> None:
+def test_two_part_files_of_one_episode_have_different_names(tmp_path: Path) -> None:
     with open_archive(tmp_path) as archive, archive.stage(1) as one, archive.stage(1) as two:
         one.write(b"one")
         two.write(b"two")
         assert (one.path.read_bytes(), two.path.read_bytes()) == (b"one", b"two")
 
 
-def test_foreign_files_are_told_from_episodes(tmp_path: Path) -> None:
+def test_foreign_files_are_distinguished_from_episodes(tmp_path: Path) -> None:
     with open_archive(tmp_path) as archive:
         publish(archive, 2, b"two")
         publish(archive, 1, b"one")
@@ -73,8 +73,8 @@ def test_only_the_canonical_name_is_an_episode(name: str, index: int | None) -> 
     assert index_of_file(name) == index
 
 
-def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path: Path) -> None:
-    """A limit on the size of files stands in for a full disk: both end in an OSError within a write."""
+def test_a_full_disk_is_reported_and_leaves_no_partial_file(tmp_path: Path) -> None:
+    """A file size limit replaces a full disk: both raise an OSError during a write."""
     script = """
 import resource, signal, sys
 from pathlib import Path

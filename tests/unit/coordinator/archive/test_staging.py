@@ -1,4 +1,4 @@
-"""The lock of the one coordinator: others may ask whether it is held, which never keeps a coordinator out."""
+"""The lock of the coordinator: checking it never blocks a coordinator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ sys.stdin.read()
 """
 
 
-def test_a_directory_is_held_while_its_coordinator_lives_and_not_after_a_kill(tmp_path: Path) -> None:
+def test_a_directory_is_locked_until_its_coordinator_is_killed(tmp_path: Path) -> None:
     assert is_held(tmp_path) is False
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
@@ -37,7 +37,7 @@ def test_a_directory_is_held_while_its_coordinator_lives_and_not_after_a_kill(tm
     assert is_held(tmp_path) is False
 
 
-def test_those_who_ask_never_keep_a_coordinator_out(tmp_path: Path) -> None:
+def test_checking_the_lock_never_blocks_a_coordinator(tmp_path: Path) -> None:
     Staging(tmp_path, "dataset").close()
     ended = threading.Event()
 
@@ -59,7 +59,7 @@ def test_those_who_ask_never_keep_a_coordinator_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
-def test_a_lock_that_may_not_be_read_is_not_taken_for_free(tmp_path: Path) -> None:
+def test_an_unreadable_lock_does_not_count_as_free(tmp_path: Path) -> None:
     Staging(tmp_path, "dataset").close()
     (tmp_path / ".lock").chmod(0)
     assert is_held(tmp_path) is None

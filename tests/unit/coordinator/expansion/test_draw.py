@@ -24,7 +24,7 @@ PAPER = BUILTIN_PLANS["paper"]
 
 
 @given(st.dictionaries(st.text(max_size=3), st.floats(0.01, 1.0), min_size=1, max_size=6), st.integers(0, 300))
-def test_apportionment_adds_up_and_stays_within_one_seat_of_quota_for_equal_shares(shares, count):
+def test_apportionment_is_exact_and_within_one_of_the_quota_for_equal_shares(shares, count):
     seats = apportion(shares, count)
     assert sum(seats.values()) == count
     equal = apportion(dict.fromkeys(shares, 1.0), count)
@@ -32,7 +32,7 @@ def test_apportionment_adds_up_and_stays_within_one_seat_of_quota_for_equal_shar
 
 
 @given(st.integers(1, 400))
-def test_a_longer_webster_sequence_never_takes_a_seat_back(count):
+def test_a_longer_webster_sequence_never_reduces_a_count(count):
     shares = {"a": 0.6, "b": 0.3, "c": 0.1}
     assert webster_sequence(shares, count) == webster_sequence(shares, count + 1)[:-1]
 
@@ -52,7 +52,7 @@ def test_cells_hold_exactly_the_quota_of_every_scene_split_and_tier(episodes):
 
 
 @pytest.mark.parametrize("episodes", [4, 24, 240])
-def test_a_split_is_empty_when_no_job_of_a_plan_that_asks_for_it_has_it(episodes):
+def test_a_requested_split_without_jobs_is_reported_as_empty(episodes):
     plan = shrink(BUILTIN_PLANS["demo"], episodes=episodes)
     drawn = {job.episode.split for job in expand(plan, make_catalog(plan))}
     assert set(empty_splits(plan)) == {split for split, share in plan.splits.items() if share > 0} - drawn
@@ -116,7 +116,7 @@ def test_balanced_plans_draw_categories_as_evenly_as_whole_numbers_allow():
     assert max(counts.values()) - min(counts.values()) <= 1
 
 
-def test_a_redraw_keeps_the_cell_and_leaves_the_hopeless_target():
+def test_a_redraw_keeps_the_cell_and_replaces_the_target():
     plan = shrink(PAPER, episodes=40)
     catalog = make_catalog(plan)
     for job in expand(plan, catalog):
@@ -144,7 +144,7 @@ def test_equal_plans_expand_equally_and_another_seed_differently():
     assert expand(plan, catalog) != expand(shrink(plan, seed=7), catalog)
 
 
-def test_every_impossible_cell_is_named_before_anything_runs():
+def test_every_infeasible_cell_is_named_before_the_run():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=50),))
     targets = [make_target("chair", 1, 1, tiers=[Tier.NEAR]), make_target("whiteboard", 1, 2)]
     with pytest.raises(InvalidPlan) as caught:
@@ -156,7 +156,7 @@ def test_every_impossible_cell_is_named_before_anything_runs():
     assert "train_id / near" not in text
 
 
-def test_absent_categories_are_one_line_and_the_cells_that_follow_from_them_none():
+def test_absent_categories_are_reported_once_without_their_cells():
     scene = ScenePlan(name="lab", usd="lab.usda", seen=("chair", "table"), held_out=("plant",), episodes=50)
     plan = Plan(name="x", scenes=(scene,))
     (line,) = find_impossible(plan, {"lab": make_entry("lab", [make_target("shelf", 1, 1), make_target("bin", 1, 2)])})
@@ -166,20 +166,20 @@ def test_absent_categories_are_one_line_and_the_cells_that_follow_from_them_none
     assert line.endswith("or change the scene, its rules or its list of targets")
 
 
-def test_an_absent_category_that_is_shown_is_called_out_of_reach():
+def test_an_existing_category_without_targets_is_reported_as_out_of_reach():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
     entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
     entry = replace(entry, info=entry.info.model_copy(update={"targets": entry.info.targets[:1]}))
     assert "shown but out of reach: trash_can" in find_impossible(plan, {"hospital": entry})[0]
 
 
-def test_a_held_out_category_that_no_episode_names_may_be_absent():
+def test_an_unused_held_out_category_may_be_absent():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
     entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
     assert find_impossible(plan, {"hospital": entry}) == []
 
 
-def test_the_planner_may_start_where_straight_drivers_may_not():
+def test_the_planner_may_start_at_poses_excluded_for_straight_experts():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
     target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
     entry = make_entry("hospital", [target])

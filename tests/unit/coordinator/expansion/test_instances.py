@@ -1,4 +1,4 @@
-"""Instances of training and evaluation: kept apart where a scene has enough, shared and said so where it has not."""
+"""Instances of training and evaluation: separate where a scene has enough, otherwise shared and reported."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def named(jobs: list[PlannedJob], *splits: Split) -> set[str]:
 
 
 def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJob]:
-    """Every draw of every episode, as if each but the last were hopeless."""
+    """Returns every draw of every episode, as if all but the last failed."""
     jobs = list(expand(plan, catalog))
     found = list(jobs)
     for _ in range(draws):
@@ -49,14 +49,14 @@ def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJo
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(2, 12), st.integers(2, 12), st.integers(0, 5))
-def test_no_instance_is_trained_and_evaluated_on_even_after_redraws(chairs: int, bins: int, seed: int) -> None:
+def test_training_and_evaluation_share_no_instance_also_after_redraws(chairs: int, bins: int, seed: int) -> None:
     plan, catalog = office_plan(60, seed=seed), hospital_of(chairs, bins)
     jobs = with_redraws(plan, catalog, 4)
     assert not named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
     assert shared_categories(scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides, catalog["hospital"]) == ()
 
 
-def test_without_the_promise_instances_are_shared() -> None:
+def test_instances_are_shared_without_the_separation_option() -> None:
     plan, catalog = office_plan(disjoint_instances=False), hospital_of(3, 3)
     assert scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides == {}
     jobs = list(expand(plan, catalog))
@@ -75,7 +75,7 @@ def test_each_category_gives_training_its_share_of_instances() -> None:
     }
 
 
-def test_a_single_instance_is_shared_and_named() -> None:
+def test_a_single_instance_is_shared_and_reported() -> None:
     plan, catalog = office_plan(), hospital_of(6, 1)
     sides = scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides
     assert shared_categories(sides, catalog["hospital"]) == ("trash_can",)
@@ -95,7 +95,7 @@ def test_instances_that_start_from_most_tiers_are_given_to_both_sides() -> None:
             assert scene_cells(plan, plan.scenes[0], entry).pool(split, tier)
 
 
-def test_a_tier_with_one_target_shares_it_rather_than_emptying_a_cell() -> None:
+def test_a_tier_with_one_target_shares_it_so_that_no_cell_is_empty() -> None:
     targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
     targets += [make_target("trash_can", n, n + 9, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
     entry = make_entry("hospital", [*targets, make_target("chair", 5, 6)])

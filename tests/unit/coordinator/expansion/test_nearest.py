@@ -1,4 +1,4 @@
-"""The nearest possible plan: every cell has a target, nothing is changed that need not be, and TOML keeps it."""
+"""The nearest feasible plan: every cell has a target, changes are minimal, and TOML preserves it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import expand, find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.spelling import spell_plan
+from coordinator.expansion.plan_toml import plan_to_toml
 from schemas.config import SpawnConfig
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier
@@ -23,7 +23,7 @@ NEAR_AND_MID = (Tier.NEAR, Tier.MID)
 
 
 def hospital(seen: Sequence[Tier] = tuple(Tier), held_out: Sequence[Tier] | None = tuple(Tier)) -> Catalog:
-    """A hospital whose targets can be started for from those tiers; without held-out categories for `None`."""
+    """A hospital whose targets can be reached from these tiers; without held-out categories for `None`."""
     names = {"chair": seen, "trash_can": seen}
     if held_out is not None:
         names |= {"fire_extinguisher": held_out, "whiteboard": held_out}
@@ -36,12 +36,12 @@ def plan_of(episodes: int = 100) -> Plan:
     return Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=episodes),))
 
 
-def test_a_possible_plan_is_its_own_nearest() -> None:
+def test_the_nearest_plan_of_a_feasible_plan_is_the_plan_itself() -> None:
     found = find_nearest(plan_of(), hospital())
     assert (found.plan, found.changes, found.moved) == (plan_of(), (), 0)
 
 
-def test_a_scene_without_far_starts_gives_the_far_tier_up_and_keeps_its_splits() -> None:
+def test_a_scene_without_far_starts_drops_the_far_tier_and_keeps_its_splits() -> None:
     plan, catalog = plan_of(), hospital(NEAR_AND_MID, NEAR_AND_MID)
     assert any("train_id / far (18 episodes)" in line for line in find_impossible(plan, catalog))
     found = find_nearest(plan, catalog)
@@ -54,7 +54,7 @@ def test_a_scene_without_far_starts_gives_the_far_tier_up_and_keeps_its_splits()
     assert "far 0 (30 of 100 episodes in other cells)" in found.changes[0]
 
 
-def test_a_scene_without_held_out_categories_gives_their_split_up_and_keeps_its_tiers() -> None:
+def test_a_scene_without_held_out_categories_drops_their_split_and_keeps_its_tiers() -> None:
     found = find_nearest(plan_of(), hospital(held_out=None))
     assert found.plan is not None
     (scene,) = found.plan.scenes
@@ -64,7 +64,7 @@ def test_a_scene_without_held_out_categories_gives_their_split_up_and_keeps_its_
     assert "held_out without fire_extinguisher, whiteboard" in found.changes[0]
 
 
-def test_the_cheaper_of_tier_and_split_is_given_up() -> None:
+def test_the_cheaper_of_tier_and_split_is_dropped() -> None:
     found = find_nearest(plan_of(), hospital(held_out=NEAR_AND_MID))
     assert found.plan is not None
     (scene,) = found.plan.scenes
@@ -73,7 +73,7 @@ def test_the_cheaper_of_tier_and_split_is_given_up() -> None:
     assert found.moved == 10
 
 
-def test_a_scene_with_nothing_to_start_for_is_left_out_and_the_others_stay() -> None:
+def test_a_scene_without_reachable_targets_is_dropped_and_the_others_stay() -> None:
     scenes = (ScenePlan(name="hospital", episodes=20), ScenePlan(name="office", episodes=10))
     plan = Plan(name="x", scenes=scenes)
     found = find_nearest(plan, {**hospital((), ()), "office": make_catalog(plan)["office"]})
@@ -83,7 +83,7 @@ def test_a_scene_with_nothing_to_start_for_is_left_out_and_the_others_stay() -> 
     assert find_nearest(plan_of(), hospital((), ())).plan is None
 
 
-def test_a_scene_with_no_category_asked_for_is_left_out_for_that_reason() -> None:
+def test_a_scene_without_requested_categories_is_dropped_with_that_reason() -> None:
     scenes = (ScenePlan(name="hospital", episodes=20), ScenePlan(name="office", episodes=10))
     plan = Plan(name="x", scenes=scenes)
     other = make_entry("hospital", [make_target("shelf", 1, 1)])
@@ -94,7 +94,7 @@ def test_a_scene_with_no_category_asked_for_is_left_out_for_that_reason() -> Non
 @pytest.mark.parametrize("seen", [(Tier.NEAR,), NEAR_AND_MID, (Tier.FAR,)])
 @pytest.mark.parametrize("held_out", [None, (), (Tier.MID,), NEAR_AND_MID])
 @pytest.mark.parametrize("episodes", [3, 50, 101])
-def test_what_is_found_can_be_expanded_with_exact_quotas(
+def test_the_nearest_plan_expands_with_exact_quotas(
     seen: tuple[Tier, ...], held_out: tuple[Tier, ...] | None, episodes: int
 ) -> None:
     catalog = hospital(seen, held_out)
@@ -127,17 +127,17 @@ def own_plan() -> Plan:
 
 
 @pytest.mark.parametrize("plan", [*BUILTIN_PLANS.values(), own_plan()], ids=lambda plan: plan.name)
-def test_a_plan_spelled_as_toml_is_read_back_as_the_same(plan: Plan, tmp_path: Path) -> None:
+def test_a_plan_written_as_toml_is_read_back_unchanged(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
-    path.write_text(spell_plan(plan))
+    path.write_text(plan_to_toml(plan))
     assert load_plan(str(path)) == plan
     assert load_plan(str(path)).digest == plan.digest
 
 
 @pytest.mark.parametrize("sign", ["\x7f", "\t", "\x1f", '"', "\\", "ö", "\U0001f916"], ids=ascii)
-def test_a_path_with_any_sign_is_read_back_from_the_toml_of_a_plan(sign: str, tmp_path: Path) -> None:
+def test_a_path_with_special_characters_is_read_back_from_toml(sign: str, tmp_path: Path) -> None:
     plan = own_plan()
     named = plan.scenes[1].model_copy(update={"usd": f"/data/lab{sign}1.usda"})
     path = tmp_path / "plan.toml"
-    path.write_text(spell_plan(plan.model_copy(update={"scenes": (plan.scenes[0], named)})), encoding="utf-8")
+    path.write_text(plan_to_toml(plan.model_copy(update={"scenes": (plan.scenes[0], named)})), encoding="utf-8")
     assert load_plan(str(path)).scenes[1].usd == named.usd

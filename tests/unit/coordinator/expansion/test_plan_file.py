@@ -1,4 +1,4 @@
-"""Plan files: every mistake is named with its key; shrinking keeps proportions."""
+"""Plan files: every error names its key; reducing the size keeps proportions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ episodes = 3
 """
 
 
-def test_a_good_file_is_read_and_relative_scene_paths_start_at_the_file(tmp_path):
+def test_a_valid_file_is_read_and_scene_paths_are_relative_to_it(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     plan = load_plan(str(path))
@@ -50,12 +50,12 @@ def test_an_unknown_plan_names_the_built_in_ones():
         ("/", "that is a directory; give a TOML file"),
     ],
 )
-def test_a_file_that_is_not_there_is_called_so(reference, said):
+def test_a_missing_file_is_reported(reference, said):
     with pytest.raises(UsageError, match=said):
         load_plan(reference)
 
 
-def test_a_misspelt_scene_is_told_the_nearest_of_the_plan():
+def test_an_unknown_scene_suggests_the_closest_scene_of_the_plan():
     with pytest.raises(UsageError, match=r"has no scene 'hospitl'; its scenes: .*; did you mean 'hospital'"):
         shrink(load_plan("demo"), scenes=["hospitl"])
 
@@ -88,14 +88,14 @@ def test_an_unknown_split_is_named(tmp_path):
         load_plan(str(path))
 
 
-def test_a_file_that_is_no_toml_says_so(tmp_path):
+def test_invalid_toml_is_reported(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text("name = [")
     with pytest.raises(InvalidPlan, match="is not valid TOML"):
         load_plan(str(path))
 
 
-def test_a_scene_file_given_as_a_plan_is_told_what_a_plan_is(tmp_path):
+def test_a_scene_file_given_as_a_plan_is_refused_with_the_expected_format(tmp_path):
     path = tmp_path / "shop.glb"
     path.write_bytes(b"glTF\x02\0\0\0\xff\xfe")
     with pytest.raises(InvalidPlan, match="is not a plan; plans are TOML files"):
@@ -118,13 +118,13 @@ def test_shrinking_to_an_unknown_scene_names_the_scenes_of_the_plan():
         shrink(BUILTIN_PLANS["demo"], scenes=["garage"])
 
 
-def test_two_plans_that_ask_for_the_same_have_one_digest():
+def test_equivalent_plans_have_one_digest():
     demo = BUILTIN_PLANS["demo"]
     assert demo.digest == shrink(demo, episodes=demo.episodes).digest
     assert demo.digest != shrink(demo, seed=1).digest
 
 
-def test_rules_and_targets_of_a_scene_start_at_the_file(tmp_path):
+def test_paths_of_rules_and_targets_are_relative_to_the_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD.replace("episodes = 12", 'episodes = 12\nrules = "r.yaml"\ntargets = "t.yaml"'))
     office, lab = load_plan(str(path)).scenes
@@ -141,7 +141,7 @@ def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
     assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest
 
 
-def test_a_copy_with_other_values_has_a_digest_of_its_own() -> None:
+def test_a_copy_with_other_values_has_another_digest() -> None:
     plan = load_plan("demo")
     before = plan.digest
     other = plan.model_copy(update={"seed": plan.seed + 1})

@@ -1,4 +1,4 @@
-"""Promise 2: a stale worker changes nothing. Random programs of workers, pullers and operators on the real SQL."""
+"""A stale worker changes nothing: random programs of workers, pullers and operators on the real database."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OTHER_SHA256 = "d" * 64
 
 
 class Ledger(RuleBasedStateMachine):
-    """Workers keep every lease they ever got and use it again whenever they like."""
+    """State machine in which workers keep and reuse every lease."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -102,7 +102,7 @@ class Ledger(RuleBasedStateMachine):
 
     @rule(worker=st.integers(0, 2))
     def lose_to(self, worker: int) -> None:
-        """Every worker freezes beyond its lease, and another one takes over."""
+        """Every worker is frozen beyond its lease, and another one takes over."""
         self.desk.tick(TTL_S + 0.1)
         self.desk.tick(40.0)
         self.claim(worker)
@@ -171,7 +171,7 @@ def _check_outcomes(rows: Sequence[Any], owned: dict[int, int], settled: Sequenc
 
 
 def _check_log(rows: Sequence[Any], log: Sequence[Any]) -> None:
-    """Every move stands in the table of transitions and in the log."""
+    """Every transition is in the transition table and in the event log."""
     states: dict[int, JobState] = {}
     for line in log:
         assert TRANSITIONS[states.get(line.job_id, JobState.PENDING), Event(line.event)] == line.state

@@ -1,4 +1,4 @@
-"""Hosts that harm jobs: they pause, are barred and released; jobs are given up only when several hosts failed them."""
+"""Failing hosts pause, are barred and released; jobs are abandoned only after failures on several hosts."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EPISODES = 20
 
 
 class Counter:
-    """Asks a ledger as hosts do, through all that the protocol checks, with a clock that the test turns."""
+    """Sends requests of hosts through the protocol checks to a ledger with a test clock."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -68,7 +68,7 @@ class Counter:
         assert self.desk.archive(lease)
 
     def spoil(self, host: str, seconds: float, reason: FailReason = FailReason.INVALID) -> int:
-        """Lets a host fail whatever it is given for so long; returns how many jobs that were."""
+        """Lets a host fail every job for a time; returns the number of jobs."""
         end, spoilt = self.desk.now + timedelta(seconds=seconds), 0
         while self.desk.now < end:
             reply = self.claim(host)
@@ -98,7 +98,7 @@ def counter(request: pytest.FixtureRequest) -> Iterator[Counter]:
 
 @pytest.mark.parametrize("reason", HARM)
 @pytest.mark.parametrize("has_neighbour", [False, True])
-def test_one_host_that_fails_everything_gives_up_no_job_and_is_barred(counter, reason, has_neighbour):
+def test_a_host_that_fails_every_job_is_barred_and_no_job_is_abandoned(counter, reason, has_neighbour):
     if has_neighbour:
         counter.hello("good")
     spoilt = counter.spoil("bad", 600, reason)
@@ -112,7 +112,7 @@ def test_one_host_that_fails_everything_gives_up_no_job_and_is_barred(counter, r
     assert counter.claim("good").job is not None
 
 
-def test_a_host_that_claims_all_jobs_before_it_fails_them_gives_up_none(counter):
+def test_a_host_that_fails_all_jobs_at_once_abandons_none(counter):
     for _ in range(5):
         leases = []
         while (reply := counter.claim("bad")).lease is not None:
@@ -137,14 +137,14 @@ def test_a_host_pauses_longer_after_each_strike_and_then_has_one_job_at_a_time(c
     assert counter.claim("good").job is not None
 
 
-def test_failures_of_jobs_that_were_given_out_before_a_pause_count_once(counter):
+def test_failures_of_jobs_claimed_before_a_pause_count_once(counter):
     leases = [counter.claim("bad").lease for _ in range(10)]
     for lease in leases:
         counter.fail("bad", lease)
     assert [host.strikes for host in counter.troubled()] == [1]
 
 
-def test_episodes_take_strikes_back(counter):
+def test_archived_episodes_reduce_strikes(counter):
     counter.spoil("shaky", 8)
     before = counter.troubled()[0].strikes
     while counter.troubled():
@@ -169,7 +169,7 @@ def test_a_released_host_gets_jobs_again(counter):
     assert counter.ask("operator", "admin", AdminRequest(action=AdminAction.RELEASE)) == AdminReply(changed=())
 
 
-def test_a_job_that_fails_on_every_host_is_given_up(counter):
+def test_a_job_that_fails_on_every_host_is_abandoned(counter):
     target = counter.claim("one")
     counter.fail("one", target.lease)
     others = [counter.claim("other").lease for _ in range(EPISODES - 1)]
@@ -183,7 +183,7 @@ def test_a_job_that_fails_on_every_host_is_given_up(counter):
     assert counter.counts()["failed"] == 1
 
 
-def test_two_hosts_that_fail_everything_give_up_no_job_that_another_host_could_try(counter):
+def test_two_failing_hosts_abandon_no_job_that_another_host_can_try(counter):
     kept = tuple(counter.claim("good").lease for _ in range(EPISODES - 1))
     for _ in range(400):
         for host in ("hostile", "faulty"):
@@ -198,7 +198,7 @@ def test_two_hosts_that_fail_everything_give_up_no_job_that_another_host_could_t
     assert [host.barred_at is not None for host in counter.troubled()] == [True, True]
 
 
-def test_a_job_that_fails_on_two_hosts_is_given_up_where_there_is_no_other(counter):
+def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
     first, *others = [counter.claim("one").lease for _ in range(EPISODES)]
     counter.fail("one", first)
     for failures in (1, 2):
@@ -210,8 +210,8 @@ def test_a_job_that_fails_on_two_hosts_is_given_up_where_there_is_no_other(count
     assert counter.counts()["failed"] == 1
 
 
-def test_a_job_that_fails_only_where_nobody_else_can_try_it_is_given_up_after_long(counter):
-    """The host brings every other episode, so that it is not at fault."""
+def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
+    """The host delivers every other episode, so that it is not barred."""
     begun, tries = counter.desk.now, 0
     while counter.counts()["failed"] == 0:
         reply = counter.claim("only")
@@ -243,7 +243,7 @@ def test_a_host_that_holds_one_job_back_is_barred_where_others_could_try_it(coun
     assert counter.troubled()[0].barred_at is not None
 
 
-def test_a_ledger_without_the_table_of_hosts_is_read_and_brought_up_to_date(tmp_path):
+def test_a_ledger_without_the_hosts_table_is_migrated(tmp_path):
     url = f"sqlite:///{tmp_path / 'ledger.db'}"
     desk = Desk(room_plan(3), url)
     with desk.open() as connection:

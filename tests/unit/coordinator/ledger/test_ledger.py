@@ -1,4 +1,4 @@
-"""The ledger's functions on a real database with a clock that the test turns."""
+"""The functions of the ledger on a real database with a test clock."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_job_that_keeps_losing_its_lease_waits_longer_each_time(desk):
     assert waits[-1] == pytest.approx(30)
 
 
-def test_beats_keep_leases_and_report_steps(desk):
+def test_heartbeats_renew_leases_and_report_steps(desk):
     lease = desk.lease()
     for step in range(5):
         assert desk.tick(TTL_S / 2) == 0
@@ -106,7 +106,7 @@ def test_beats_keep_leases_and_report_steps(desk):
     assert desk.row(lease.job_id).step == 4
 
 
-def test_a_beat_names_lost_leases_unwanted_bundles_and_bundles_that_wait(desk):
+def test_a_heartbeat_reply_lists_lost_leases_unwanted_bundles_and_waiting_bundles(desk):
     archived, waiting, lost = (desk.lease() for _ in range(3))
     desk.done(archived)
     desk.archive(archived)
@@ -134,7 +134,7 @@ def test_a_vanished_worker_only_shortens_its_leases(desk):
     assert desk.row(theirs.job_id).state == "leased"
 
 
-def test_leases_get_their_grace_after_a_restart(desk):
+def test_leases_get_a_grace_period_after_a_restart(desk):
     desk.lease()
     desk.now += timedelta(hours=1)
     with desk.open() as connection:
@@ -167,7 +167,7 @@ def test_a_late_result_of_a_lost_lease_changes_nothing(desk):
 
 
 @pytest.mark.parametrize("reason", WORLD)
-def test_a_refusal_of_the_world_brings_the_next_attempt(desk, reason):
+def test_a_world_failure_starts_the_next_attempt(desk, reason):
     lease = desk.lease()
     assert desk.fail(lease, reason)
     row = desk.row(lease.job_id)
@@ -196,7 +196,7 @@ def exhaust(desk: Desk, index: int, times: int) -> None:
             desk.tick(0.01)
 
 
-def test_an_exhausted_draw_is_superseded_by_the_next_with_attempts_going_on(desk):
+def test_an_exhausted_draw_is_superseded_and_attempt_numbers_continue(desk):
     exhaust(desk, 1, 2)
     first, second = desk.rows(1)
     assert (first.state, first.superseded, first.draw) == ("failed", True, 0)
@@ -205,7 +205,7 @@ def test_an_exhausted_draw_is_superseded_by_the_next_with_attempts_going_on(desk
     assert (second.tier, second.split, second.scene) == (first.tier, first.split, first.scene)
 
 
-def test_the_last_draw_ends_the_episode_with_its_reason(desk):
+def test_the_last_draw_fails_the_episode_with_its_reason(desk):
     exhaust(desk, 1, 4)
     first, second = desk.rows(1)
     assert [first.state, second.state] == ["failed", "failed"]
@@ -220,7 +220,7 @@ def test_the_last_draw_ends_the_episode_with_its_reason(desk):
 
 
 @pytest.mark.parametrize("reason", WORKER)
-def test_a_job_that_hurts_workers_is_quarantined_without_a_redraw(desk, reason):
+def test_a_job_that_crashes_workers_is_quarantined_without_a_redraw(desk, reason):
     for sid in ("one.1", "two.1"):
         while (row := desk.claim(sid)) is None or row.idx != 1:
             desk.tick(0.5)
@@ -230,7 +230,7 @@ def test_a_job_that_hurts_workers_is_quarantined_without_a_redraw(desk, reason):
     assert row.reason.startswith("quarantined")
 
 
-def test_a_released_job_is_due_again_at_once_and_costs_nothing(desk):
+def test_a_released_job_is_pending_immediately_and_uses_no_budget(desk):
     lease = desk.lease()
     assert desk.fail(lease, FailReason.RELEASED)
     row = desk.row(lease.job_id)
@@ -273,7 +273,7 @@ def test_a_lost_file_requeues_the_same_attempt(desk):
     assert [(outcome, settles) for _, _, outcome, settles in outcomes_at(desk)] == [("lost", False), ("success", True)]
 
 
-def test_retry_gives_fresh_budgets_and_attempts_go_on(desk):
+def test_retry_resets_budgets_and_attempt_numbers_continue(desk):
     exhaust(desk, 1, 4)
     with desk.open() as connection:
         reply = operator.retry(connection, (1, 2, 9), desk.now)
@@ -286,14 +286,14 @@ def test_retry_gives_fresh_budgets_and_attempts_go_on(desk):
     assert (row.state, row.attempt, row.misses, row.reason) == ("pending", 5, 0, "")
 
 
-def test_retry_without_numbers_means_every_failed_episode(desk):
+def test_retry_without_numbers_selects_every_failed_episode(desk):
     exhaust(desk, 1, 4)
     with desk.open() as connection:
         operator.cancel(connection, (2,), desk.now)
         assert operator.retry(connection, (), desk.now).changed == (1,)
 
 
-def test_cancel_takes_the_lease_away(desk):
+def test_cancel_ends_the_lease(desk):
     lease = desk.lease()
     with desk.open() as connection:
         assert operator.cancel(connection, (), desk.now).changed == (1, 2, 3)
@@ -302,7 +302,7 @@ def test_cancel_takes_the_lease_away(desk):
     assert desk.claim() is None
 
 
-def test_every_move_is_in_the_history_of_the_episode(desk):
+def test_every_transition_is_in_the_history_of_the_episode(desk):
     lease = desk.lease()
     desk.done(lease)
     desk.archive(lease)
@@ -326,7 +326,7 @@ def test_jobs_can_be_listed_by_state(desk):
         assert [job.index for job in list_jobs(connection, JobFilter(), limit=1, offset=1)] == [2]
 
 
-def test_progress_counts_current_draws_only_and_adds_up(desk):
+def test_progress_counts_only_current_draws_and_is_consistent(desk):
     exhaust(desk, 1, 2)
     desk.lease()
     with desk.open() as connection:
@@ -402,7 +402,7 @@ def test_a_committed_claim_survives_in_the_write_ahead_log(tmp_path):
         (claims.ANY_OPEN, "ix_jobs_queue"),
     ],
 )
-def test_what_is_asked_with_every_claim_is_found_by_an_index(statement, index):
+def test_queries_of_a_claim_use_an_index(statement, index):
     desk = Desk(PLAN)
     with desk.open() as connection:
         text = str(statement.compile(connection, compile_kwargs={"render_postcompile": True}))
@@ -412,7 +412,7 @@ def test_what_is_asked_with_every_claim_is_found_by_an_index(statement, index):
 
 
 @pytest.mark.parametrize("former", [None, 0o644, 0o664])
-def test_a_ledger_holds_tokens_and_is_not_for_others_to_read(tmp_path, former):
+def test_a_ledger_is_readable_only_by_its_owner(tmp_path, former):
     file = tmp_path / "ledger.db"
     if former is not None:
         file.touch()
@@ -446,10 +446,10 @@ def test_a_lease_belongs_to_the_host_that_claimed_it(desk):
     assert not desk.done(lease, "thief.a")
 
 
-def test_sessions_are_bounded_and_silent_ones_make_room(desk, monkeypatch):
+def test_sessions_are_bounded_and_silent_ones_are_removed(desk, monkeypatch):
     def hello(host: str, number: int) -> bool:
         with desk.open() as connection:
-            return workers.introduce(
+            return workers.register(
                 connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), desk.now
             )
 

@@ -68,27 +68,27 @@ def test_a_numbered_key_is_left_to_the_database(engine):
         assert list(connection.execute(select(events.c.id).order_by(events.c.id)).scalars()) == [1, 2]
 
 
-def test_what_is_rolled_back_leaves_nothing_and_a_savepoint_keeps_the_rest(engine):
+def test_a_rollback_leaves_nothing_and_a_savepoint_keeps_the_rest(engine):
     with engine.begin() as connection:
         hire(connection, "a.1")
         savepoint = connection.begin_nested()
         hire(connection, "a.2")
         savepoint.rollback()
-    with engine.connect() as connection:  # a transaction begins by itself, as it does for SQLAlchemy's statements
+    with engine.connect() as connection:  # a transaction starts implicitly, as for SQLAlchemy's statements
         hire(connection, "a.3")
         connection.rollback()
     with engine.begin() as connection:
         assert list(connection.execute(select(workers.c.sid)).scalars()) == ["a.1"]
 
 
-def test_what_the_database_refuses_is_raised_as_sqlalchemys_error(engine):
+def test_database_errors_are_raised_as_sqlalchemy_errors(engine):
     with engine.begin() as connection:
         hire(connection, "a.1")
     with engine.connect() as connection, pytest.raises(IntegrityError, match="INSERT INTO workers"):
         hire(connection, "a.1")
 
 
-def test_a_forgotten_parameter_is_named(engine):
+def test_a_missing_parameter_is_named(engine):
     with engine.begin() as connection, pytest.raises((KeyError, ProgrammingError), match="by"):
         SLOTS.first(connection, {})
 
@@ -98,7 +98,7 @@ def test_a_statement_that_returns_a_flag_is_refused():
         PreparedStatement(select(jobs.c.id, jobs.c.superseded))
 
 
-def test_a_connection_that_is_gone_is_given_up_so_that_the_writer_makes_another(postgres_server):
+def test_a_lost_connection_is_replaced_by_the_writer(postgres_server):
     url = postgres_server.new_database()
     engine = open_writer(url)
     METADATA.create_all(engine)

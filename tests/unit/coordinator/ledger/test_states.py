@@ -41,7 +41,7 @@ def test_every_state_can_be_reached_from_the_first():
     assert reached == set(JobState)
 
 
-def test_only_an_operator_or_a_lost_file_wakes_a_job_that_has_ended():
+def test_only_an_operator_or_a_lost_file_reopens_a_finished_job():
     waking = {event for (before, event) in TRANSITIONS if before not in OPEN_STATES}
     assert waking == {Event.RETRIED, Event.LOST}
 

@@ -1,4 +1,4 @@
-"""The writer thread: group commits, poison that harms nobody else, answers after COMMIT."""
+"""The writer thread: group commits, isolation of failing requests, answers after COMMIT."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def keys(engine: Engine) -> list[str]:
 
 
 def held_back(writer: Writer) -> threading.Event:
-    """Keeps the writer busy until the event is set, so that what follows shares one commit."""
+    """Keeps the writer busy until the event is set, so that later requests share one commit."""
     gate = threading.Event()
     writer.submit(lambda _: gate.wait(60))
     return gate
 
 
-def test_a_poisoned_request_fails_alone_and_leaves_nothing(engine):
+def test_a_failing_request_does_not_affect_its_group_commit(engine):
     with Writer(engine) as writer:
         gate = held_back(writer)
         futures = [writer.submit(work) for work in (put("a"), put("b", ValueError("poison")), put("c"), put("a"))]
@@ -57,7 +57,7 @@ def test_a_poisoned_request_fails_alone_and_leaves_nothing(engine):
     assert keys(engine) == ["a", "c"]
 
 
-def test_an_answer_comes_after_its_commit(engine):
+def test_an_answer_is_sent_after_its_commit(engine):
     seen = threading.Event()
     found: list[str] = []
 
@@ -71,7 +71,7 @@ def test_an_answer_comes_after_its_commit(engine):
     assert found == ["a"]
 
 
-def test_a_slow_answer_does_not_hold_up_the_next_commit(engine):
+def test_a_slow_answer_does_not_delay_the_next_commit(engine):
     answering, gate, ran = threading.Event(), threading.Event(), threading.Event()
 
     def answer(_: object) -> None:

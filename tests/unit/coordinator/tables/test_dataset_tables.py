@@ -1,4 +1,4 @@
-"""The tables of a dataset, read back with the tools a user has."""
+"""The tables of a dataset, read back with common tools."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_published_columns_come_first_and_in_order(tmp_path: Path) -> None:
     assert table.column_names == [*EpisodeSummary.model_fields, SIDE_COLUMN]
 
 
-def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
+def test_rows_are_read_back_as_written(tmp_path: Path) -> None:
     write(tmp_path, 3, 3)
     table = pq.read_table(tmp_path / "metadata.parquet", columns=list(EpisodeSummary.model_fields))
     rows = [EpisodeSummary.model_validate(found) for found in table.to_pylist()]
@@ -72,7 +72,7 @@ def test_empty_dataset_can_be_read(tmp_path: Path) -> None:
     assert pq.read_table(tmp_path / "metadata.parquet").num_rows == 0
 
 
-def test_description_comes_back_and_keeps_its_birthday(tmp_path: Path) -> None:
+def test_the_description_is_read_back_and_keeps_its_creation_time(tmp_path: Path) -> None:
     first = write(tmp_path, 1, 3)
     assert read_dataset_meta(tmp_path) == first
     with open_archive(tmp_path) as archive:
@@ -95,14 +95,14 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
         {"config_name": "attempts", "data_files": failed},
     ]
     assert "2 of 3 planned episodes so far" in text
-    assert "pypi.org" not in text  # the package is on no index, so that a link to it would lead nowhere
+    assert "pypi.org" not in text  # the package is not on an index, so that a link would be broken
     assert "| office | 2 | 12.0 | 1.60 |" in text
     assert "| 3 | 67 % |" in text
     assert "| train_id | seen categories, training phrases | 2 | 2 |" in text
     assert "may name the same instances" in text
 
 
-def test_side_of_an_instance_stands_in_row_description_and_card(tmp_path: Path) -> None:
+def test_the_side_of_an_instance_is_in_row_description_and_card(tmp_path: Path) -> None:
     plan = small_plan(2).model_copy(update={"disjoint_instances": True})
     sides = {"office": {"chair_001": Side.SHARED}}
     with open_archive(tmp_path) as archive:
@@ -112,7 +112,7 @@ def test_side_of_an_instance_stands_in_row_description_and_card(tmp_path: Path) 
     assert "too few of a category (office: chair)" in (tmp_path / "README.md").read_text()
 
 
-def test_what_the_gate_said_outlives_later_writing(tmp_path: Path) -> None:
+def test_the_gate_result_survives_later_writes(tmp_path: Path) -> None:
     gate = GateOutcome(
         scene="office", expert="proportional", attempts=50, succeeded=30, min_success=0.8, passed=False, reasons={}
     )
@@ -154,5 +154,5 @@ def test_commit_of_a_checkout_is_read(tmp_path: Path, is_packed: bool) -> None:
     assert git_commit(tmp_path) == "2" * 40
 
 
-def test_no_checkout_has_no_commit(tmp_path: Path) -> None:
+def test_without_a_checkout_there_is_no_commit(tmp_path: Path) -> None:
     assert git_commit(tmp_path) is None

@@ -1,4 +1,4 @@
-"""The split tables: the rows of the metadata by split with thumbnails, written once, whole, and mended."""
+"""The split tables: metadata rows by split with thumbnails, written atomically, reused and repaired."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def root(made: Path, tmp_path: Path) -> Path:
-    """A copy that the test may damage."""
+    """A copy that the test may change."""
     shutil.copytree(made, tmp_path / "data")
     return tmp_path / "data"
 
@@ -71,7 +71,7 @@ def test_the_tables_together_are_the_metadata(root: Path) -> None:
     assert [path.name for path in sorted((root / "data").iterdir())] == sorted(f"{s}-00000.parquet" for s in Split)
 
 
-def test_a_thumbnail_is_the_first_frame_a_quarter_as_wide(root: Path) -> None:
+def test_a_thumbnail_is_the_first_frame_at_a_quarter_of_the_width(root: Path) -> None:
     episode = next(iter(Dataset(root).filter(split="test_id")))
     with episode, Image.open(io.BytesIO(read_pictures(root / TEST)[episode.summary.content_digest])) as picture:
         assert (picture.format, picture.size) == ("JPEG", (160, 160))
@@ -85,7 +85,7 @@ def test_the_same_episodes_give_the_same_files(root: Path, tmp_path: Path) -> No
     assert [data for _, data in state_of(root).values()] == [data for _, data in state_of(tmp_path / "again").values()]
 
 
-def test_what_is_up_to_date_is_not_written_again(root: Path) -> None:
+def test_current_tables_are_not_rewritten(root: Path) -> None:
     before = state_of(root)
     rewrite(root)
     rewrite(root, deep=True)
@@ -97,7 +97,7 @@ def test_a_thumbnail_is_made_once_even_when_rows_come_in(tmp_path: Path) -> None
     root = tmp_path / "data"
     old = read_pictures(root / TRAIN)
     for path in (root / "episodes").iterdir():
-        path.unlink()  # so that nothing can be made again
+        path.unlink()  # so that no thumbnail can be computed again
     table = pq.read_table(root / METADATA_FILE)
     renamed = table.set_column(3, "instruction", pa.array(["Go there."] * 3))
     pq.write_table(renamed, root / METADATA_FILE)
@@ -106,7 +106,7 @@ def test_a_thumbnail_is_made_once_even_when_rows_come_in(tmp_path: Path) -> None
     assert read_pictures(root / TRAIN) == old
 
 
-def test_thumbnails_for_which_time_was_lacking_are_made_by_the_next_call(tmp_path: Path) -> None:
+def test_thumbnails_left_out_at_the_deadline_are_made_by_the_next_call(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 2, with_split_tables=False)
     root = tmp_path / "data"
     with open_archive(root) as archive:
@@ -131,7 +131,7 @@ def test_an_episode_that_a_gateway_keeps_has_a_row_without_a_thumbnail(root: Pat
     assert len(read_pictures(root / TEST)) == pq.read_metadata(root / TEST).num_rows
 
 
-def test_a_range_of_episode_numbers_is_a_file_of_its_own(root: Path) -> None:
+def test_each_range_of_episode_numbers_has_a_separate_file(root: Path) -> None:
     names = [(table.name, table.rows.num_rows) for table in split_tables_of(root, shard_episodes=5)]
     assert names == [
         *((f"data/{split}-00000.parquet", 1) for split in Split),
@@ -157,7 +157,7 @@ DAMAGE = {
         Kind.CONTRADICTION,
         False,
     ),
-    "a picture that is none": (lambda path: spoil_picture(path), Kind.DAMAGED, True),
+    "an invalid picture": (lambda path: spoil_picture(path), Kind.DAMAGED, True),
 }
 
 
@@ -171,7 +171,7 @@ def spoil_picture(path: Path) -> None:
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_verify_finds_damage_and_writing_anew_mends_it(root: Path, what: str) -> None:
+def test_verify_finds_damage_and_rewriting_repairs_it(root: Path, what: str) -> None:
     whole = (root / TEST).read_bytes()
     spoil, kind, is_deep = DAMAGE[what]
     spoil(root / TEST)
@@ -183,7 +183,7 @@ def test_verify_finds_damage_and_writing_anew_mends_it(root: Path, what: str) ->
     assert found_in(root, deep=True) == []
 
 
-def test_a_surplus_file_is_found_and_set_aside(root: Path) -> None:
+def test_a_surplus_file_is_found_and_moved_away(root: Path) -> None:
     (root / "data" / "train_id-00007.parquet").write_bytes((root / TRAIN).read_bytes())
     (root / "data" / "notes.txt").write_text("mine")
     found = {(finding.kind, finding.file) for finding in verify(root).findings}
@@ -196,13 +196,13 @@ def test_a_surplus_file_is_found_and_set_aside(root: Path) -> None:
     ]
 
 
-def test_a_dataset_of_former_software_without_them_is_sound(tmp_path: Path) -> None:
+def test_a_dataset_of_an_earlier_version_without_split_tables_is_valid(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 3, with_split_tables=False)
     assert verify(tmp_path / "data", deep=True).ok
     assert not names_split_tables((tmp_path / "data" / CARD_FILE).read_text())
 
 
-def test_tables_that_lag_behind_a_run_under_way_are_sound(root: Path) -> None:
+def test_tables_that_lag_behind_an_active_run_are_valid(root: Path) -> None:
     path = root / META_FILE
     meta = DatasetMeta.model_validate_json(path.read_text())
     path.write_text(meta.model_copy(update={"complete": False, "dataset_digest": None}).model_dump_json())
@@ -212,7 +212,7 @@ def test_tables_that_lag_behind_a_run_under_way_are_sound(root: Path) -> None:
     assert [finding.kind for finding in verify(root).findings] == [Kind.DAMAGED]
 
 
-def test_a_card_that_lost_its_tables_names_them_again(root: Path) -> None:
+def test_a_card_that_lost_its_tables_is_completed(root: Path) -> None:
     card = (root / CARD_FILE).read_text()
     (root / CARD_FILE).write_text(card.replace("path: data/val_id-*.parquet", "path: gone-*.parquet"))
     rewrite(root)
@@ -220,7 +220,7 @@ def test_a_card_that_lost_its_tables_names_them_again(root: Path) -> None:
     assert splits_at(root) == tuple(map(str, Split))
 
 
-def test_what_the_card_names_is_part_of_the_dataset_and_is_pushed(root: Path) -> None:
+def test_files_named_by_the_card_are_part_of_the_dataset_and_are_pushed(root: Path) -> None:
     assert is_part("data")
     pushed = {file.name for file in plan_push(root, "export.json").files}
     assert {f"data/{split}-00000.parquet" for split in Split} <= pushed

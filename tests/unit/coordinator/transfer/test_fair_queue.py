@@ -1,4 +1,4 @@
-"""The queue in which owners take turns by the time they were served."""
+"""The queue that serves owners in order of their consumed time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_items_of_one_owner_stay_in_order_and_an_unfinished_one_goes_first() -> 
     assert [serve(queue, 1), serve(queue, 1)] == ["a1", "a2"]
 
 
-def test_an_owner_has_a_second_item_under_way_only_while_nobody_else_waits() -> None:
+def test_an_owner_has_a_second_active_item_only_while_no_other_owner_waits() -> None:
     queue: FairQueue[str] = FairQueue()
     for item in ("a1", "a2", "a3"):
         queue.put("a", item)
@@ -47,7 +47,7 @@ def test_an_owner_has_a_second_item_under_way_only_while_nobody_else_waits() -> 
     assert queue.sizes() == {"a": 3, "b": 1}
 
 
-def test_a_closed_queue_gives_back_what_waits_and_wakes_who_waits() -> None:
+def test_a_closed_queue_returns_its_items_and_wakes_blocked_threads() -> None:
     queue: FairQueue[str] = FairQueue()
     ends: list[object] = []
     waiting = threading.Thread(target=lambda: ends.append(queue.take()))

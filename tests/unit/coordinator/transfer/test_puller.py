@@ -1,4 +1,4 @@
-"""Bringing a bundle home: over the network, or from the disk on which the archive lies, too."""
+"""Pulling a bundle over the network, or linking it from the disk of the archive."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LEASE = Lease(job_id=1, fence=1, token="0" * 32)
 
 @dataclass
 class House:
-    """A ledger and a judge that agree with everything, and a worker that serves `BUNDLE`; all take notes."""
+    """A ledger and a validator that accept everything, and a worker that serves `BUNDLE`; all record their calls."""
 
     fetched: list[Chunk] = field(default_factory=list)
     judged: list[bytes] = field(default_factory=list)
@@ -65,7 +65,7 @@ class House:
 
 @contextmanager
 def brought(root: Path, nearby: Nearby) -> Iterator[tuple[House, Path]]:
-    """Has one bundle brought, and gives what was noted and where it has to lie."""
+    """Pulls one bundle; returns the recorded calls and its expected path."""
     house = House()
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0)
     sha256 = hashlib.sha256(BUNDLE).hexdigest()
@@ -86,7 +86,7 @@ def spooled(root: Path, data: bytes) -> Path:
     return path
 
 
-def test_a_bundle_comes_over_the_network_in_parts(tmp_path: Path) -> None:
+def test_a_bundle_is_fetched_over_the_network_in_parts(tmp_path: Path) -> None:
     with brought(tmp_path, nothing_nearby) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert [chunk.offset for chunk in house.fetched] == [0, 4096, 8192]
@@ -102,7 +102,7 @@ def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: P
         assert place.read_bytes() == BUNDLE
 
 
-def test_a_bundle_that_cannot_be_taken_is_fetched(tmp_path: Path) -> None:
+def test_a_bundle_that_cannot_be_linked_is_fetched(tmp_path: Path) -> None:
     for source in (tmp_path / "gone.zip", spooled(tmp_path, b"torn"), tmp_path / "gone" / "too.zip"):
         root = tmp_path / source.stem
         with brought(root, lambda _lease, source=source: source) as (house, place):  # type: ignore[misc]
@@ -118,7 +118,7 @@ def test_a_bundle_on_the_archives_disk_must_be_the_one_announced(tmp_path: Path)
         assert path.exists()
 
 
-def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: Path) -> None:
+def test_a_bundle_in_an_unreadable_spool_is_fetched_over_the_network(tmp_path: Path) -> None:
     def vanished(_lease: Lease) -> Path:
         raise FileNotFoundError("dropped meanwhile")
 
@@ -127,7 +127,7 @@ def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: 
         assert len(house.fetched) == 3
 
 
-def test_refused_bundles_of_one_host_fill_no_log(tmp_path: Path) -> None:
+def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None:
     house, count = House(), 60
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
     target: Any = None
@@ -146,7 +146,7 @@ def test_refused_bundles_of_one_host_fill_no_log(tmp_path: Path) -> None:
 
 
 class Crowd(House):
-    """Workers of several hosts; those whose name begins with `slow` take their time for every chunk."""
+    """Workers of several hosts; those with a name that starts with `slow` delay every chunk."""
 
     def __init__(self, pause_s: float) -> None:
         super().__init__()
@@ -188,7 +188,7 @@ def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_host
     assert list((tmp_path / "data" / ".staging").iterdir()) == []
 
 
-def test_bundles_that_take_turns_arrive_whole(tmp_path: Path) -> None:
+def test_interleaved_transfers_arrive_intact(tmp_path: Path) -> None:
     crowd = Crowd(pause_s=0.1)
     settings = CoordinatorSettings(pullers=1, chunk_bytes=1024, reserve_bytes=0)
     with (
@@ -220,7 +220,7 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1])
-def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
+def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
     house, asked = House(), threading.Event()
 
     def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
@@ -237,7 +237,7 @@ def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tm
         open_archive(tmp_path / "data") as archive,
         Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
     ):
-        for _ in range(600):  # as beats do
+        for _ in range(600):  # as heartbeats do
             pullers.offer(pull)
             if house.done.wait(0.05):
                 break
@@ -246,7 +246,7 @@ def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tm
     assert f"not served: {size * 1024} of {len(BUNDLE)} bytes" in house.refused[0]
 
 
-def test_a_bundle_whose_transfers_fail_for_a_moment_is_brought(tmp_path: Path) -> None:
+def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> None:
     house, failures = House(), iter(range(3))
 
     def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
@@ -268,7 +268,7 @@ def test_a_bundle_whose_transfers_fail_for_a_moment_is_brought(tmp_path: Path) -
     assert house.judged == [BUNDLE]
 
 
-def test_room_is_counted_for_bundles_that_are_under_way(tmp_path: Path) -> None:
+def test_space_is_reserved_for_bundles_in_transfer(tmp_path: Path) -> None:
     crowd = Crowd(pause_s=0.1)
     with open_archive(tmp_path / "data") as archive:
         free = archive.free_bytes()

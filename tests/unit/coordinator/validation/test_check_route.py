@@ -1,4 +1,4 @@
-"""What validation finds in the route an episode claims."""
+"""Validation of the route of an episode."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def findings(parts: BundleParts) -> list[str]:
     return route_findings(parts.meta, parts.arrays)
 
 
-def test_a_true_route_is_accepted():
+def test_a_correct_route_is_accepted():
     assert findings(planner_parts()) == []
     assert findings(parts_for()) == []
 
 
-def test_a_start_that_no_floor_connects_has_no_distance():
+def test_an_unconnected_start_has_no_distance():
     assert findings(planner_parts(geodesic_m=None)) == []
 
 

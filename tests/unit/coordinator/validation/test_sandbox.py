@@ -1,4 +1,4 @@
-"""What a confined process can still do: real processes, real system calls."""
+"""Permitted operations of a confined process: real processes, real system calls."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ ALLOWED = {"what it was handed": "inherited.read()", "memory": "bytearray(64 << 
 
 
 def outcome(folder: Path, action: str) -> tuple[list[str], str]:
-    """Returns what confines a fresh process, and what came of an action in it."""
+    """Returns the active limits of a new process and the result of an action in it."""
     (folder / "secret").write_text("token")
     (folder / "bundle").write_bytes(b"frames")
     words = [sys.executable, "-c", SCRIPT, str(folder), action]
@@ -80,7 +80,7 @@ def test_a_confined_process_can_use(what: str, tmp_path: Path) -> None:
     assert said == "done"
 
 
-def test_without_the_library_limits_hold_and_the_log_says_what_is_missing(tmp_path: Path) -> None:
+def test_without_the_library_limits_apply_and_the_log_names_the_missing_part(tmp_path: Path) -> None:
     (tmp_path / "pyseccomp.py").write_text("raise ImportError('not installed')")
     (tmp_path / "ep_000001.zip").write_bytes(b"rubbish")
     code = (
@@ -98,7 +98,7 @@ def test_without_the_library_limits_hold_and_the_log_says_what_is_missing(tmp_pa
     assert "libseccomp2" in run.stdout
 
 
-def test_a_pipe_in_the_place_of_a_bundle_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_instead_of_a_bundle_is_refused_without_blocking(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "ep_000001.zip")
     with Validator() as validator, pytest.raises(InvalidBundle, match="not a regular file"):
         validator.check(tmp_path / "ep_000001.zip", job_for())

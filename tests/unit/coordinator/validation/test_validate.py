@@ -1,4 +1,4 @@
-"""Every violation that validation promises to find, one at a time, on the smallest valid bundle."""
+"""Every violation that validation detects, one at a time, on the smallest valid bundle."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_impossible_frames_are_found(breaker: Breaker, text: str) -> None:
     assert text in findings_of(breaker(parts_for()))
 
 
-def test_all_violations_come_at_once() -> None:
+def test_all_violations_are_returned_at_once() -> None:
     broken = with_pose(parts_for().with_job(instruction="Fly."), 6, 2, 0.3).with_rollout(steps_visible=1)
     found = findings_of(broken, job_for(2))
     assert all(text in found for text in ("job.index", "'Fly.'", "height above", "steps_visible 1"))

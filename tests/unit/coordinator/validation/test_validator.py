@@ -47,7 +47,7 @@ def test_all_violations_cross_the_pipe(validator: Validator, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"\x00" * 5000, bundle_bytes()[:-100]])
-def test_rubbish_is_refused(validator: Validator, tmp_path: Path, damage: bytes) -> None:
+def test_random_bytes_are_refused(validator: Validator, tmp_path: Path, damage: bytes) -> None:
     path = tmp_path / "x.part"
     path.write_bytes(damage)
     with pytest.raises(InvalidBundle):
@@ -77,7 +77,7 @@ def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> N
             validator.check(bundle, job_for())
 
 
-def test_children_that_die_one_after_another_fill_no_log(bundle: Path) -> None:
+def test_repeated_child_crashes_do_not_fill_the_log(bundle: Path) -> None:
     with Validator(limits=ValidatorLimits(wall_s=0.001), clock=lambda: 0.0) as validator, capture_logs() as lines:
         for _ in range(2):
             with pytest.raises(InvalidBundle, match="2 validating processes died"):
@@ -85,13 +85,13 @@ def test_children_that_die_one_after_another_fill_no_log(bundle: Path) -> None:
     assert [line["event"] for line in lines].count("validator_died") == 1
 
 
-def test_child_that_cannot_start_is_the_machine_and_not_the_bundle(bundle: Path) -> None:
+def test_a_child_that_cannot_start_is_a_machine_error_and_not_a_bundle_error(bundle: Path) -> None:
     tight = ValidatorLimits.model_construct(memory_bytes=1 << 20, cpu_s=10, wall_s=10.0)
     with Validator(limits=tight) as validator, pytest.raises(TransientError, match="does not start"):
         validator.check(bundle, job_for())
 
 
-def test_closed_validator_says_so(bundle: Path) -> None:
+def test_a_closed_validator_raises_an_error(bundle: Path) -> None:
     validator = Validator()
     validator.close()
     with pytest.raises(TransientError, match="closed"):

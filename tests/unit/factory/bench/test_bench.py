@@ -1,4 +1,4 @@
-"""The parts of the benchmarks that need no simulation: the watch, spreads, the choice of work, the machine."""
+"""The parts of the benchmarks that need no simulation: stopwatch, spreads, choice of jobs, machine description."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.builders.dataset import make_dataset
 from tests.builders.scene import box_room
 
 
-def test_a_watch_gives_every_stage_the_time_since_the_stage_before() -> None:
+def test_a_stopwatch_gives_every_stage_the_time_since_the_previous_stage() -> None:
     watch = ProcessWatch()
     begun = time.perf_counter()
     watch.start()
@@ -33,7 +33,7 @@ def test_a_watch_gives_every_stage_the_time_since_the_stage_before() -> None:
     assert list(times) == ["slow", "quick"]
     assert times["slow"][0] >= 0.04
     assert times["slow"][0] + times["quick"][0] <= time.perf_counter() - begun
-    assert times["slow"][1] < times["slow"][0]  # asleep is no CPU time
+    assert times["slow"][1] < times["slow"][0]  # sleeping uses no CPU time
     watch.start()
     assert watch.take() == {}
 
@@ -61,7 +61,7 @@ def test_a_scene_or_number_that_the_plan_does_not_have_is_refused_by_name() -> N
         narrow(load_plan("paper"), ("hospital", "office"), 53)
 
 
-def test_the_poses_to_render_are_the_same_every_time_and_stand_on_surveyed_points() -> None:
+def test_the_poses_to_render_are_reproducible_surveyed_points() -> None:
     scene = box_room()
     poses = poses_in(scene, 20)
     assert poses == poses_in(scene, 20)
@@ -69,7 +69,7 @@ def test_the_poses_to_render_are_the_same_every_time_and_stand_on_surveyed_point
     assert {(pose.x, pose.y) for pose in poses} <= surveyed
 
 
-def test_a_peak_can_be_forgotten() -> None:
+def test_a_memory_peak_can_be_reset() -> None:
     held = mmap.mmap(-1, 200 << 20)
     held.write(b"x" * len(held))
     held.close()
@@ -84,7 +84,7 @@ def test_the_machine_is_named_and_its_memory_is_that_of_this_process() -> None:
     machine = describe_machine()
     assert machine.cpu
     assert machine.cores >= 1
-    # a map of its own: what malloc hands out may be pages that this process held before, in a long test run
+    # a new mapping: malloc may return pages that this process used before
     with mmap.mmap(-1, 40 << 20) as held:
         before = resident_mib()
         held[:: mmap.PAGESIZE] = b"x" * (len(held) // mmap.PAGESIZE)
@@ -93,7 +93,7 @@ def test_the_machine_is_named_and_its_memory_is_that_of_this_process() -> None:
     assert memory.peak_mib >= memory.end_mib - 1
 
 
-def test_reading_is_measured_on_the_episodes_that_are_there(tmp_path) -> None:
+def test_reading_is_measured_on_the_existing_episodes(tmp_path) -> None:
     make_dataset(tmp_path / "data", episodes=2)
     report = bench_read(Dataset(tmp_path / "data"), frames=4, repeats=2, workers=0)
     assert (report.episodes, report.frames, report.random_frames_per_s.runs) == (2, 4, 2)

@@ -1,4 +1,4 @@
-"""All verbs at once: every option explains itself, every result can be had as JSON, the shell completes what it can."""
+"""All commands: every option has a help text, every result is available as JSON, shell completion works."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def complete(*words: str) -> list[tuple[str, str]]:
     return [(item.type, item.value) for item in shell.get_completions(list(words[:-1]), words[-1])]
 
 
-def test_every_option_of_every_verb_says_what_it_is_for() -> None:
+def test_every_option_of_every_command_has_a_help_text() -> None:
     silent = [
         f"{path} {parameter.opts[0]}"
         for path, verb in verbs()
@@ -42,7 +42,7 @@ def test_every_option_of_every_verb_says_what_it_is_for() -> None:
     assert silent == []
 
 
-def test_every_verb_that_prints_a_result_prints_it_as_json_too() -> None:
+def test_every_command_that_prints_a_result_can_print_json() -> None:
     without = {path for path, verb in verbs() if "as_json" not in {parameter.name for parameter in verb.params}}
     assert without == SERVERS | {"factory completion"}
 
@@ -71,13 +71,13 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
         ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
     ],
 )
-def test_a_format_that_is_not_written_is_told_what_is_near_or_where_it_is_made(name: str, said: str) -> None:
+def test_an_unknown_format_suggests_the_closest_format_or_its_recipe(name: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)
 
 
 @pytest.mark.parametrize("stroke", [KeyboardInterrupt, click.exceptions.Abort])
-def test_ctrl_c_anywhere_says_how_to_go_on(
+def test_ctrl_c_prints_how_to_resume(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stroke: type[BaseException]
 ) -> None:
     def interrupted(**_: object) -> None:

@@ -82,7 +82,7 @@ def shown(command: click.Command, path: str) -> str:
     return command.get_help(context)
 
 
-def test_the_table_of_verbs_says_what_each_command_says_of_itself() -> None:
+def test_the_command_table_has_the_summary_of_each_command() -> None:
     said = {
         name: command.help for name, command in ((n, cli.get_command(click.Context(cli), n)) for n in VERBS) if command
     }
@@ -111,7 +111,7 @@ def test_no_line_of_any_help_is_wider_than_80_columns() -> None:
     assert wide == []
 
 
-def test_every_option_is_explained_in_a_sentence() -> None:
+def test_every_option_has_a_help_sentence() -> None:
     texts = {f"{path} {option.opts[-1]}": (option.help or "").split(" [")[0] for path, option in options()}
     bad = {name for name, text in texts.items() if not text.endswith(".") or not (text[:1].isupper() or ":" in text)}
     assert bad == {f"{path} --renderer" for path, option in options() if "--renderer" in option.opts} & bad
@@ -127,7 +127,7 @@ def test_every_option_that_takes_a_value_names_it() -> None:
     assert silent == set()
 
 
-def test_no_option_has_a_spelling_beside_the_convention() -> None:
+def test_every_option_name_follows_the_convention() -> None:
     assert {(path, name) for path, option in options() for name in option.opts if name in SYNONYMS} == set()
 
 
@@ -240,7 +240,7 @@ def test_a_misspelled_command_or_option_is_answered_with_the_closest_visible_nam
         "cli.main(['completion', 'bash'], standalone_mode=False)",
     ],
 )
-def test_help_and_completion_import_no_verb_and_nothing_heavy(body: str) -> None:
+def test_help_and_completion_import_no_command_and_no_heavy_package(body: str) -> None:
     command = [sys.executable, "-c", IMPORTED.format(body=body)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = set(done.stderr.split())
@@ -259,7 +259,7 @@ def test_help_and_completion_import_no_verb_and_nothing_heavy(body: str) -> None
     } & loaded == set()
 
 
-def test_no_verb_imports_the_parts_of_scipy_before_it_computes_with_them() -> None:
+def test_commands_import_scipy_submodules_lazily() -> None:
     body = "import importlib\nfrom factory.cli.verbs import VERBS\n"
     body += "for entry in VERBS.values(): importlib.import_module(f'factory.cli.{entry.module}')"
     command = [sys.executable, "-c", IMPORTED.format(body=body)]

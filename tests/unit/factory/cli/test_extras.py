@@ -1,4 +1,4 @@
-"""A package that is missing is told before anything is read, made or started."""
+"""A missing package is reported before any file is read or written."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WANTED = [
 ]
 
 
-def test_collating_without_torch_names_the_extra() -> None:
+def test_collation_without_torch_names_the_extra() -> None:
     if importlib.util.find_spec("torch") is not None:
         pytest.skip("torch is installed here")
     with pytest.raises(UsageError, match=re.escape(install_command("train"))):
@@ -33,7 +33,7 @@ def test_collating_without_torch_names_the_extra() -> None:
 
 
 @pytest.mark.parametrize(("module", "words", "extra"), WANTED, ids=[words[0] for _, words, _ in WANTED])
-def test_a_verb_that_lacks_its_package_makes_nothing(
+def test_a_command_with_a_missing_package_writes_nothing(
     tmp_path: Path, module: str, words: tuple[str, ...], extra: str
 ) -> None:
     if importlib.util.find_spec(module) is not None:
@@ -53,7 +53,7 @@ def test_each_extra_that_a_page_names_exists() -> None:
     assert {"sim", "eval", "train"} <= named <= set(declared)
 
 
-def test_setting_up_ends_with_the_next_command() -> None:
+def test_make_setup_prints_the_next_command() -> None:
     own = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     words = ("make", "--dry-run", "setup")
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True, env=own)

@@ -1,4 +1,4 @@
-"""The reader of a dataset: as a sequence, across processes, and in the face of damage."""
+"""The reader of a dataset: as a sequence, across processes, and with damaged data."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_filters_narrow_and_combine(shared: Path) -> None:
         ({"episode": "ep_000004"}, "unknown episode 'ep_000004'; valid values: ep_000001, ep_000002, ep_000003"),
     ],
 )
-def test_values_that_no_dataset_could_have_are_named(shared: Path, wanted: dict[str, str], said: str) -> None:
+def test_impossible_filter_values_are_named(shared: Path, wanted: dict[str, str], said: str) -> None:
     with pytest.raises(UsageError, match=said):
         Dataset(shared).filter(**wanted)
 
@@ -120,13 +120,13 @@ def test_values_that_no_dataset_could_have_are_named(shared: Path, wanted: dict[
         {"split": ()},
     ],
 )
-def test_values_of_the_vocabulary_may_leave_nothing(shared: Path, wanted: dict[str, str]) -> None:
+def test_a_valid_filter_may_select_nothing(shared: Path, wanted: dict[str, str]) -> None:
     part = Dataset(shared).filter(**wanted)
     assert len(part) == 0
     assert len(part.filter(episode="ep_000002", target="chair_001")) == 0
 
 
-def test_digest_is_the_one_in_the_description(shared: Path) -> None:
+def test_the_digest_equals_the_one_in_the_description(shared: Path) -> None:
     data = Dataset(shared)
     assert data.digest == data.meta.dataset_digest
     assert data.filter(episode="ep_000001").digest != data.digest
@@ -178,7 +178,7 @@ def test_damaged_frame_is_named_and_the_others_can_be_read(own: Path) -> None:
         episode.rgb(3)
 
 
-def test_a_table_that_claims_a_thousand_million_steps_costs_nothing(own: Path) -> None:
+def test_a_forged_number_of_steps_allocates_no_memory(own: Path) -> None:
     true = Dataset(own)[0]
     false = Episode(true.path, true.summary.model_copy(update={"num_steps": 10**9}))
     with pytest.raises(ArchiveCorrupt, match="has 12 steps, the metadata says 1000000000"):
@@ -210,7 +210,7 @@ def test_damaged_metadata_is_named(own: Path, text: bytes) -> None:
         Dataset(own)
 
 
-def test_import_of_the_package_stays_light() -> None:
+def test_importing_the_package_loads_no_heavy_dependency() -> None:
     script = "import sys, factory; print('pyarrow' in sys.modules, 'numpy' in sys.modules, factory.Dataset.__name__)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False", "Dataset"]
@@ -232,13 +232,13 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before) / len(frames
 """
 
 
-def test_memory_of_a_frame_serves_the_next_one(shared: Path) -> None:
-    """A frame has about 900 pages; where they are given back to the system each is faulted in again."""
+def test_the_memory_of_a_frame_is_reused_for_the_next_one(shared: Path) -> None:
+    """A frame has about 900 pages, each of which would cause a page fault if its memory were returned to the system."""
     done = subprocess.run([sys.executable, "-c", _FAULTS, str(shared)], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 150
 
 
-def test_frame_dataset_walks_over_all_frames(shared: Path) -> None:
+def test_a_frame_dataset_iterates_over_all_frames(shared: Path) -> None:
     samples = FrameDataset(Dataset(shared))
     assert len(samples) == 36
     seen = [(samples[n]["episode_id"], samples[n]["step"]) for n in (0, 11, 12, 35, -1)]
@@ -290,7 +290,7 @@ def test_collation_makes_what_torchs_own_makes(shared: Path) -> None:
 
 
 def test_threads_may_share_an_episode(shared: Path) -> None:
-    """A file has one position: readers that move it under each other found damage where there is none."""
+    """A file has one position: concurrent readers that moved it reported false damage."""
     episode = Dataset(shared)[0]
     wanted = [frame[0] for frame in parts_for().frames]
     with ThreadPoolExecutor(8) as pool:
@@ -298,7 +298,7 @@ def test_threads_may_share_an_episode(shared: Path) -> None:
     assert all(np.array_equal(image, wanted[n % len(episode)]) for n, image in enumerate(seen))
 
 
-def test_no_threads_are_refused(shared: Path) -> None:
+def test_zero_threads_are_refused(shared: Path) -> None:
     with pytest.raises(ValueError, match="threads 0: must be at least 1"):
         FrameDataset(Dataset(shared), threads=0)
 

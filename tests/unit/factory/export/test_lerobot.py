@@ -1,4 +1,4 @@
-"""LeRobot datasets: as LeRobot's own writer makes them, and true to the bundles."""
+"""LeRobot datasets: equal to those of LeRobot's writer, with the content of the bundles."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ def column(table: pa.Table, name: str) -> np.ndarray[Any, Any]:
     return np.asarray(table[name].to_pylist())
 
 
-def test_info_is_that_of_lerobots_own_writer(everything: Path) -> None:
+def test_info_equals_that_of_lerobots_writer(everything: Path) -> None:
     ours, theirs = info_of(everything), dict(FROZEN["info"])
     assert ours.keys() == theirs.keys()
     assert list(ours["features"]) == list(theirs["features"])
     for name, feature in theirs["features"].items():
         mine = ours["features"][name]
-        encoder = {"video.crf", "video.extra_options"}  # what we encode with, not what a reader needs
+        encoder = {"video.crf", "video.extra_options"}  # encoder settings, not needed by readers
         info = {key: value for key, value in feature.pop("info", {}).items() if key not in encoder}
         assert {key: value for key, value in mine.pop("info", {}).items() if key not in encoder} == info
         assert mine == feature
@@ -87,7 +87,7 @@ def test_info_is_that_of_lerobots_own_writer(everything: Path) -> None:
     assert {k: v for k, v in ours.items() if k not in counted} == {k: v for k, v in theirs.items() if k not in counted}
 
 
-def test_tables_are_those_of_lerobots_own_writer(everything: Path) -> None:
+def test_tables_equal_those_of_lerobots_writer(everything: Path) -> None:
     assert types_of(everything / DATA) == FROZEN["data"]
     assert json.loads(pq.read_schema(everything / DATA).metadata[b"huggingface"]) == FROZEN["data_features"]
     ours = types_of(everything / EPISODES)
@@ -104,7 +104,7 @@ def test_tables_are_those_of_lerobots_own_writer(everything: Path) -> None:
     assert files == {*FROZEN["files"], "README.md", "export.json"}
 
 
-def test_rows_hold_what_was_recorded(everything: Path) -> None:
+def test_rows_contain_the_recorded_values(everything: Path) -> None:
     rows, episodes = pq.read_table(everything / DATA), pq.read_table(everything / EPISODES).to_pylist()
     tasks = pq.read_table(everything / "meta/tasks.parquet").to_pylist()
     assert [row["episode_id"] for row in episodes] == list(ORDER)
@@ -217,7 +217,7 @@ def test_version_2_1_has_one_file_an_episode(older: Path) -> None:
         assert [time for time, _, _ in frames] == pytest.approx(column(table, "timestamp").tolist())
 
 
-def test_modality_names_all_of_state_and_action(older: Path) -> None:
+def test_modality_covers_the_whole_state_and_action(older: Path) -> None:
     assert json.loads((older / "meta/modality.json").read_text()) == MODALITY
     features = info_of(older)["features"]
     state = sorted((part["start"], part["end"]) for part in MODALITY["state"].values())
@@ -227,11 +227,11 @@ def test_modality_names_all_of_state_and_action(older: Path) -> None:
     stats = json.loads((older / "meta/stats.json").read_text())
     for part in (*MODALITY["state"].values(), *MODALITY["action"].values()):
         assert np.issubdtype(part["dtype"], np.number)
-    for key in ("observation.state", "action", "tokens"):  # GR00T cuts its parts out of every statistic
+    for key in ("observation.state", "action", "tokens"):  # GR00T slices its parts out of every statistic
         assert {len(values) for values in stats[key].values()} == {features[key]["shape"][0]}
 
 
-def test_version_2_1_describes_its_lists_as_its_readers_know_them(older: Path) -> None:
+def test_version_2_1_uses_the_list_type_of_its_readers(older: Path) -> None:
     """`datasets` 3, which LeRobot 0.3 asks for, knows no `List`, and 4 still reads `Sequence`."""
     (path, *_) = sorted(older.glob("data/*/*.parquet"))
     described = json.loads(pq.read_schema(path).metadata[b"huggingface"])["info"]["features"]
@@ -240,9 +240,9 @@ def test_version_2_1_describes_its_lists_as_its_readers_know_them(older: Path) -
     assert {described[name]["_type"] for name in lists} == {"Sequence"}
 
 
-def test_files_are_cut_at_their_limit(varied: Path, tmp_path: Path) -> None:
+def test_files_are_split_at_their_size_limit(varied: Path, tmp_path: Path) -> None:
     shutil.copytree(varied, tmp_path / "data")
-    (tmp_path / "data/episodes/ep_000003.zip").unlink()  # an export that misses an episode keeps its pieces
+    (tmp_path / "data/episodes/ep_000003.zip").unlink()  # an export with a missing episode keeps its pieces
     options, out = LeRobotOptions(fps=10), tmp_path / "out"
     assert not run_export(ExportOrder(tmp_path / "data", out, "lerobot", options)).complete
     dataset = Dataset(varied)
@@ -277,7 +277,7 @@ def test_rate_that_does_not_divide_is_refused(varied: Path, tmp_path: Path) -> N
 
 
 def test_state_is_odometry_from_the_first_frame() -> None:
-    """A quarter circle to the left of radius 1 m within one second, begun at (3, 2) facing +y."""
+    """A quarter circle to the left of radius 1 m within one second, from (3, 2) facing +y."""
     t = np.linspace(0, 1, 61)
     yaw = np.pi / 2 + t * np.pi / 2
     poses = np.zeros((61, 7), np.float32)
@@ -291,7 +291,7 @@ def test_state_is_odometry_from_the_first_frame() -> None:
     assert np.array_equal(frame_columns(np.zeros((61, 2), np.float32), poses, 60, 6).state, state[::6])
 
 
-def test_last_window_of_commands_is_the_mean_of_what_is_left() -> None:
+def test_the_last_window_of_commands_is_averaged_over_the_remaining_steps() -> None:
     actions = np.array([[0.0, 0], [0.3, 1], [0.6, -1], [1.0, 0.5]], np.float32)
     poses = np.zeros((4, 7), np.float32)
     poses[:, 3] = 1
@@ -299,7 +299,7 @@ def test_last_window_of_commands_is_the_mean_of_what_is_left() -> None:
     assert np.array_equal(frame_columns(actions, poses, 60, 1).action, actions)
 
 
-def test_depth_code_keeps_nothing_as_nothing_and_errs_by_half_a_step() -> None:
+def test_the_depth_encoding_keeps_zero_and_has_an_error_of_half_a_step() -> None:
     code = DepthCode(FAR_M)
     depth = np.linspace(0, FAR_M, 100_001, dtype=np.float32).reshape(1, -1)
     codes = code.encode(depth)

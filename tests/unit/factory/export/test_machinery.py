@@ -1,4 +1,4 @@
-"""What stands behind all formats: processes, the directory, selection, options on the command line."""
+"""The shared parts of all formats: processes, output directory, selection, command line options."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_tasks_are_drawn_as_processes_become_free() -> None:
     answers.close()
 
 
-def test_dead_process_is_said() -> None:
+def test_a_dead_process_is_reported() -> None:
     with pytest.raises(WorldError, match="a process of the export died"):
         list(run_tasks(die, [3], 1, threading.Event()))
 
@@ -90,7 +90,7 @@ def test_stop_ends_processes_at_once(tmp_path: Path) -> None:
     assert not is_alive(int(told.read_text()))
 
 
-def test_pieces_arrive_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_output_files_are_written_atomically(tmp_path: Path) -> None:
     with Output(tmp_path / "out") as out:
         for number in (1, 2):
             staged = out.staging_folder(f"ep_{number}")
@@ -180,7 +180,7 @@ def test_command_line_takes_the_options_of_every_format() -> None:
             assert info.description, f"{name}: {field} says nothing of itself"
 
 
-def test_command_exports_in_processes_and_tells_the_result(varied: Path, tmp_path: Path) -> None:
+def test_the_command_exports_in_processes_and_prints_the_result(varied: Path, tmp_path: Path) -> None:
     words = [
         str(varied),
         "--to",
@@ -200,7 +200,7 @@ def test_command_exports_in_processes_and_tells_the_result(varied: Path, tmp_pat
     assert told["bytes"] == sum(path.stat().st_size for path in (tmp_path / "out").rglob("*") if path.is_file())
 
 
-def test_command_names_what_it_skips_and_ends_with_one(varied: Path, tmp_path: Path) -> None:
+def test_the_command_names_skipped_episodes_and_exits_with_1(varied: Path, tmp_path: Path) -> None:
     shutil.copytree(varied, tmp_path / "data")
     (tmp_path / "data/episodes/ep_000002.zip").write_bytes(b"rubbish")
     words = [str(tmp_path / "data"), "--to", "paper", "-o", str(tmp_path / "out"), "--workers", "1"]
@@ -210,10 +210,10 @@ def test_command_names_what_it_skips_and_ends_with_one(varied: Path, tmp_path: P
     assert "1 episodes skipped" in done.stdout
 
 
-def test_command_names_what_the_dataset_lacks_of_its_plan_and_ends_with_one(tmp_path: Path) -> None:
+def test_the_command_names_missing_episodes_of_the_plan_and_exits_with_1(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 1, planned=7)
     words = [str(tmp_path / "data"), "--to", "vlnce", "-o", str(tmp_path / "out"), "--workers", "1"]
-    for _ in range(2):  # the second time all is there already
+    for _ in range(2):  # the second run finds everything complete
         done = CliRunner().invoke(command, words, standalone_mode=False)
         assert done.return_value == 1
         assert "missing in the dataset: ep_000002, ep_000003, ep_000004, ep_000005, ep_000006 and 1 more" in done.stderr

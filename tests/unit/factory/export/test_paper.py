@@ -1,4 +1,4 @@
-"""The paper's tree: every frame and array is in content what the bundle holds."""
+"""The paper's tree: every frame and array equals the content of the bundle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from schemas.episode import EpisodeMeta
 from tests.unit.factory.export.varied import STEPS
 
 
-def test_tree_is_in_content_what_the_bundles_hold(varied: Path, tmp_path: Path) -> None:
+def test_the_tree_has_the_content_of_the_bundles(varied: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run_export(ExportOrder(varied, out, "paper", PaperOptions())).complete
     for episode in Dataset(varied):
@@ -41,7 +41,7 @@ KINDS = (("rgb_front", "png"), ("depth_front", "npy"), ("seg_front", "png"))
 
 
 def frame(folder: Path, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Reads a frame with libraries that know nothing of us."""
+    """Reads a frame with third-party libraries only."""
     rgb = np.asarray(Image.open(folder / f"rgb_front/{t:06d}.png"))
     ids = np.asarray(Image.open(folder / f"seg_front/{t:06d}.png"))
     return rgb, np.load(folder / f"depth_front/{t:06d}.npy"), ids.astype(np.uint16)
@@ -57,7 +57,7 @@ def test_tables_describe_the_tree(varied: Path, tmp_path: Path) -> None:
     assert read_dataset_meta(out) == read_dataset_meta(varied)
 
 
-def test_part_of_a_dataset_says_so(varied: Path, tmp_path: Path) -> None:
+def test_an_export_of_a_subset_records_it(varied: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     report = run_export(ExportOrder(varied, out, "paper", PaperOptions(), splits=("train_id",)))
     assert (report.episodes, report.frames) == (2, 35)
@@ -66,7 +66,7 @@ def test_part_of_a_dataset_says_so(varied: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in (out / "episodes").iterdir()) == ["ep_000002", "ep_000004"]
 
 
-def test_published_name_of_a_split_is_written_where_asked(varied: Path, tmp_path: Path) -> None:
+def test_the_published_name_of_a_split_is_written_on_request(varied: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run_export(ExportOrder(varied, out, "paper", PaperOptions(split_names="published")))
     splits = pq.read_table(out / "metadata.parquet")["split"].to_pylist()

@@ -18,7 +18,7 @@ def episode(tmp_path_factory):
     return Dataset(root)[0]
 
 
-def test_rlds_steps_say_first_last_and_success(episode):
+def test_rlds_steps_mark_first_last_and_success(episode):
     steps = list(rlds_steps(episode))
     assert len(steps) == len(episode)
     assert [step["is_first"] for step in steps] == [True] + [False] * (len(steps) - 1)
@@ -37,7 +37,7 @@ def test_rlds_steps_at_full_size_are_the_frames(episode):
         np.testing.assert_array_equal(step["action_tokens"], episode.tokens[t])
 
 
-def test_rlds_steps_shrink_and_thin(episode):
+def test_rlds_steps_can_be_resized_and_subsampled(episode):
     steps = list(rlds_steps(episode, fps=20, image_px=64))
     assert len(steps) == 4
     for number, step in enumerate(steps):

@@ -1,4 +1,4 @@
-"""The colours: legible on both grounds, told apart by people who see fewer colours, replaceable by name."""
+"""The colours: legible on both backgrounds, distinguishable with colour vision deficiency, replaceable by name."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_no_two_names_share_a_colour_on_light_ground() -> None:
+def test_no_two_names_share_a_colour_on_a_light_background() -> None:
     assert len({light for light, _ in COLOURS.values()}) == len(COLOURS)
 
 
@@ -56,7 +56,7 @@ def test_marks_have_the_contrast_that_wcag_asks_for(ground: int) -> None:
 
 @pytest.mark.parametrize("ground", _GROUNDS)
 @pytest.mark.parametrize("kind", sorted(_BLIND))
-def test_tiers_differ_for_people_who_see_fewer_colours(kind: str, ground: int) -> None:
+def test_tiers_differ_for_people_with_colour_vision_deficiency(kind: str, ground: int) -> None:
     seen = [
         lab(np.clip(np.array(_BLIND[kind]) @ linear(COLOURS[name][ground]), 0, 1)) for name in TIER_COLOURS.values()
     ]
@@ -68,13 +68,13 @@ def test_scenes_and_tiers_differ_without_any_colour() -> None:
     assert len(set(DASHES)) >= len(BUILTIN_CATEGORIES)
 
 
-def test_scenes_keep_their_colour_by_place() -> None:
+def test_scenes_keep_their_colour_by_position() -> None:
     found = scene_colours([f"s{n}" for n in range(9)])
     assert len(set(found.values())) == 8
     assert found["s0"] == found["s8"] == COLOURS["scene1"][0]
 
 
-def test_drawings_take_the_colours_of_the_page() -> None:
+def test_drawings_use_the_colours_of_the_page() -> None:
     light = COLOURS["near"][0]
     assert with_variables(f'<path style="fill: {light}; stroke: #123456"/>') == (
         '<path style="fill: var(--near); stroke: #123456"/>'

@@ -1,4 +1,4 @@
-"""Templates: text is escaped, a missing name is an error, and the package holds all of them."""
+"""Templates: text is escaped, a missing name is an error, and the package contains all templates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from factory.html import data_uri, join_units, render
 VALUES = {"title": "t", "kicker": "k", "run": "r", "badges": [], "digest": None, "contents": []}
 
 
-def test_text_is_escaped_wherever_it_stands() -> None:
+def test_text_is_escaped_in_every_context() -> None:
     hostile = '"><script>'
     values = VALUES | {"title": hostile, "run": hostile, "badges": [hostile], "contents": [(hostile, hostile)]}
     page = render("base.html", **values)
@@ -22,20 +22,20 @@ def test_text_is_escaped_wherever_it_stands() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(VALUES))
-def test_a_value_that_is_missing_is_an_error(name: str) -> None:
+def test_a_missing_template_value_is_an_error(name: str) -> None:
     values = {key: value for key, value in VALUES.items() if key != name}
     with pytest.raises(jinja2.UndefinedError, match=name):
         render("base.html", **values)
 
 
-def test_the_page_has_both_grounds_and_forbids_requests() -> None:
+def test_the_page_has_both_colour_schemes_and_forbids_requests() -> None:
     page = render("base.html", **VALUES)
     assert "prefers-color-scheme: dark" in page
     assert "default-src 'none'" in page
     assert page.count("--ink:") == 2
 
 
-def test_only_drawings_are_put_on_a_page_unescaped() -> None:
+def test_only_drawings_are_inserted_unescaped() -> None:
     folder = resources.files("factory.html").joinpath("templates")
     unescaped = [
         line.strip()

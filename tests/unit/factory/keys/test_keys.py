@@ -1,4 +1,4 @@
-"""The folder of an authority: what is written, who may read it, what is refused."""
+"""The folder of an authority: files, permissions, refusals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read(path: Path) -> x509.Certificate:
     return x509.load_pem_x509_certificate(path.read_bytes())
 
 
-def test_secrets_are_for_their_owner_only(pki):
+def test_secrets_are_readable_only_by_their_owner(pki):
     keys = sorted(pki.rglob("*.key"))
     assert [path.relative_to(pki).as_posix() for path in keys] == [
         "boss/host.key",
@@ -43,7 +43,7 @@ def test_secrets_are_for_their_owner_only(pki):
     assert not list(pki.rglob("*.part"))
 
 
-def test_a_certificate_names_its_host_and_can_do_one_thing(pki):
+def test_a_certificate_names_its_host_and_has_one_purpose(pki):
     for name, purpose in (("hub", ExtendedKeyUsageOID.SERVER_AUTH), ("node-1", ExtendedKeyUsageOID.CLIENT_AUTH)):
         certificate = read(tls_files(pki / name).certificate)
         (common,) = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
@@ -54,7 +54,7 @@ def test_a_certificate_names_its_host_and_can_do_one_thing(pki):
         certificate.verify_directly_issued_by(read(pki / "ca.pem"))
 
 
-def test_an_evaluator_can_only_connect_and_lets_nobody_in(tmp_path):
+def test_an_evaluator_certificate_is_for_clients_only(tmp_path):
     folder = make_authority(tmp_path / "pki", evaluators=("desk",))
     usage = read(tls_files(folder / "desk").certificate).extensions.get_extension_for_class(x509.ExtendedKeyUsage)
     assert list(usage.value) == [ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -65,7 +65,7 @@ def test_an_evaluator_can_only_connect_and_lets_nobody_in(tmp_path):
         Guard(folder / "desk")
 
 
-def test_a_coordinator_is_known_under_its_addresses(pki):
+def test_a_coordinator_certificate_contains_its_addresses(pki):
     admit(pki, "hub-2", Role.COORDINATOR, ("10.0.0.1", "hub.example.org"), 1, NOW)
     names = read(tls_files(pki / "hub-2").certificate).extensions.get_extension_for_class(x509.SubjectAlternativeName)
     assert names.value.get_values_for_type(x509.DNSName) == ["hub-2", "localhost", "hub.example.org"]
@@ -79,7 +79,7 @@ def test_openssl_accepts_the_key_with_its_certificate(pki):
     context.load_verify_locations(files.ca)
 
 
-def test_every_coordinator_is_told_who_is_admitted(pki):
+def test_every_coordinator_folder_gets_the_host_list(pki):
     admit(pki, "hub-2", Role.COORDINATOR, (), 1, NOW)
     admit(pki, "node-2", Role.WORKER, (), 1, NOW)
     wanted = {"boss": Role.OPERATOR, "node-1": Role.WORKER, "node-2": Role.WORKER}
@@ -115,7 +115,7 @@ def test_an_authority_is_never_replaced(pki):
 
 
 @pytest.mark.parametrize("name", ["a.b", "A", "", "-a", "a-", "a/b", "..", "x" * 49, "*", "a$*"])
-def test_names_that_could_reach_into_other_keys_or_folders_are_refused(pki, name):
+def test_names_with_path_or_key_separators_are_refused(pki, name):
     with pytest.raises(UsageError, match="not a valid host name"):
         admit(pki, name, Role.WORKER, (), 1, NOW)
 
@@ -132,13 +132,13 @@ def test_unknown_hosts_cannot_be_revoked(pki):
         revoke(pki, "nobody")
 
 
-def test_a_key_that_everybody_can_read_is_not_used(pki):
+def test_a_world_readable_key_is_refused(pki):
     tls_files(pki / "node-1").key.chmod(0o644)
     with pytest.raises(UsageError, match="chmod 600"):
         read_credentials(pki / "node-1")
 
 
-def test_an_incomplete_folder_says_what_it_lacks(pki):
+def test_an_incomplete_folder_is_refused_with_the_missing_files(pki):
     tls_files(pki / "node-1").ca.unlink()
     with pytest.raises(UsageError, match=r"lacks ca\.pem"):
         read_credentials(pki / "node-1")
@@ -146,26 +146,26 @@ def test_an_incomplete_folder_says_what_it_lacks(pki):
         Guard(pki / "boss")
 
 
-def test_the_list_of_hosts_is_read_as_it_is_written():
+def test_the_host_list_is_read_back_as_written():
     admitted = {"a": Role.WORKER, "b-1": Role.OPERATOR}
     assert parse_admitted(spell_admitted(admitted)) == admitted
     assert parse_admitted("a\n# b\n\nc operator # d\n") == {"a": Role.WORKER, "c": Role.OPERATOR}
 
 
 @pytest.mark.parametrize("line", ["a coordinator", "a worker b", "a.b", "A worker", "*"])
-def test_a_list_that_cannot_be_understood_admits_nobody(line):
+def test_an_invalid_host_list_admits_no_host(line):
     with pytest.raises(UsageError, match="line 1"):
         parse_admitted(line)
 
 
-def test_endpoints_and_tls_go_together_or_are_refused():
+def test_tls_endpoints_without_keys_and_keys_without_tls_endpoints_are_refused():
     require_loopback(["tcp/127.0.0.1:7447", "tcp/[::1]:1", "tcp/localhost:0"])
     require_tls_endpoints(["tls/0.0.0.0:7447", "tls/hub.example.org:7447"])
     with pytest.raises(UsageError, match="only loopback"):
         require_loopback(["tcp/0.0.0.0:7447"])
     with pytest.raises(UsageError, match="--tls"):
         require_loopback(["tls/127.0.0.1:7447"])
-    require_endpoints(["tcp/10.0.0.1:7447"], with_tls=False)  # through a tunnel of the user's, perhaps
+    require_endpoints(["tcp/10.0.0.1:7447"], with_tls=False)  # possibly through a tunnel of the user
     require_endpoints(["tls/10.0.0.1:7447"], with_tls=True)
     with pytest.raises(UsageError, match="--tls"):
         require_endpoints(["tls/10.0.0.1:7447"], with_tls=False)

@@ -1,4 +1,4 @@
-"""What of a folder goes to the Hub."""
+"""Selection of files for the Hub."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def test_batches_hold_every_file_once_in_order_and_keep_the_limits():
     assert [len(batch) for batch in batches] == [2, 1, 1, 3, 1]
 
 
-def test_a_file_above_the_limit_stands_alone():
+def test_a_file_above_the_limit_is_in_a_separate_batch():
     assert [len(batch) for batch in batches_of(files(100, 1), most_bytes=10)] == [1, 1]
 
 
-def test_ledger_quarantine_hidden_and_part_files_stay_here(tmp_path):
+def test_ledger_quarantine_hidden_and_part_files_are_not_pushed(tmp_path):
     root = tmp_path / "dataset"
     make_dataset(root, 1)
     for name in ("ledger.db", "ledger.db-wal", ".lock", "quarantine/ep_000009.zip", "episodes/x.part", "notes.txt"):
@@ -41,7 +41,7 @@ def test_ledger_quarantine_hidden_and_part_files_stay_here(tmp_path):
     assert not {name for name in names if name.startswith("private") or name == "notes.txt"}
 
 
-def test_links_are_not_followed_and_are_named(tmp_path):
+def test_symbolic_links_are_not_followed_and_are_named(tmp_path):
     root = tmp_path / "dataset"
     make_dataset(root, 1)
     outside = tmp_path / "secret.json"
@@ -53,13 +53,13 @@ def test_links_are_not_followed_and_are_named(tmp_path):
     assert {remark.split()[0] for remark in plan.remarks} == {"leak.json", "scenes/inside"}
 
 
-def test_an_incomplete_dataset_is_remarked(tmp_path):
+def test_an_incomplete_dataset_gives_a_warning(tmp_path):
     root = tmp_path / "dataset"
     make_dataset(root, 1, planned=3)
     assert any("1 of 3" in remark for remark in plan_push(root, "export.json").remarks)
 
 
-def test_descriptions_come_last(tmp_path):
+def test_descriptions_are_pushed_last(tmp_path):
     root = tmp_path / "dataset"
     make_dataset(root, 2)
     names = [file.name for file in plan_push(root, "export.json").files]
@@ -80,13 +80,13 @@ def test_other_names_are_refused(name):
 @pytest.mark.parametrize(
     "endpoint", ["https://huggingface.co", "http://127.0.0.1:5000", "http://localhost", "http://[::1]:1"]
 )
-def test_a_token_may_go_encrypted_or_stay_on_this_machine(endpoint):
+def test_a_token_is_sent_encrypted_or_over_loopback(endpoint):
     require_safe_endpoint(endpoint)
 
 
 @pytest.mark.parametrize(
     "endpoint", ["http://hub.example", "http://192.0.2.1", "ftp://localhost", "huggingface.co", "https://"]
 )
-def test_a_token_goes_nowhere_else(endpoint):
+def test_a_token_is_not_sent_to_other_endpoints(endpoint):
     with pytest.raises(UsageError):
         require_safe_endpoint(endpoint)

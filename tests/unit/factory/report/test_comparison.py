@@ -1,4 +1,4 @@
-"""Beside the paper: every difference is right, and where it is one, the reason has the numbers that make it."""
+"""Comparison with the paper: every difference is correct, and its reason contains the numbers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def found(episodes: list[Any], what: str, failures: list[Any] | None = None) -> 
     return row
 
 
-def test_a_length_is_the_straight_way_and_the_detour() -> None:
+def test_a_length_is_the_straight_distance_plus_the_detour() -> None:
     facts = facts_of([drive(1, 2.0, 1.2), drive(2, 3.0, 2.1, 0.95)])
     assert facts is not None
     assert facts.tl_m == pytest.approx(facts.spawn_m - facts.ne_m + facts.detour_m)
@@ -48,7 +48,7 @@ def test_the_reason_of_a_length_adds_up_to_the_difference() -> None:
     assert here - 0.967 + detour == pytest.approx(1.15, abs=0.011)
 
 
-def test_a_length_like_the_papers_needs_no_reason() -> None:
+def test_a_length_equal_to_the_papers_has_no_reason() -> None:
     row = found([drive(1, 2.527, 1.56)], "TL mean, near")
     assert row.reason == ""
     assert row.ratio == pytest.approx(1.0)
@@ -61,20 +61,20 @@ def test_the_overall_length_is_weighted_by_the_papers_tiers() -> None:
     assert f"{0.545 * 1 + 0.443 * 4 + 0.012 * 9:.2f} m" in reason
 
 
-def test_a_missing_tier_is_said_instead_of_weighted() -> None:
+def test_a_missing_tier_is_reported_instead_of_weighted() -> None:
     assert (
         "There are no mid episodes, so the mean cannot be weighted"
         in found([drive(1, 6.0, 5.0)], "TL mean, all").reason
     )
 
 
-def test_a_rate_within_the_papers_range_differs_by_nothing() -> None:
+def test_a_rate_within_the_papers_range_has_no_difference() -> None:
     failures = [failure(1).model_copy(update={"reason": "collision"})]
     row = found([episode_row(n) for n in range(1, 6)], "attempts that succeed, office", failures)
     assert (row.ours, row.difference, row.reason) == (pytest.approx(5 / 6), 0, "")
 
 
-def test_a_rate_outside_the_papers_range_says_what_failed() -> None:
+def test_a_rate_outside_the_papers_range_names_the_failure_reasons() -> None:
     failures = [failure(1, attempt).model_copy(update={"reason": "collision"}) for attempt in (1, 2, 3)]
     row = found([episode_row(1, attempt=4)], "attempts that succeed, office", failures)
     assert row.difference == pytest.approx(0.25 - 0.8)
@@ -89,11 +89,11 @@ def test_shares_follow_the_plan() -> None:
 
 
 def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
-    row = found([episode_row(1)], "share of train_id")  # of two, one in each scene
+    row = found([episode_row(1)], "share of train_id")  # one of two in each scene
     assert row.reason.startswith("The plan has 60 % in all, 100 % of its 2 episodes, 1 of 2 generated so far")
 
 
-def test_an_empty_dataset_is_compared_with_nothing() -> None:
+def test_an_empty_dataset_has_no_comparison() -> None:
     assert compare(material([])) == ()
 
 

@@ -34,5 +34,5 @@ def test_an_empty_grid_has_no_outlines() -> None:
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9))))
-def test_loops_enclose_as_much_as_there_are_cells(mask: NDArray[np.bool_]) -> None:
+def test_loops_enclose_the_area_of_the_cells(mask: NDArray[np.bool_]) -> None:
     assert sum(map(area, trace_outlines(mask))) == mask.sum()

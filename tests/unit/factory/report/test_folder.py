@@ -1,4 +1,4 @@
-"""Where a report is written: to folders that are empty or its own, and deleting nothing of others."""
+"""The output folder of a report: empty folders or former reports only, without deleting other files."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def write(out: Path, *files: str) -> None:
     write_files(out, {name: name.encode() for name in files}, summary(*files))
 
 
-def test_an_absent_and_an_empty_folder_are_taken(tmp_path: Path) -> None:
+def test_a_missing_or_empty_folder_is_accepted(tmp_path: Path) -> None:
     require_usable(tmp_path / "new", force=False)
     require_usable(tmp_path, force=False)
 
 
-def test_a_folder_of_something_else_is_refused_unless_forced(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_refused_unless_forced(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(UsageError, match="--force"):
         require_usable(tmp_path, force=False)
@@ -42,7 +42,7 @@ def test_a_folder_of_something_else_is_refused_unless_forced(tmp_path: Path) -> 
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
-def test_a_foreign_report_json_does_not_make_a_folder_ours(tmp_path: Path) -> None:
+def test_a_foreign_report_json_does_not_mark_a_report_folder(tmp_path: Path) -> None:
     (tmp_path / MARKER_FILE).write_text('{"title": "quarterly"}')
     with pytest.raises(UsageError, match="not a report"):
         require_usable(tmp_path, force=False)
@@ -60,7 +60,7 @@ def test_a_folder_within_a_dataset_is_refused(tmp_path: Path) -> None:
         require_usable(tmp_path / "report", force=True)
 
 
-def test_a_new_report_replaces_the_old_one_and_removes_its_rest(tmp_path: Path) -> None:
+def test_a_new_report_replaces_the_old_one_and_removes_its_leftovers(tmp_path: Path) -> None:
     write(tmp_path, PAGE_FILE, "figures/old.svg")
     (tmp_path / "figures" / "mine.svg").write_text("mine")
     require_usable(tmp_path, force=False)
@@ -81,7 +81,7 @@ def test_an_edited_marker_deletes_nothing_outside(tmp_path: Path) -> None:
     assert (out / "mine.txt").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(WorldError, match="cannot write the report"):
         write(tmp_path / "file" / "out", PAGE_FILE)

@@ -1,4 +1,4 @@
-"""A whole report of small datasets: what is on the page, that it needs nothing else, and what it says of damage."""
+"""Complete reports of small datasets: content of the page, self-containedness, and damaged data."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def own(tmp_path: Path) -> Path:
 
 
 def page_of(root: Path) -> str:
-    """Returns the page with the quickest figure alone."""
+    """Returns the page with only the fastest figure."""
     return render_report(gather(root), draw_functions=(action_space.draw,))[0][PAGE_FILE].decode()
 
 
@@ -59,7 +59,7 @@ def change_rows(root: Path, column: str, value: object) -> None:
     pq.write_table(table.set_column(place, table.schema.field(column), values), path)
 
 
-def test_the_page_is_whole_and_every_figure_has_its_place(files: dict[str, bytes]) -> None:
+def test_the_page_is_complete_and_contains_every_figure(files: dict[str, bytes]) -> None:
     outline = Outline(files[PAGE_FILE].decode())
     assert len(set(outline.ids)) == len(outline.ids)
     anchors = [link[1:] for link in outline.links if link.startswith("#")]
@@ -68,7 +68,7 @@ def test_the_page_is_whole_and_every_figure_has_its_place(files: dict[str, bytes
     assert files[PAGE_FILE].count(b'<li><a href="#') == len(DRAW_FUNCTIONS) + 2
 
 
-def test_the_page_asks_nothing_of_a_network_and_runs_nothing(files: dict[str, bytes]) -> None:
+def test_the_page_makes_no_network_request_and_runs_no_script(files: dict[str, bytes]) -> None:
     text = files[PAGE_FILE].decode()
     outline = Outline(text)
     assert all(link.startswith(("#", "data:image/")) for link in outline.links)
@@ -102,7 +102,7 @@ def test_the_same_dataset_gives_the_same_bytes(files: dict[str, bytes], data: Pa
     assert again.keys() == files.keys()
 
 
-def test_where_the_dataset_lies_is_not_on_the_page(files: dict[str, bytes], data: Path) -> None:
+def test_the_page_does_not_contain_the_path_of_the_dataset(files: dict[str, bytes], data: Path) -> None:
     assert not [name for name, content in files.items() if str(data.parent).encode() in content]
 
 
@@ -116,7 +116,7 @@ def test_numbers_are_those_of_the_statistics(files: dict[str, bytes], data: Path
 
 @pytest.fixture(scope="module")
 def alone(data: Path) -> dict[str, bytes]:
-    """The report of the same dataset as it is by default: its plan is not the paper's."""
+    """The default report of the same dataset, whose plan is not the paper's."""
     return render_report(gather(data))[0]
 
 
@@ -145,16 +145,16 @@ def test_numbers_of_another_plan_are_those_of_the_comparison(data: Path) -> None
     assert [row.tl_mean_m for row in alone.scenes] == [row.tl_mean_m for row in beside.scenes]
 
 
-def test_instructions_are_shown_as_text_whatever_they_say(own: Path) -> None:
+def test_instructions_are_escaped(own: Path) -> None:
     change_rows(own, "instruction", HOSTILE)
     text = render_report(gather(own), draw_functions=(samples.draw,))[0][PAGE_FILE].decode()
     assert "script" not in Outline(text).tags
     assert "&lt;script&gt;" in text
 
 
-def test_a_damaged_episode_is_left_out_and_said(own: Path) -> None:
+def test_a_damaged_episode_is_omitted_and_reported(own: Path) -> None:
     path = own / "episodes" / "ep_000002.zip"
-    path.write_bytes(bytes(path.stat().st_size))  # a cut one would be left out of the statistics already
+    path.write_bytes(bytes(path.stat().st_size))  # a truncated one would already be excluded from the statistics
     material = gather(own)
     assert sorted(material.drives.tracks) == ["ep_000001", "ep_000003"]
     (remark,) = material.statistics.remarks
@@ -165,7 +165,7 @@ def test_a_damaged_episode_is_left_out_and_said(own: Path) -> None:
     assert "episodes/ep_000002.zip" in text
 
 
-def test_a_missing_map_is_said_and_the_rest_is_drawn(own: Path) -> None:
+def test_a_missing_map_is_reported_and_the_rest_is_drawn(own: Path) -> None:
     for package in (own / "scenes").glob("*.scene.zip"):
         package.unlink()
     files, summary = render_report(gather(own), draw_functions=(spawn_maps.draw,))
@@ -173,7 +173,7 @@ def test_a_missing_map_is_said_and_the_rest_is_drawn(own: Path) -> None:
     assert any("the map of office is missing" in remark.text for remark in summary.remarks)
 
 
-def test_an_unreadable_record_of_attempts_is_said(own: Path) -> None:
+def test_an_unreadable_attempt_log_is_reported(own: Path) -> None:
     (own / "attempts.parquet").write_bytes(b"nothing")
     files, summary = render_report(gather(own), draw_functions=(attempts.draw,))
     assert "figures/attempts.svg" not in files
@@ -181,7 +181,7 @@ def test_an_unreadable_record_of_attempts_is_said(own: Path) -> None:
     assert "the table of attempts cannot be read" in files[PAGE_FILE].decode()
 
 
-def test_an_empty_dataset_has_a_page_that_says_so(tmp_path: Path) -> None:
+def test_the_page_of_an_empty_dataset_reports_that_it_is_empty(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 0, planned=3)
     files, summary = render_report(gather(tmp_path / "data"))
     text = files[PAGE_FILE].decode()
@@ -191,13 +191,13 @@ def test_an_empty_dataset_has_a_page_that_says_so(tmp_path: Path) -> None:
     assert "0 of 3 planned episodes" in text
 
 
-def test_a_partial_dataset_says_how_far_it_is(tmp_path: Path) -> None:
+def test_the_page_of_a_partial_dataset_reports_its_completeness(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 1, planned=3)
     text = page_of(tmp_path / "data")
     assert "the run is not finished: 1 of 3 planned episodes" in text
 
 
-def test_no_dataset_and_no_table_are_errors(own: Path, tmp_path: Path) -> None:
+def test_a_missing_dataset_or_table_is_an_error(own: Path, tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="is not a dataset"):
         make_report(tmp_path / "nothing", tmp_path / "out")
     (own / "metadata.parquet").unlink()

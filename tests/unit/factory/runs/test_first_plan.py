@@ -9,7 +9,7 @@ import pytest
 
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
-from coordinator.expansion.spelling import spell_plan
+from coordinator.expansion.plan_toml import plan_to_toml
 from factory.runs.first_plan import draft_plan
 from schemas.terms import Split, Tier
 from tests.builders.catalog import make_entry, make_target
@@ -25,14 +25,14 @@ ALL = tuple(Tier)
         (["shelf", "bin"], (Tier.NEAR,), ("bin",), ("shelf",)),
     ],
 )
-def test_a_first_plan_is_possible(
+def test_the_proposed_plan_is_feasible(
     tmp_path: Path, kinds: list[str], tiers: Sequence[Tier], seen: tuple[str, ...], held_out: tuple[str, ...]
 ) -> None:
     entry = make_entry("lab", [make_target(kind, n, n, tiers=tiers) for n, kind in enumerate(kinds, 1)])
     plan = draft_plan(entry, "/data/lab.usda", targets="/data/targets_lab.yaml")
     assert plan is not None
     file = tmp_path / "lab.toml"
-    file.write_text(spell_plan(plan))
+    file.write_text(plan_to_toml(plan))
     assert load_plan(str(file)) == plan
     assert find_impossible(plan, {"lab": entry}) == []
     (scene,) = plan.scenes
@@ -40,5 +40,5 @@ def test_a_first_plan_is_possible(
     assert (plan.splits_of(scene).get(Split.TEST_OOD_OBJ, 0) > 0) == bool(held_out)
 
 
-def test_a_scene_with_no_start_has_no_first_plan() -> None:
+def test_a_scene_without_a_start_has_no_proposed_plan() -> None:
     assert draft_plan(make_entry("lab", [make_target("shelf", 1, 1, tiers=())]), "/data/lab.usda") is None

@@ -1,4 +1,4 @@
-"""The gate: every first attempt tried once, counted by tier and reason, judged; real processes, no physics."""
+"""The gate: every first attempt runs once and is counted by tier and reason; real processes, no physics."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_every_job_is_tried_once_and_the_outcome_does_not_depend_on_processes(pr
     assert set(outcome.values()) == {None, FailReason.COLLISION}
 
 
-def test_no_bundle_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_bundle_remains_after_the_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     try_all(pilot_of(3))
     assert list(tmp_path.iterdir()) == []
@@ -61,7 +61,7 @@ def test_a_crash_is_a_failed_attempt_and_the_others_go_on() -> None:
     assert "broken" in trials[0].detail
 
 
-def test_simulations_that_do_not_start_are_an_error_with_their_last_words() -> None:
+def test_simulations_that_do_not_start_are_an_error_with_their_last_output() -> None:
     with pytest.raises(WorldError, match=r"does not start after 3 tries.*no renderer"):
         try_all(pilot_of(2, NOISY_DEATH, processes=1))
 
@@ -89,7 +89,7 @@ def test_verdict_counts_by_tier_and_reason() -> None:
 
 
 @pytest.mark.parametrize(("min_success", "passed"), [(0.5, True), (0.51, False)])
-def test_the_gate_opens_at_the_share_asked_for(min_success: float, passed: bool) -> None:
+def test_the_gate_passes_at_the_required_share(min_success: float, passed: bool) -> None:
     trials = [Trial(job_for(1)), Trial(job_for(2), FailReason.SPAWN, "")]
     assert judge("office", "proportional", trials, min_success).passed is passed
 

@@ -1,4 +1,4 @@
-"""Imported scenes are found by name in a cache, the last first; built-in ones are none of them."""
+"""Imported scenes are found by name in a cache, newest first, without built-in scenes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def put(cache: Path, name: str, when: int) -> Path:
     return path
 
 
-def test_a_cache_that_is_not_there_holds_none(tmp_path: Path) -> None:
+def test_a_missing_cache_has_no_imported_scenes(tmp_path: Path) -> None:
     assert find_imported(tmp_path / "nowhere") == {}
 
 
-def test_the_package_written_last_comes_first(tmp_path: Path) -> None:
+def test_the_newest_package_is_first(tmp_path: Path) -> None:
     old, new = put(tmp_path, "lab-ffffffffffff", 1), put(tmp_path, "lab-000000000000", 2)
     other = put(tmp_path, "lab_2-000000000000", 3)
     assert find_imported(tmp_path) == {"lab": (new, old), "lab_2": (other,)}

@@ -1,4 +1,4 @@
-"""The files that a plan names are looked for before anything is built; all that are missing are named."""
+"""The files of a plan are checked before building; all missing ones are listed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_all_missing_files_are_named_with_their_keys_and_remedies(tmp_path: Path
     assert targets.endswith(f"before that `factory scene import {tmp_path}/w.usda --name lab`")
 
 
-def test_a_list_of_targets_with_a_mistake_is_named_without_the_way_to_a_new_one(tmp_path: Path) -> None:
+def test_an_invalid_target_list_is_named_without_the_command_for_a_new_one(tmp_path: Path) -> None:
     for name in ("w.usda", "r.yaml", "t.yaml"):
         (tmp_path / name).write_text("[]")
     with pytest.raises(InvalidPlan, match=r"scenes\[1\] lab: targets: .*is not a valid targets file") as caught:

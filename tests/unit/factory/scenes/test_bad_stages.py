@@ -1,4 +1,4 @@
-"""Stages that are broken, odd or hostile: a message that names prim or file and the remedy, never a crash."""
+"""Broken, unusual or hostile stages: a message with prim or file and the remedy, never a crash."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def noted(extraction: Extraction, *words: str) -> bool:
     return any(all(word in note for word in words) for note in extraction.notes)
 
 
-def test_a_stage_without_default_prim_is_taken_whole_and_says_so(tmp_path: Path) -> None:
+def test_a_stage_without_a_default_prim_is_read_completely_and_noted(tmp_path: Path) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX)
     path.write_text(
         path.read_text().replace('defaultPrim = "World"', "").replace('def Xform "World"', 'def Xform "Hall"')
@@ -39,14 +39,14 @@ def test_a_stage_without_default_prim_is_taken_whole_and_says_so(tmp_path: Path)
     assert noted(extraction, "defaultPrim", "/Hall")
 
 
-def test_a_default_prim_that_is_not_there_is_noted_by_name(tmp_path: Path) -> None:
+def test_a_missing_default_prim_is_noted_by_name(tmp_path: Path) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX)
     path.write_text(path.read_text().replace('defaultPrim = "World"', 'defaultPrim = "Hall"'))
     assert noted(extract_stage(path), "'Hall' is not there", "/World", "deactivate")
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "1e-12", "1e9"])
-def test_absurd_units_are_refused_with_the_usual_ones(tmp_path: Path, value: str) -> None:
+def test_implausible_units_are_refused_with_the_common_ones(tmp_path: Path, value: str) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX, units=f"metersPerUnit = {value}")
     with pytest.raises(WorldError, match=r"scene\.usda says metersPerUnit.*0\.01"):
         extract_stage(path)
@@ -98,14 +98,14 @@ def test_all_copies_count_towards_the_limit(tmp_path: Path) -> None:
         extract(tmp_path, instancer, StageLimits(max_triangles=100))
 
 
-def test_a_mesh_too_large_is_refused_before_it_is_cut_up(tmp_path: Path) -> None:
+def test_an_oversized_mesh_is_refused_before_triangulation(tmp_path: Path) -> None:
     fan = f"""
     def Mesh "Fan" {{
         int[] faceVertexCounts = [60]
         int[] faceVertexIndices = {[7] * 60}
         point3f[] points = [(0, 0, 0)]
     }}"""
-    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # cut up, it shows itself as broken
+    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # triangulation would report it as broken
     with pytest.raises(WorldError, match=r"more than 50 triangles, exceeded at prim /World/Fan.*/World/Fan \(58\)"):
         extract(tmp_path, fan + BOX, StageLimits(max_triangles=50))
 
@@ -117,7 +117,7 @@ def test_a_cyclic_reference_is_noted_and_the_rest_is_kept(tmp_path: Path) -> Non
     assert noted(extraction, "ycle", "/World/There", "@other.usda@", "take the reference out")
 
 
-def test_what_usd_complains_about_is_the_same_at_every_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usd_warnings_are_the_same_at_every_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lost = TEXT.group("Lost", "", head="references = @nowhere.usda@") + TEXT.group(
         "Loop", "", head="references = </World>"
     )
@@ -241,14 +241,14 @@ def textured(file: str) -> str:
 
 @pytest.fixture
 def secret(tmp_path: Path) -> Path:
-    """A picture beside, not below, the stage's folder."""
+    """An image outside the folder of the stage."""
     (tmp_path / "stage").mkdir()
     Image.fromarray(np.full((8, 8, 3), 77, np.uint8)).save(tmp_path / "secret.png")
     return tmp_path / "secret.png"
 
 
 @pytest.mark.parametrize("how", ["relative", "absolute", "link"])
-def test_a_texture_outside_of_the_folder_is_not_read(tmp_path: Path, secret: Path, how: str) -> None:
+def test_a_texture_outside_the_folder_is_not_read(tmp_path: Path, secret: Path, how: str) -> None:
     (tmp_path / "stage" / "link.png").symlink_to(secret)
     file = {"relative": "../secret.png", "absolute": str(secret), "link": "./link.png"}[how]
     path = TEXT.write(tmp_path / "stage" / "room.usda", room_body(TEXT, textured(file)))
@@ -268,7 +268,7 @@ def test_a_refused_texture_shows_its_fallback(tmp_path: Path, secret: Path) -> N
 
 
 @pytest.mark.parametrize("file", ["../../etc/nothing.png", "nothing.png"])
-def test_a_texture_that_is_not_there_is_noted_by_name(tmp_path: Path, file: str) -> None:
+def test_a_missing_texture_is_noted_by_name(tmp_path: Path, file: str) -> None:
     scene = compile_stage(TEXT.write(tmp_path / "room.usda", room_body(TEXT, textured(file))), "room", "test")
     assert any(
         "nothing.png" in note and "one colour" in note and note.startswith(("/World/Poster:", "/World/Print:"))
@@ -276,7 +276,7 @@ def test_a_texture_that_is_not_there_is_noted_by_name(tmp_path: Path, file: str)
     )
 
 
-def test_a_texture_in_the_working_directory_is_none_of_the_stage(
+def test_a_texture_in_the_working_directory_is_not_used(
     tmp_path: Path, secret: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(secret.parent)
@@ -295,7 +295,7 @@ def test_a_layer_outside_of_the_folder_is_noted(tmp_path: Path, secret: Path) ->
 
 
 @pytest.mark.parametrize("place", [b"def Xform", b"World", b'defaultPrim = "', b"upAxis", b"double size"])
-def test_a_stage_with_bytes_that_are_no_text_is_refused_or_noted(tmp_path: Path, place: bytes) -> None:
+def test_a_stage_with_invalid_text_is_refused_or_noted(tmp_path: Path, place: bytes) -> None:
     path = TEXT.write(tmp_path / "odd.usda", room_body(TEXT))
     path.write_bytes(path.read_bytes().replace(place, b"\xff\xfe" + place + b"\xff", 1))
     said = refusal_of(path)
@@ -303,7 +303,7 @@ def test_a_stage_with_bytes_that_are_no_text_is_refused_or_noted(tmp_path: Path,
 
 
 def refusal_of(path: Path) -> str:
-    """Returns why a stage is refused, or nothing when it is not."""
+    """Returns why a stage is refused, or an empty text."""
     try:
         extract_stage(path)
     except WorldError as error:

@@ -1,4 +1,4 @@
-"""An unchanged stage is compiled once; whatever changes what it is compiled to has it compiled anew."""
+"""An unchanged stage is compiled once; every change of an input triggers compilation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BOXES = {"a.usda": 0.5, "b.usda": 1.0}
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Path:
-    """A room with two boxes of different height from files of their own."""
+    """A room with two boxes of different height from separate files."""
     for name, height in BOXES.items():
         TEXT.write(tmp_path / name, TEXT.box("Box", (0, 0, 0), (0.5, 0.5, height)))
     boxes = "".join(
@@ -30,7 +30,7 @@ def stage(tmp_path: Path) -> Path:
 
 
 def imported(stage: Path, rules: RuleBook | None = None, targets: TargetList | None = None) -> tuple[Path, bool]:
-    """The package, and whether it was compiled for it."""
+    """Returns the package, and whether it was compiled in this call."""
     told: list[str] = []
     cache = stage.parent / "cache"
     return import_scene(stage, "lab", cache, rules, targets, tell=lambda: told.append("lab")), bool(told)
@@ -42,7 +42,7 @@ def test_a_stage_is_compiled_once(stage: Path) -> None:
     assert (first[1], second[1]) == (True, False)
 
 
-def test_a_changed_layer_rules_or_list_of_targets_compiles_anew(stage: Path) -> None:
+def test_a_changed_layer_rule_or_target_list_triggers_compilation(stage: Path) -> None:
     imported(stage)
     chair = TargetEntry(id="chair_001", category="chair", prim_path="/World/SM_Chair_01")
     assert imported(stage, targets=TargetList(scene="lab", targets=(chair,)))[1]
@@ -51,7 +51,7 @@ def test_a_changed_layer_rules_or_list_of_targets_compiles_anew(stage: Path) -> 
     assert imported(stage)[1]
 
 
-def test_files_that_change_places_compile_anew(stage: Path) -> None:
+def test_swapped_files_trigger_compilation(stage: Path) -> None:
     old, _ = imported(stage)
     first, second = (stage.parent / name for name in BOXES)
     one, other = first.read_bytes(), second.read_bytes()
@@ -62,7 +62,7 @@ def test_files_that_change_places_compile_anew(stage: Path) -> None:
     assert new != old
 
 
-def test_a_file_that_was_missing_compiles_anew_when_it_is_there(stage: Path) -> None:
+def test_a_file_that_appears_triggers_compilation(stage: Path) -> None:
     layer = stage.parent / "a.usda"
     text = layer.read_bytes()
     layer.unlink()
@@ -72,7 +72,7 @@ def test_a_file_that_was_missing_compiles_anew_when_it_is_there(stage: Path) -> 
 
 
 @pytest.mark.parametrize("damage", [b"not what its name says", None])
-def test_a_damaged_or_missing_package_is_compiled_anew(stage: Path, damage: bytes | None) -> None:
+def test_a_damaged_or_missing_package_is_compiled_again(stage: Path, damage: bytes | None) -> None:
     package, _ = imported(stage)
     good = package.read_bytes()
     package.unlink()
@@ -82,7 +82,7 @@ def test_a_damaged_or_missing_package_is_compiled_anew(stage: Path, damage: byte
     assert package.read_bytes() == good
 
 
-def test_importing_again_makes_a_package_the_last(stage: Path) -> None:
+def test_importing_again_makes_a_package_the_newest(stage: Path) -> None:
     first, _ = imported(stage)
     second, _ = imported(stage, rules=RuleBook(rules=load_rules().rules[:5]))
     for package in (first, second):
@@ -91,7 +91,7 @@ def test_importing_again_makes_a_package_the_last(stage: Path) -> None:
     assert find_imported(first.parent) == {"lab": (first, second)}
 
 
-def test_looking_for_a_package_compiles_none(stage: Path) -> None:
+def test_searching_for_a_package_compiles_nothing(stage: Path) -> None:
     cache = stage.parent / "cache"
     assert find_import(stage, "lab", cache) is None
     package, _ = imported(stage)

@@ -1,4 +1,4 @@
-"""A corpus of small nasty stages: each is read without an end, keeps its good box, and names the prim that is bad."""
+"""A corpus of small broken stages: each is read, keeps its valid box, and names the broken prim."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def mesh(name: str, points: str, counts: str = "[3]", indices: str = "[0, 1, 2]"
 
 
 def textured(asset: str) -> str:
-    """A triangle whose colour comes from a picture."""
+    """A triangle with a textured colour."""
     return (
         mesh(
             "Bad",
@@ -73,7 +73,7 @@ BOUND = mesh("Bad", CORNERS, more="rel material:binding = </World/Paint>")
 
 @dataclass(frozen=True)
 class Case:
-    """A nasty stage, what a note must say, and how many triangles its bad prims still show."""
+    """A broken stage, the expected note, and the number of triangles of its broken prims."""
 
     body: str
     words: tuple[str, ...]
@@ -209,7 +209,7 @@ def extract(tmp_path: Path, body: str) -> Extraction:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=[name.replace(" ", "_") for name in CASES])
-def test_a_nasty_prim_costs_no_other_and_is_named(tmp_path: Path, case: Case) -> None:
+def test_a_broken_prim_is_named_and_does_not_affect_others(tmp_path: Path, case: Case) -> None:
     extraction = extract(tmp_path, GOOD + case.body)
     assert sum(len(part.triangles) for part in extraction.parts if part.path == "/World/Good") == 12
     assert sum(len(part.triangles) for part in extraction.parts if part.path != "/World/Good") == case.triangles
@@ -217,7 +217,7 @@ def test_a_nasty_prim_costs_no_other_and_is_named(tmp_path: Path, case: Case) ->
     assert any(all(word in note for word in case.words) for note in (*extraction.notes, "")), extraction.notes
 
 
-def test_instances_within_instances_are_all_there(tmp_path: Path) -> None:
+def test_nested_instances_are_all_extracted(tmp_path: Path) -> None:
     body = (
         'def Xform "Inner" {' + GOOD + "}\n"
         'def Xform "Outer" {\ndef Xform "A" (instanceable = true\nreferences = </World/Inner>) {}\n'
@@ -239,7 +239,7 @@ def test_instances_within_instances_are_all_there(tmp_path: Path) -> None:
         ("https://example.com/missing.png", ""),
     ],
 )
-def test_a_picture_that_cannot_be_read_is_noted_by_its_file(tmp_path: Path, asset: str, file: str) -> None:
+def test_an_unreadable_texture_is_noted_by_its_file(tmp_path: Path, asset: str, file: str) -> None:
     if file:
         (tmp_path / file).write_bytes(b"v/1\x01 no picture at all")
     extraction = extract(tmp_path, GOOD + textured(asset))
@@ -250,7 +250,7 @@ def test_a_picture_that_cannot_be_read_is_noted_by_its_file(tmp_path: Path, asse
     ]
 
 
-def test_of_udim_tiles_the_first_is_shown_and_the_material_is_named(tmp_path: Path) -> None:
+def test_only_the_first_udim_tile_is_used_and_the_material_is_named(tmp_path: Path) -> None:
     for tile, colour in ((1001, (200, 10, 10)), (1002, (10, 200, 10))):
         Image.new("RGB", (4, 4), colour).save(tmp_path / f"wood.{tile}.png")
     extraction = extract(tmp_path, textured("wood.<UDIM>.png"))
@@ -259,7 +259,7 @@ def test_of_udim_tiles_the_first_is_shown_and_the_material_is_named(tmp_path: Pa
     assert any(note.startswith("/World/Paint: of 2 UDIM tiles") for note in extraction.notes)
 
 
-def test_a_room_with_all_that_is_nasty_still_becomes_a_scene(tmp_path: Path) -> None:
+def test_a_room_with_every_broken_prim_compiles_to_a_scene(tmp_path: Path) -> None:
     groups = [
         TEXT.group(f"Case{number}", case.body.replace("/World/", f"/World/Case{number}/"), at=(1.0, -1.0, 1.0))
         for number, case in enumerate(CASES.values())

@@ -1,4 +1,4 @@
-"""What docs/scenes/own.md tells to type is understood: its commands, rules, row of targets and plan."""
+"""Commands, rules, target row and plan of docs/scenes/own.md are valid."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ COMMANDS = [shlex.split(line, comments=True) for line in "".join(blocks(PAGE)).s
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_a_command_of_the_page_is_understood(words: list[str]) -> None:
+def test_a_command_of_the_page_is_valid(words: list[str]) -> None:
     assert words[0] == "factory"
     parse_line(words[1:])
 
 
-def test_rules_row_and_plan_of_the_page_are_understood(tmp_path: Path) -> None:
+def test_rules_target_row_and_plan_of_the_page_are_valid(tmp_path: Path) -> None:
     rules, row = blocks(PAGE, "yaml")
     path = tmp_path / "rules.yaml"
     path.write_text(rules)

@@ -1,4 +1,4 @@
-"""Which views and which things are shown, decided on numbers before anything is drawn."""
+"""The choice of views and objects for pictures, before rendering."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ def frame(ids: np.ndarray, depth_m: float = 3.0) -> RenderedFrame:
 
 
 def picture(*things: int) -> np.ndarray:
-    """40 x 40 ids: background 1 and one square of 8 x 8 for each thing."""
+    """40 x 40 ids: background 1 and one square of 8 x 8 for each object."""
     ids = np.ones((40, 40), int)
     for number, thing in enumerate(things):
         ids[4:12, 9 * number : 9 * number + 8] = thing
     return ids
 
 
-def test_a_view_of_more_targets_is_worth_more() -> None:
+def test_a_view_of_more_targets_has_a_higher_score() -> None:
     targets = frozenset({5, 6, 7})
     assert worth(frame(picture(5, 6)), targets) > worth(frame(picture(5)), targets) > worth(frame(picture()), targets)
 
 
-def test_targets_are_worth_more_than_clutter_and_than_what_was_seen() -> None:
+def test_new_targets_score_higher_than_clutter_and_seen_targets() -> None:
     look = frame(picture(5))
     assert worth(look, frozenset({5})) > worth(look, frozenset())
     assert worth(look, frozenset({5})) > worth(look, frozenset({5}), seen={5})
 
 
-def test_a_thing_before_the_lens_spoils_a_view() -> None:
+def test_an_object_close_to_the_camera_lowers_the_score() -> None:
     look, near = picture(5, 6), frame(picture(5, 6), 0.3)
     assert worth(near, frozenset({5, 6})) < 0.5 * worth(frame(look), frozenset({5, 6}))
 
 
-def test_a_view_looks_where_it_is_told() -> None:
+def test_a_view_has_the_requested_heading() -> None:
     view = looking(np.array((1.0, 2.0, 1.5)), np.pi / 2, np.radians(-30), 60.0)
     optical = optical_pose(view.pose, view.camera)
     assert optical.eye == pytest.approx((1.0, 2.0, 1.5), abs=1e-5)
@@ -50,7 +50,7 @@ def test_a_view_looks_where_it_is_told() -> None:
     assert optical.rotation[2, 0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_views_stand_on_surveyed_points_at_eye_height_or_on_the_robot() -> None:
+def test_views_are_at_surveyed_points_at_eye_height_or_on_the_robot() -> None:
     scene = box_room()
     standing, driving = list(try_views(scene, EYE, places=2)), list(try_views(scene, None, places=2))
     assert {(view.pose.x, view.pose.y) for view in standing} <= {tuple(point) for point in scene.spawns.astype(float)}
@@ -58,7 +58,7 @@ def test_views_stand_on_surveyed_points_at_eye_height_or_on_the_robot() -> None:
     assert {view.pose.z for view in driving} == {scene.info.floor_height_m}
 
 
-def test_a_thing_alone_keeps_its_triangles_and_nothing_else() -> None:
+def test_an_isolated_object_keeps_only_its_triangles() -> None:
     scene = box_room()
     target = scene.info.targets[0]
     single = alone(scene, target.instance_id)
@@ -81,7 +81,7 @@ def test_each_model_and_colour_is_shown_once() -> None:
     assert len(variants([one, twin, other], most=1)) == 1
 
 
-def test_only_things_with_a_colour_are_drawn_for_checking() -> None:
+def test_only_objects_with_a_colour_name_are_on_the_check_sheet() -> None:
     one = box_room().info.targets[0]
     rows = [one.model_copy(update={"target_id": f"t{n}", "colour": "red" if n % 2 else "unknown"}) for n in range(9)]
     sample = known_colours(rows, 3, np.random.default_rng(1))

@@ -1,4 +1,4 @@
-"""Names in the wild find their categories."""
+"""Category rules on names of public assets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RULES = load_rules()
         ("ComputerMonitor", "monitor"),
     ],
 )
-def test_names_in_the_wild_find_their_category(name: str, category: str) -> None:
+def test_names_of_public_assets_match_their_category(name: str, category: str) -> None:
     rule = RULES.match(name)
     assert rule is not None
     assert rule.category == category
@@ -55,7 +55,7 @@ def test_names_in_the_wild_find_their_category(name: str, category: str) -> None
         "Wall",
     ],
 )
-def test_names_that_only_look_alike_are_of_no_category(name: str) -> None:
+def test_similar_names_match_no_category(name: str) -> None:
     assert RULES.match(name) is None
 
 
@@ -71,14 +71,14 @@ def test_words_are_split_at_case_digits_and_punctuation() -> None:
     "text",
     ["- category: chair\n  include: ['(']", "chair", ": :\n-", "- category: chair\n  include: [a]\n  include: [b]"],
 )
-def test_a_table_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> None:
+def test_an_invalid_rule_table_is_refused_by_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(UsageError, match=r"mine\.yaml"):
         load_rules(path)
 
 
-def test_a_missing_table_is_answered_with_the_command_that_begins_one(tmp_path: Path) -> None:
+def test_a_missing_rule_table_is_refused_with_the_command_that_creates_one(tmp_path: Path) -> None:
     with pytest.raises(
         UsageError, match=f"cannot read category rules.*`cp {BUILTIN_RULES} {tmp_path}/absent.yaml`"
     ) as caught:
@@ -86,5 +86,5 @@ def test_a_missing_table_is_answered_with_the_command_that_begins_one(tmp_path: 
     assert "Errno" not in str(caught.value)
 
 
-def test_racks_shelves_and_monitors_are_never_called_after_what_they_show() -> None:
+def test_racks_shelves_and_monitors_are_not_named_after_their_content() -> None:
     assert load_rules().uncoloured == {"rack", "shelf", "monitor"}

@@ -60,7 +60,7 @@ def test_another_format_is_named_with_what_is_supported_and_its_converter(tmp_pa
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_importing_it_is_wrong_usage_and_makes_nothing(tmp_path: Path, name: str) -> None:
+def test_importing_another_format_is_a_usage_error_and_writes_nothing(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(FOREIGN[name][0])
     with pytest.raises(UsageError, match="supported are USD stages"):
         import_scene(tmp_path / name, "shop", tmp_path / "cache")
@@ -80,7 +80,7 @@ def test_a_plan_that_names_it_is_refused(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("suffix", [".usd", ".usda", ".usdc", ".usdz"])
 @pytest.mark.parametrize("kind", DISGUISED)
-def test_another_format_under_the_name_of_a_stage_is_told_by_its_first_bytes(
+def test_another_format_with_a_usd_suffix_is_detected_by_its_first_bytes(
     tmp_path: Path, kind: str, suffix: str
 ) -> None:
     path = tmp_path / f"room{suffix}"
@@ -88,19 +88,19 @@ def test_another_format_under_the_name_of_a_stage_is_told_by_its_first_bytes(
     assert f"holds {kind} under the name of a USD stage" in find_fault(path)
 
 
-def test_a_stage_under_a_wrong_suffix_is_to_be_renamed(tmp_path: Path) -> None:
+def test_a_stage_with_a_wrong_suffix_is_refused_with_the_right_suffix(tmp_path: Path) -> None:
     from pxr import Usd, UsdUtils
 
     text = stage(tmp_path)
     crate, packed = tmp_path / "c.usdc", tmp_path / "p.usdz"
-    opened = Usd.Stage.Open(str(text))  # kept: a layer without its stage is freed
+    opened = Usd.Stage.Open(str(text))  # kept alive: a layer without its stage is freed
     opened.GetRootLayer().Export(str(crate))
     assert UsdUtils.CreateNewUsdzPackage(str(crate), str(packed))
     opens = {text: (".usd", ".usda", ".USDA"), crate: (".usd", ".usdc"), packed: (".usdz",)}
     for source, suffixes in opens.items():
         for suffix in (".usd", ".usda", ".USDA", ".usdc", ".usdz", ".txt", ""):
             if source is packed and suffix in {".txt", ""}:
-                continue  # any zip archive: nothing says that it is a stage
+                continue  # any zip archive: no sign of a stage
             path = tmp_path / f"copy{suffix}"
             path.write_bytes(source.read_bytes())
             fault = find_fault(path)
@@ -111,6 +111,6 @@ def test_a_stage_under_a_wrong_suffix_is_to_be_renamed(tmp_path: Path) -> None:
                 assert Usd.Stage.Open(str(path))
 
 
-def test_a_directory_and_an_absent_file_are_told_apart(tmp_path: Path) -> None:
+def test_a_directory_and_a_missing_file_have_different_messages(tmp_path: Path) -> None:
     assert "is a directory; give the stage's root layer" in find_fault(tmp_path)
     assert find_fault(tmp_path / "w.usda").startswith(f"no USD file at {tmp_path}/w.usda")

@@ -1,4 +1,4 @@
-"""Each statistic against values worked out by hand and against scipy."""
+"""Each statistic compared with hand-computed values and with scipy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_mean_median_and_deviation_fit_hand_computed_values() -> None:
     assert deviation_of(values) == pytest.approx((36 / 3) ** 0.5)  # 9 + 1 + 1 + 25 over n - 1
 
 
-def test_nothing_has_no_mean_and_one_value_no_deviation() -> None:
+def test_empty_data_have_no_mean_and_one_value_has_no_deviation() -> None:
     assert mean_of([]) is None
     assert median_of([]) is None
     assert quantiles_of([]) == {}
@@ -40,12 +40,12 @@ def test_wilson_interval_fits_the_textbook_formula() -> None:
 
 
 @pytest.mark.parametrize(("count", "of", "low", "high"), [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0)])
-def test_shares_of_none_and_all_keep_inside_zero_and_one(count: int, of: int, low: float, high: float) -> None:
+def test_intervals_of_extreme_shares_stay_between_zero_and_one(count: int, of: int, low: float, high: float) -> None:
     share = share_of(count, of)
     assert (share.low, share.high) == (pytest.approx(low, abs=1e-4), pytest.approx(high, abs=1e-4))
 
 
-def test_share_of_nothing_is_unknown() -> None:
+def test_the_share_of_no_trials_is_undefined() -> None:
     share = share_of(0, 0)
     assert (share.share, share.low, share.high) == (None, None, None)
 
@@ -82,7 +82,7 @@ def test_fisher_interval_of_the_papers_numbers_is_the_papers() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_episodes_give_no_correlation_but_say_so(count: int) -> None:
+def test_fewer_than_three_episodes_give_no_correlation_and_a_note(count: int) -> None:
     fit = fit_line("near", list(range(count)), list(range(count)))
     assert (fit.n, fit.r, fit.p, fit.slope) == (count, None, None, None)
     assert fit.remark == f"needs at least 3 episodes, has {count}"
@@ -93,7 +93,7 @@ def test_three_episodes_leave_the_interval_open() -> None:
     assert (fit.low, fit.high) == (-1.0, 1.0)
 
 
-def test_equal_distances_give_no_correlation_but_say_so() -> None:
+def test_equal_distances_give_no_correlation_and_a_note() -> None:
     fit = fit_line("near", [2.0] * 5, [1.0, 1.1, 1.2, 1.3, 1.4])
     assert fit.r is None
     assert fit.remark == "all spawn distances are equal"

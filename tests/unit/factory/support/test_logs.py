@@ -1,4 +1,4 @@
-"""What reaches the log: one bounded line an event, and no value of a local variable."""
+"""Log output: one bounded line for each event, without values of local variables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(factory.__file__).parents[1]
 
 @pytest.fixture
 def lines() -> Iterator[io.StringIO]:
-    """Everything that is logged, with the configuration of an entry point."""
+    """All log lines, with the configuration of an entry point."""
     stream = io.StringIO()
     with contextlib.redirect_stderr(stream):
         configure_logs(verbose=True)
@@ -51,7 +51,7 @@ def test_a_field_is_bounded_whatever_it_is(lines: io.StringIO, value: object) ->
     assert len(lines.getvalue()) < 2 * MAX_FIELD_CHARS
 
 
-def test_a_text_of_a_peer_stays_on_its_line_and_steers_no_terminal(lines: io.StringIO) -> None:
+def test_text_of_a_peer_stays_on_one_line_without_control_characters(lines: io.StringIO) -> None:
     structlog.get_logger("test").warning("told", value="a\nb\x1b[31m\x9bc\r")
     assert lines.getvalue().count("\n") == 1
     assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", lines.getvalue())
@@ -67,7 +67,7 @@ def test_no_entry_point_logs_local_variables() -> None:
     assert [path.name for path in configuring] == ["logs.py"]
 
 
-def test_an_error_is_told_in_one_short_line() -> None:
+def test_an_error_is_logged_in_one_short_line() -> None:
     try:
         fail_with(SECRET)
     except OverflowError as error:
@@ -76,7 +76,7 @@ def test_an_error_is_told_in_one_short_line() -> None:
     assert len(describe_error(ValueError("a\n" * 100_000))) < 400
 
 
-def test_a_kind_of_line_passes_once_in_a_while_and_counts_the_others() -> None:
+def test_repeated_lines_are_rate_limited_and_counted() -> None:
     now = [0.0]
     limit = LogLimit(1.0, clock=lambda: now[0])
     assert [limit.admit("a"), limit.admit("a"), limit.admit("b"), limit.admit("a")] == [0, None, 0, None]
@@ -91,7 +91,7 @@ def test_the_table_of_kinds_is_bounded() -> None:
     assert len(limit._kinds) <= 1000
 
 
-def test_a_logger_outlives_the_stream_it_first_wrote_to(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_logger_works_after_its_first_stream_is_closed(capsys: pytest.CaptureFixture[str]) -> None:
     log = structlog.get_logger("long-lived")
     configure_logs()
     with contextlib.redirect_stderr(io.StringIO()) as first:

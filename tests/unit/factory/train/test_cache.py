@@ -1,4 +1,4 @@
-"""The cache of shrunk frames: what it holds, that it is made once, and anew when something is wrong with it."""
+"""The cache of downscaled frames: content, reuse, and rebuilding after damage."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def opened(data: Dataset, root: Path) -> tuple[FrameCache, list[tuple[int, int]]
     return open_cache(data, SIZE, HOLD, root, lambda done, of: told.append((done, of))), told
 
 
-def test_cache_holds_what_the_episodes_have(data: Dataset, tmp_path: Path) -> None:
+def test_the_cache_has_the_content_of_the_episodes(data: Dataset, tmp_path: Path) -> None:
     cache, told = opened(data, tmp_path)
     episode = data[1]
     frames = chosen_frames(len(episode), HOLD)
@@ -55,7 +55,7 @@ def test_cache_holds_what_the_episodes_have(data: Dataset, tmp_path: Path) -> No
     assert cache.index.control_hz == episode.meta.job.task.control_hz
 
 
-def test_second_opening_decodes_nothing(data: Dataset, tmp_path: Path) -> None:
+def test_a_second_opening_decodes_no_frame(data: Dataset, tmp_path: Path) -> None:
     first, _ = opened(data, tmp_path)
     second, told = opened(data, tmp_path)
     assert told == []
@@ -73,7 +73,7 @@ def test_other_content_size_or_hold_is_another_cache(data: Dataset) -> None:
     assert len({key.name, *(other.name for other in others)}) == 4
 
 
-def test_cache_without_a_readable_index_is_made_anew(data: Dataset, tmp_path: Path) -> None:
+def test_a_cache_without_a_readable_index_is_rebuilt(data: Dataset, tmp_path: Path) -> None:
     opened(data, tmp_path)
     (index,) = tmp_path.glob("*/index.json")
     index.write_text('{"key": 1}')
@@ -99,7 +99,7 @@ def test_damaged_episode_leaves_no_cache_behind(tmp_path: Path) -> None:
     assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".lock"]
 
 
-def test_of_two_that_want_one_cache_the_second_waits_and_decodes_nothing(data: Dataset, tmp_path: Path) -> None:
+def test_the_second_process_waits_for_the_cache_and_decodes_no_frame(data: Dataset, tmp_path: Path) -> None:
     is_begun, may_go_on, first, second = threading.Event(), threading.Event(), [], []
 
     def tell_and_hold(done: int, of: int) -> None:
@@ -120,6 +120,6 @@ def test_of_two_that_want_one_cache_the_second_waits_and_decodes_nothing(data: D
     assert np.array_equal(made.rgb, found.rgb)
 
 
-def test_no_episodes_are_refused(data: Dataset, tmp_path: Path) -> None:
+def test_an_empty_selection_is_refused(data: Dataset, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such episodes"):
         opened(data.filter(split="test_ood_obj"), tmp_path)

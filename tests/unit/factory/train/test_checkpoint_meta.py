@@ -1,4 +1,4 @@
-"""What a checkpoint says of itself, and what is refused; needs no torch."""
+"""Metadata and refusal of checkpoints; needs no torch."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
 
 
 @pytest.mark.parametrize("text", [None, 7, "", "{}", '{"kind": "other"}'])
-def test_what_is_no_metadata_is_refused(text: object) -> None:
+def test_invalid_metadata_is_refused(text: object) -> None:
     with pytest.raises(UsageError, match=r"policy\.pt is not a checkpoint"):
         parse_meta(text, PATH)
 
 
-def test_a_training_folder_stands_for_its_policy(tmp_path: Path) -> None:
+def test_a_training_folder_can_be_given_as_policy(tmp_path: Path) -> None:
     assert checkpoint_path(tmp_path) == tmp_path / "policy.pt"
     assert checkpoint_path(tmp_path / "mine.pt") == tmp_path / "mine.pt"
 
@@ -63,6 +63,6 @@ def test_file_is_replaced_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("changes", [{"size": 100}, {"epochs": 0}, {"head": "both"}, {"peak_rate": 0}])
-def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> None:
+def test_invalid_options_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         BcOptions.model_validate(changes)

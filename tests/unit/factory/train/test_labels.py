@@ -1,4 +1,4 @@
-"""Labels from recorded commands: where the decision to stand shows, and what is held until the next look."""
+"""Labels from recorded commands: the start of the stop, and the command at the end of the hold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HZ, BRAKING = 60, RobotConfig().max_braking_mps2
 
 
 def drive() -> NDArray[np.float32]:
-    """Speeds up at 2.5 m/s2, sinks with the distance, brakes at 8 m/s2 and stands for six steps."""
+    """Speeds up at 2.5 m/s2, sinks with the distance, brakes at 8 m/s2 and stops for six steps."""
     up = np.arange(1, 24) * 2.5 / HZ
     sinking = np.linspace(up[-1], 0.70, 60)
     braking = np.clip(0.70 - np.arange(1, 7) * 8 / HZ, 0, None)
@@ -24,16 +24,16 @@ def test_stop_begins_with_the_braking() -> None:
     assert stop_frame(drive(), BRAKING, HZ) == 23 + 60
 
 
-def test_an_episode_that_never_stands_has_no_stop() -> None:
+def test_an_episode_that_never_stops_has_no_stop_label() -> None:
     assert stop_frame(drive()[:50], BRAKING, HZ) == 50
 
 
-def test_standing_on_the_way_is_no_stop() -> None:
+def test_a_halt_during_the_drive_is_not_labelled_as_a_stop() -> None:
     twice = np.concatenate([drive(), drive()])
     assert stop_frame(twice, BRAKING, HZ) == len(drive()) + 23 + 60
 
 
-def test_an_episode_of_standing_is_a_stop_throughout() -> None:
+def test_a_stationary_episode_is_labelled_as_a_stop_throughout() -> None:
     assert stop_frame(np.zeros((8, 2), np.float32), BRAKING, HZ) == 0
 
 
@@ -45,7 +45,7 @@ def test_frames_are_denser_at_the_end() -> None:
     assert frames.max() < 100
 
 
-def test_short_episodes_are_looked_at_whole() -> None:
+def test_short_episodes_use_every_frame() -> None:
     assert chosen_frames(5, 6).tolist() == [0, 2, 4]
 
 

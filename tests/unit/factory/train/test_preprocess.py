@@ -1,4 +1,4 @@
-"""What the network sees of a frame: sizes, ranges, and geometry that survives the shrinking."""
+"""Preprocessing of frames for the network: sizes, ranges, and preserved geometry."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_colours_are_the_mean_of_their_block(size: int) -> None:
     assert small[1:].max() == 0
 
 
-def test_depth_is_millimetres_and_nothing_hit_is_far() -> None:
+def test_depth_is_in_millimetres_and_empty_pixels_are_far() -> None:
     depth = np.full((FRAME_SIZE_PX, FRAME_SIZE_PX), 1.2344, np.float32)
     depth[:320] = 0
     depth[:, 320:] = 25.0
@@ -60,7 +60,7 @@ def batch(is_stop: bool) -> Batch:
     return Batch(to_input(rgb, depth), mask, np.tile(np.float32((0.5, 0.3)), (64, 1)), np.full(64, is_stop))
 
 
-def test_mirrored_frames_turn_the_other_way() -> None:
+def test_mirrored_frames_have_the_opposite_yaw_rate() -> None:
     varied = augment(batch(is_stop=False), np.random.default_rng(0))
     mirrored = varied.mask[:, 0, 5] == 1
     assert 10 < mirrored.sum() < 54
@@ -69,7 +69,7 @@ def test_mirrored_frames_turn_the_other_way() -> None:
     assert (varied.actions[:, 0] == 0.5).all()
 
 
-def test_stop_frames_are_sometimes_seen_from_closer_and_others_never() -> None:
+def test_only_stop_frames_are_augmented_by_zoom() -> None:
     still = augment(batch(is_stop=True), np.random.default_rng(0)).pictures[:, 3]
     moving = augment(batch(is_stop=False), np.random.default_rng(0)).pictures[:, 3]
     nearest = to_input(np.zeros((1, 1, 1, 3), np.uint8), np.full((1, 1, 1), 750, np.uint16))[0, 3, 0, 0]
@@ -78,7 +78,7 @@ def test_stop_frames_are_sometimes_seen_from_closer_and_others_never() -> None:
     assert still.max() <= nearest + 1e-6
 
 
-def test_varying_leaves_its_input_alone_and_repeats_itself() -> None:
+def test_augmentation_keeps_its_input_and_is_reproducible() -> None:
     given = batch(is_stop=True)
     before = given.pictures.copy()
     first, second = (augment(given, np.random.default_rng(9)) for _ in range(2))

@@ -21,7 +21,7 @@ def test_rate_is_finite_beyond_the_end_and_without_warmup() -> None:
     assert learning_rate(0, 1, 1e-3, 1) == 1e-3
 
 
-def test_running_mean_forgets_its_noisy_beginning() -> None:
+def test_the_running_mean_discounts_its_noisy_start() -> None:
     decays = [ema_decay(step, 0.99) for step in range(2000)]
     assert decays[0] == pytest.approx(0.1)
     assert decays == sorted(decays)

@@ -1,4 +1,4 @@
-"""Instructions as numbers: complete for the templates, stable, and the same for all in the ablated twin."""
+"""Encoding of instructions: complete for the templates, stable, and constant in the ablated model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WORDS = vocabulary()
 
 
 @pytest.mark.parametrize("template", sorted(TEMPLATES))
-def test_every_template_with_every_category_is_known_and_fits(template: str) -> None:
+def test_every_template_with_every_category_is_encoded_within_the_length(template: str) -> None:
     words = vocabulary(["red"])
     for category in CATEGORIES:
         text = instruction(template, category, "red")
@@ -30,24 +30,24 @@ def test_different_objects_give_different_numbers() -> None:
     assert len(said) == len(CATEGORIES)
 
 
-def test_unknown_words_are_told_as_such() -> None:
+def test_unknown_words_are_encoded_as_unknown() -> None:
     found = encode("Go to the zeppelin.", WORDS)
     assert found[3] == UNKNOWN
     assert found[:3].min() > ANY
     assert (found[4:] == PAD).all()
 
 
-def test_own_categories_of_the_training_data_become_words() -> None:
+def test_custom_categories_of_the_training_data_are_in_the_vocabulary() -> None:
     assert UNKNOWN not in encode("Go to the zeppelin.", vocabulary(["Approach the zeppelin."]))
 
 
-def test_ablated_twin_reads_the_same_of_everything() -> None:
+def test_the_ablated_model_gets_the_same_ids_for_every_instruction() -> None:
     texts = ("Go to the chair.", "", "Approach the red sofa and stop.")
     assert {tuple(encode(text, WORDS, ablate=True)) for text in texts} == {(ANY, *[PAD] * (MAX_WORDS - 1))}
 
 
 @pytest.mark.parametrize("text", ["", "!?", "a " * 100])
-def test_any_text_gives_something_to_read(text: str) -> None:
+def test_any_text_gives_at_least_one_id(text: str) -> None:
     found = encode(text, WORDS)
     assert found.shape == (MAX_WORDS,)
     assert found[0] != PAD

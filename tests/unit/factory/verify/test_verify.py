@@ -1,4 +1,4 @@
-"""Verification finds every kind of damage, and none where there is none."""
+"""Verification finds every kind of damage and reports no false damage."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def data(pristine: Path, tmp_path: Path) -> Path:
-    """A copy that the test may damage."""
+    """A copy that the test may change."""
     return Path(shutil.copytree(pristine, tmp_path / "data"))
 
 
@@ -111,7 +111,7 @@ def test_every_flipped_bit_is_found(data: Path, place: float, bit: int) -> None:
         path.write_bytes(good)
 
 
-def test_surplus_and_foreign_files_are_told_apart(data: Path) -> None:
+def test_surplus_and_foreign_files_are_distinguished(data: Path) -> None:
     shutil.copy(data / EPISODE, data / "episodes/ep_000099.zip")
     (data / "episodes/notes.txt").write_text("mine")
     (data / "scenes/old-0000000000000000.scene.zip").write_bytes(b"")
@@ -124,7 +124,7 @@ def test_surplus_and_foreign_files_are_told_apart(data: Path) -> None:
     ]
 
 
-def test_what_the_coordinator_keeps_there_is_not_foreign(data: Path) -> None:
+def test_files_of_the_coordinator_are_not_foreign(data: Path) -> None:
     for name in ("ledger.db", "ledger.db-wal", ".lock", ".coordinator.json"):
         (data / name).write_bytes(b"")
     assert verify(data).ok
@@ -169,7 +169,7 @@ def test_missing_or_changed_scene_is_found(data: Path) -> None:
     package.write_bytes(good[:-1])
     assert kinds(verify(data)) == [(Kind.DAMAGED, f"scenes/{package.name}")]
     comment = bytearray(good)
-    comment[12] ^= 1  # the hour of the first member, which no decoder looks at
+    comment[12] ^= 1  # the time of the first member, which no decoder reads
     package.write_bytes(comment)
     assert kinds(verify(data)) == [(Kind.CHANGED, f"scenes/{package.name}")]
 
@@ -201,7 +201,7 @@ def test_row_that_differs_from_its_episode_is_found(data: Path, changes: dict[st
     assert any(text in finding.text for finding in verify(data, deep=True).findings)
 
 
-def test_row_that_stands_twice_is_found(data: Path) -> None:
+def test_a_duplicate_row_is_found(data: Path) -> None:
     edit_row(data, 1, episode_id="ep_000001", index=1)
     assert (Kind.CONTRADICTION, "metadata.parquet") in kinds(verify(data))
 
@@ -212,7 +212,7 @@ def test_row_that_breaks_its_model_is_found(data: Path) -> None:
 
 
 def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Path) -> None:
-    """Whoever rewrites episode and tables alike still cannot forge the laws of motion."""
+    """Consistent changes of episode and tables still violate the laws of motion."""
     before = Dataset(data)
     with open_archive(data) as archive:
         first = before[0]

@@ -1,4 +1,4 @@
-"""Films and sheets of an episode: what is in the pictures, what players get, and what a wrong suffix says."""
+"""Videos and contact sheets of an episode: content, codecs, and the message for a wrong suffix."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def scene() -> CompiledScene:
 @pytest.mark.parametrize(
     ("hz", "fps", "stride", "rate"), [(60, 30, 2, 30), (60, 15, 4, 15), (20, 30, 1, 20), (50, 30, 2, 25)]
 )
-def test_films_run_at_the_speed_of_life(hz: int, fps: int, stride: int, rate: int) -> None:
+def test_videos_run_at_real_time(hz: int, fps: int, stride: int, rate: int) -> None:
     assert film_rate(hz, fps) == (stride, Fraction(rate))
 
 
-def test_a_film_ends_with_the_last_frame_and_has_even_sides(episode: BundleReader) -> None:
+def test_a_video_ends_with_the_last_frame_and_has_even_dimensions(episode: BundleReader) -> None:
     pictures = list(draw_film(episode, scene(), 5))
     assert episode.length == 12
     assert len(pictures) == 4
@@ -65,7 +65,7 @@ def test_the_map_shows_the_track_so_far(episode: BundleReader) -> None:
     assert not np.array_equal(first, last)
 
 
-def test_near_is_brighter_than_far_and_nothing_is_black() -> None:
+def test_near_depth_is_brighter_than_far_and_no_pixel_is_black() -> None:
     shown = show_depth(np.array([[0.0, 0.3, 2.0, 9.0, 50.0]], np.float32)).sum(axis=2)[0]
     assert shown[0] == 0
     assert list(shown[1:]) == sorted(shown[1:], reverse=True)
@@ -77,7 +77,7 @@ def test_an_instance_has_one_colour_and_the_target_is_red() -> None:
     assert shown[3:] == [[255, 40, 40], [0, 0, 0]]
 
 
-def test_mp4_is_what_every_player_shows(root: Path, tmp_path: Path) -> None:
+def test_mp4_uses_the_most_compatible_codec(root: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "e.mp4"
     done = CliRunner().invoke(command, [str(root), "1", "-o", str(out), "--json"], catch_exceptions=False)
     assert json.loads(done.stdout)["fps"] == 30
@@ -101,7 +101,7 @@ def test_gif_and_contact_sheet_can_be_opened(root: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("columns", [2, 6, 24])
-def test_the_head_of_a_sheet_grows_with_it_and_stays_within(episode: BundleReader, columns: int) -> None:
+def test_the_header_of_a_contact_sheet_scales_with_its_width(episode: BundleReader, columns: int) -> None:
     sheet = draw_contact_sheet(episode, scene(), columns)
     head = np.asarray(sheet.convert("L"))[: sheet.height - 3 * 240]
     rows, across = (np.flatnonzero((head < 128).any(axis=axis)) for axis in (1, 0))
@@ -109,7 +109,7 @@ def test_the_head_of_a_sheet_grows_with_it_and_stays_within(episode: BundleReade
     assert across.max() < sheet.width - 4
 
 
-def test_a_head_too_long_for_its_sheet_is_written_smaller(root: Path) -> None:
+def test_a_long_header_of_a_contact_sheet_is_scaled_down(root: Path) -> None:
     with (root / "episodes/ep_000001.zip").open("rb") as file, BundleReader(file) as bundle:
         job = bundle.meta.job.model_copy(update={"instruction": "Please go to the chair. " * 20})
         bundle.meta = bundle.meta.model_copy(update={"job": job})
@@ -118,12 +118,12 @@ def test_a_head_too_long_for_its_sheet_is_written_smaller(root: Path) -> None:
     assert np.flatnonzero((head < 128).any(axis=0)).max() < sheet.width - 4
 
 
-def test_a_film_says_from_where_its_distance_is(episode: BundleReader) -> None:
+def test_a_video_states_the_reference_of_its_distance(episode: BundleReader) -> None:
     assert facts_of_step(episode, 11).endswith(" m from the target's centre")
 
 
 @pytest.mark.parametrize("name", ["e.avi", "e"])
-def test_a_wrong_suffix_names_the_right_ones(root: Path, tmp_path: Path, name: str) -> None:
+def test_a_wrong_suffix_is_refused_with_the_supported_ones(root: Path, tmp_path: Path, name: str) -> None:
     with pytest.raises(UsageError, match=r"use \.png, \.mp4, \.gif"):
         CliRunner().invoke(command, [str(root), "1", "-o", str(tmp_path / name)], catch_exceptions=False)
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""The Rerun view of an episode: what can be told without the viewer, and all of it where rerun-sdk is installed."""
+"""The Rerun view of an episode: parts that need no viewer, and the whole view if rerun-sdk is installed."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def scene():
     return decode_scene(io.BytesIO(office_package()))
 
 
-def test_the_floor_picture_covers_the_grid_and_its_first_row_is_the_smallest_y(scene):
+def test_the_floor_image_covers_the_grid_and_its_first_row_has_the_smallest_y(scene):
     floor = floor_picture(scene)
     rows, columns = scene.occupancy.shape
     size = scene.info.grid_resolution_m
     span = floor.corners_m.max(axis=0) - floor.corners_m.min(axis=0)
     np.testing.assert_allclose(span[:2], (columns * size, rows * size), rtol=1e-5)
     np.testing.assert_allclose(floor.corners_m[0, :2], scene.info.grid_origin_m, rtol=1e-6)
-    assert tuple(floor.uvs[0]) == (0, 0)  # so that texture row 0, v = 0, lies at the lower edge
+    assert tuple(floor.uvs[0]) == (0, 0)  # so that texture row 0, v = 0, is at the lower edge
     assert floor.texture.shape == (rows, columns, 3)
     assert (floor.texture[0, 0] == floor.texture[scene.occupancy == scene.occupancy[0, 0]]).all()
 
 
-def test_ids_have_colours_of_their_own_and_the_target_is_red():
+def test_ids_have_distinct_colours_and_the_target_is_red():
     ids = np.arange(200, dtype=np.uint16)
     colours = show_ids(ids, target=7)
     assert tuple(colours[0]) == (0, 0, 0)

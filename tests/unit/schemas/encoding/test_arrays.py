@@ -1,4 +1,4 @@
-"""What an array spec says of arrays that do not fit."""
+"""Violations of array specs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_open_extent_is_shown_as_t() -> None:
     assert POSES.violations(np.zeros((3, 6), np.float32)) == ["poses: shape (3, 6), expected (T, 7)"]
 
 
-def test_empty_array_has_no_values_to_complain_of() -> None:
+def test_an_empty_array_has_no_value_violations() -> None:
     assert ArraySpec("x", (None,), np.float32, "m", 0, 1).violations(np.zeros(0, np.float32)) == []
 
 

@@ -1,4 +1,4 @@
-"""The container: deterministic bytes, random access, and every way in which a zip can lie."""
+"""The container: deterministic bytes, random access, and refusal of inconsistent zip files."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_too_many_members_are_refused() -> None:
     assert "more than 8 members" in refused(pack({str(n): b"" for n in range(9)}))
 
 
-def test_a_long_directory_is_refused_before_it_is_read() -> None:
+def test_a_long_central_directory_is_refused_before_it_is_read() -> None:
     data = bytearray(pack({f"{n:0200d}": b"" for n in range(8)}))
     struct.pack_into("<2H", data, len(data) - 14, 1, 1)  # entries on this disk and in all
     assert "a directory of 1968 bytes for 1 members" in refused(data)
@@ -87,7 +87,7 @@ def test_records_of_64_bits_and_comments_are_refused() -> None:
     assert "it has no valid end record" in refused(buffer.getvalue())
 
 
-def test_member_that_stands_twice_is_refused() -> None:
+def test_a_duplicate_member_is_refused() -> None:
     data = pack({"a": b"1", "b": b"2"})
     assert "'a' is listed twice" in refused(data.replace(b"b", b"a"))
 
@@ -113,7 +113,7 @@ def test_bytes_are_those_of_the_standard_library(members: dict[str, bytes]) -> N
     assert {name: reader.read(name) for name in reader.names} == members
 
 
-def test_members_with_extra_fields_and_notes_are_read() -> None:
+def test_members_with_extra_fields_and_comments_are_read() -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as out:
         for name in ("first", "z\u00fcrich"):
@@ -172,7 +172,7 @@ def test_every_truncation_is_refused() -> None:
 
 @settings(max_examples=300)
 @given(st.binary(max_size=300))
-def test_rubbish_never_raises_anything_else(data: bytes) -> None:
+def test_random_bytes_raise_only_the_documented_error(data: bytes) -> None:
     with pytest.raises(InvalidBundle):
         ContainerReader(io.BytesIO(data), LIMITS)
 

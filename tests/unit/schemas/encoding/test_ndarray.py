@@ -1,4 +1,4 @@
-"""Arrays as bytes: exact round trips, and headers and frames that lie about their size."""
+"""Arrays as bytes: exact round trips, and headers and frames with false sizes."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def test_numpy_reads_what_we_write() -> None:
     assert np.array_equal(np.load(io.BytesIO(encode_npy(SMALL)), allow_pickle=False), SMALL)
 
 
-def test_header_in_other_words_says_the_same() -> None:
-    """Ours is known by sight; any other one is parsed."""
+def test_a_header_in_another_notation_is_equivalent() -> None:
+    """The header of the product is recognised by its bytes; other headers are parsed."""
     text = "{'shape':(4,3), 'fortran_order':False, 'descr':'<f4'}"
     data = header(f"{text}\n") + SMALL.tobytes()
     assert not encode_npy(SMALL).startswith(header(f"{text}\n"))
@@ -127,7 +127,7 @@ def test_frame_of_unknown_size_is_refused() -> None:
         decode_npy_zst("thing", unknown, np.float32, (4, 3), 1 << 20)
 
 
-def test_frame_that_understates_its_size_is_refused() -> None:
+def test_a_frame_with_an_understated_size_is_refused() -> None:
     compressor = zstandard.ZstdCompressor(write_content_size=True)
     honest = bytearray(compressor.compress(b"\x00" * 100_000))
     lying = compressor.compress(b"\x00" * 90_000)[:8]  # magic, descriptor and the smaller size
@@ -151,7 +151,7 @@ def test_damaged_frame_is_refused(damage: str) -> None:
 
 @settings(max_examples=300)
 @given(st.data())
-def test_no_flipped_bit_in_a_compressed_array_passes(data: st.DataObject) -> None:
+def test_every_flipped_bit_in_a_compressed_array_is_detected(data: st.DataObject) -> None:
     good = encode_npy_zst(SMALL)
     position = data.draw(st.integers(0, len(good) * 8 - 1))
     bad = bytearray(good)
@@ -160,11 +160,11 @@ def test_no_flipped_bit_in_a_compressed_array_passes(data: st.DataObject) -> Non
         found = decode_npy_zst("thing", bytes(bad), np.float32, SMALL.shape, 1 << 20)
     except InvalidBundle:
         return
-    assert np.array_equal(found, SMALL)  # a flipped bit that no decoder looks at
+    assert np.array_equal(found, SMALL)  # a flipped bit that no decoder reads
 
 
 @pytest.mark.parametrize("header", [b"{'descr': '<f4', 'shape': (3,", b"(" * 5000, b"'''", b"{[" * 900, b"9" * 6000])
-def test_a_header_that_is_no_python_is_refused(header: bytes) -> None:
+def test_an_unparsable_header_is_refused(header: bytes) -> None:
     data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
     with pytest.raises(InvalidBundle):
         decode_npy("poses", data, np.dtype(np.float32), (3, 7))

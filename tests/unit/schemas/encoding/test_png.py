@@ -1,4 +1,4 @@
-"""PNG: lossless, readable by others, and closed to every image that is not exactly one of ours."""
+"""PNG: lossless, readable by other software, and strict: other image forms are refused."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_image_comes_back_bit_for_bit(image: np.ndarray) -> None:
 
 
 @given(st.one_of(COLOUR, GREY))
-def test_other_software_sees_the_same_image(image: np.ndarray) -> None:
+def test_other_software_reads_the_same_image(image: np.ndarray) -> None:
     with Image.open(io.BytesIO(encode_png(image))) as opened:
         assert np.array_equal(np.asarray(opened), image)
 
@@ -109,5 +109,5 @@ def test_every_truncation_is_refused(length: int) -> None:
 
 
 @given(st.binary(max_size=200))
-def test_rubbish_never_raises_anything_else(data: bytes) -> None:
+def test_random_bytes_raise_only_the_documented_error(data: bytes) -> None:
     refused(data)

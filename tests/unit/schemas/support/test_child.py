@@ -1,4 +1,4 @@
-"""What a Python process of ours inherits, and that no process is started otherwise."""
+"""The environment of child processes, and that every process is started with it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_what_brings_packages_stays_and_the_working_directory_does_not(elsewhere: Path) -> None:
+def test_package_paths_are_inherited_and_the_working_directory_is_not(elsewhere: Path) -> None:
     given = {"PATH": "/bin", "VIRTUAL_ENV": "/venv", "PYTHONHOME": "/opt/python", "PYTHONPATH": ":/cluster:.:/site:"}
     assert child_environment(given) == {**given, "PYTHONPATH": "/cluster:/site"}
 
@@ -33,7 +33,7 @@ def test_variables_of_an_interactive_session_are_not_inherited(elsewhere: Path, 
     assert child_environment({name: "x", "PYTHONPATH": "."}) == {}
 
 
-def test_the_import_path_of_this_process_is_handed_on_without_the_working_directory(elsewhere: Path) -> None:
+def test_the_import_path_is_inherited_without_the_working_directory(elsewhere: Path) -> None:
     assert import_path(["", str(elsewhere), "/site", "."]) == "/site"
 
 
@@ -50,7 +50,7 @@ def test_a_child_imports_no_file_of_the_working_directory(elsewhere: Path) -> No
     assert done.returncode == 0
 
 
-def test_python_is_started_in_one_way_only() -> None:
+def test_python_is_started_by_one_function_only() -> None:
     strays = {
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in SOURCES
@@ -59,12 +59,12 @@ def test_python_is_started_in_one_way_only() -> None:
         if isinstance(node, ast.Attribute) and ast.unparse(node) == "sys.executable"
     }
     assert {stray.partition(":")[0] for stray in strays} <= {
-        "factory/cli/main.py",  # runs itself again, by its own words
+        "factory/cli/main.py",  # runs itself again with the same arguments
         "schemas/support/extras.py",  # names it in a message
     }
 
 
-def test_every_process_is_given_its_environment() -> None:
+def test_every_process_is_started_with_an_explicit_environment() -> None:
     calls = [
         (path, node)
         for path in SOURCES

@@ -46,7 +46,9 @@ MODULE_OF = {
         ),
     ],
 )
-def test_requirement_fits_where_the_installation_came_from(origin: dict[str, Any] | None, wanted: str) -> None:
+def test_the_install_requirement_matches_the_source_of_the_installation(
+    origin: dict[str, Any] | None, wanted: str
+) -> None:
     assert " ".join(shlex.split(requirement_of("sim", origin))) == wanted
 
 
@@ -73,7 +75,7 @@ def test_pybullet_is_explained_on_a_python_that_has_no_wheel(monkeypatch: pytest
     assert "python3.11 -m venv" in text
 
 
-def test_each_optional_package_has_the_extra_that_brings_it() -> None:
+def test_each_optional_package_is_in_its_extra() -> None:
     extras: dict[str, list[str]] = PROJECT["optional-dependencies"]
     brought = {
         MODULE_OF.get(name, name).replace("-", "_"): extra
@@ -92,7 +94,7 @@ def test_base_install_has_no_package_that_only_simulation_needs() -> None:
     assert "<" not in PROJECT["requires-python"]
 
 
-def test_no_message_names_a_command_that_only_works_from_an_index() -> None:
+def test_messages_contain_no_command_that_requires_an_index() -> None:
     sources = [
         path
         for folder in ("factory", "coordinator", "workers", "schemas", "minivla")

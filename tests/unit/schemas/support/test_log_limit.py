@@ -1,4 +1,4 @@
-"""Repeated events in the log: once, seldom, and over."""
+"""Repeated events in the log: first line, rare repetitions, end."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_an_hour_of_failures_gives_a_line_at_once_a_few_later_and_one_at_the_end
     assert lines[-1] == {"event": "write_failed_recovered", "log_level": "warning", "failures": 3600, "after_s": 3599}
 
 
-def test_lines_of_a_kind_become_rare_while_it_lasts_and_name_what_was_left_out(clock: Clock) -> None:
+def test_repeated_lines_become_rare_and_count_the_omitted_ones(clock: Clock) -> None:
     limit, log = LogLimit(1.0, 60.0, clock), structlog.get_logger("test")
     with capture_logs() as lines:
         for clock.now in range(3600):
@@ -65,7 +65,7 @@ def test_lines_of_a_kind_become_rare_while_it_lasts_and_name_what_was_left_out(c
     assert lines[-2] == {"event": "refused", "log_level": "warning", "host": "good"}
 
 
-def test_failures_that_come_and_go_are_bounded_too(clock: Clock) -> None:
+def test_intermittent_failures_are_rate_limited(clock: Clock) -> None:
     trouble = failing(clock)
     with capture_logs() as lines:
         for clock.now in range(3600):
@@ -83,7 +83,7 @@ def test_the_next_failure_after_a_quiet_time_is_logged_at_once(clock: Clock) -> 
     assert [line["event"] for line in lines] == ["write_failed", "write_failed_recovered"] * 3
 
 
-def test_what_nobody_expects_brings_its_traceback_once(clock: Clock) -> None:
+def test_an_unexpected_error_is_logged_with_one_traceback(clock: Clock) -> None:
     trouble = failing(clock)
     with capture_logs() as lines:
         for clock.now in (0, 20, 60):

@@ -1,4 +1,4 @@
-"""The nearest name is offered, and none where none is near."""
+"""The closest name is suggested, and none without a similar name."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from schemas.support.suggest import did_you_mean
 from schemas.terms import Split
 
 
-def test_the_nearest_name_is_offered_as_it_is_spelt() -> None:
+def test_the_closest_name_is_suggested_in_its_exact_spelling() -> None:
     assert did_you_mean("offfice", ["hospital", "office"]) == "; did you mean 'office'?"
     assert did_you_mean("TRAIN-ID", Split) == "; did you mean 'train_id'?"
 
 
-def test_nothing_is_offered_for_a_word_that_is_like_none() -> None:
+def test_nothing_is_suggested_without_a_similar_name() -> None:
     assert did_you_mean("oracle", ["hospital", "office"]) == ""
     assert did_you_mean("office", []) == ""

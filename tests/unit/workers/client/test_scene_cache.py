@@ -51,7 +51,7 @@ def test_damaged_scene_is_fetched_again(tmp_path):
     assert ensure(SceneCache(tmp_path, 1 << 30), source).read_bytes() == b"scene"
 
 
-def test_wrong_bytes_are_refused_and_not_kept(tmp_path):
+def test_a_wrong_digest_is_refused_and_the_file_is_not_kept(tmp_path):
     source = Source(b"scene")
     source.data = b"other"
     with pytest.raises(WorldError, match="arrived with SHA-256"):
@@ -112,7 +112,7 @@ def test_scene_larger_than_the_cache_is_kept_while_it_is_used(tmp_path):
     assert ensure(SceneCache(tmp_path, 100), source).is_file()
 
 
-def test_folder_that_cannot_be_written_says_what_to_do(tmp_path):
+def test_an_unwritable_folder_is_reported_with_a_remedy(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(WorldError, match="set MINIVLA_CACHE to a writable folder"):
         ensure(SceneCache(tmp_path / "file", 100), Source(b"scene"))

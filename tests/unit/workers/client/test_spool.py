@@ -1,4 +1,4 @@
-"""The spool: what survives, what is swept, and who may use a folder."""
+"""The spool: recovery, cleanup, and locking of folders."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_finished_bundle_is_found_from_outside_by_its_lease_alone(tmp_path):
         assert find_bundle(tmp_path / "nowhere", lease(2)) is None
 
 
-def test_dropped_bundle_leaves_nothing_behind(tmp_path):
+def test_a_dropped_bundle_leaves_no_file(tmp_path):
     with open_spool(tmp_path) as spool:
         put(spool, lease())
         assert spool.drop(lease())
@@ -74,7 +74,7 @@ def test_bundle_under_another_token_is_not_dropped(tmp_path):
         assert len(spool) == 1
 
 
-def test_bundle_of_a_former_ledger_makes_way_for_the_same_job_and_fence(tmp_path):
+def test_a_bundle_of_a_former_ledger_is_replaced_for_the_same_job_and_fence(tmp_path):
     with open_spool(tmp_path) as spool:
         put(spool, lease(token="0"))
         put(spool, lease(token="1"), b"new")
@@ -97,7 +97,7 @@ def test_unknown_bundle_is_a_key_error(tmp_path):
     ],
     ids=["bundle half written", "bundle without sidecar", "sidecar without bundle", "sidecar half written"],
 )
-def test_what_a_crash_left_half_done_is_swept_at_the_start(tmp_path, mishap):
+def test_leftovers_of_a_crash_are_removed_at_the_start(tmp_path, mishap):
     with open_spool(tmp_path) as spool:
         put(spool, lease())
         mishap(spool.directory)
@@ -137,7 +137,7 @@ def test_second_worker_takes_another_folder(tmp_path):
         assert not other.entries()
 
 
-def test_bundles_of_a_dead_sibling_are_adopted(tmp_path):
+def test_bundles_of_a_dead_worker_are_adopted(tmp_path):
     with open_spool(tmp_path), open_spool(tmp_path) as sibling:
         put(sibling, lease(2))
         orphaned = sibling.directory
@@ -158,7 +158,7 @@ def test_clearing_removes_an_unfinished_attempt_but_no_bundle(tmp_path):
         assert {path.name for path in spool.directory.iterdir()} == {"lock", "1.1.zip", "1.1.json"}
 
 
-def test_what_tells_the_token_of_a_lease_can_be_read_by_its_owner_only(tmp_path):
+def test_files_with_a_lease_token_are_readable_only_by_their_owner(tmp_path):
     (tmp_path / "run" / "0").mkdir(parents=True, mode=0o755)
     umask = os.umask(0)
     try:
@@ -172,7 +172,7 @@ def test_what_tells_the_token_of_a_lease_can_be_read_by_its_owner_only(tmp_path)
         os.umask(umask)
 
 
-def test_a_folder_that_was_deleted_ends_in_words_whatever_is_asked_of_it(tmp_path):
+def test_every_operation_reports_a_deleted_folder_without_a_traceback(tmp_path):
     with open_spool(tmp_path / "root") as spool:
         put(spool, lease())
         shutil.rmtree(tmp_path)
@@ -187,7 +187,7 @@ def test_a_folder_that_was_deleted_ends_in_words_whatever_is_asked_of_it(tmp_pat
 
 
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"short")])
-def test_a_bundle_that_was_deleted_or_cut_is_no_longer_said_to_wait(tmp_path, harm):
+def test_a_deleted_or_truncated_bundle_is_no_longer_announced(tmp_path, harm):
     with open_spool(tmp_path) as spool:
         put(spool, lease())
         harm(spool.path_for(lease()))

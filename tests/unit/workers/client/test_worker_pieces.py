@@ -1,4 +1,4 @@
-"""Small parts of the worker: pauses, names, leases in work, phases."""
+"""Small parts of the worker: pauses, names, active leases, phases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_pauses_double_up_to_the_longest_and_start_again_after_a_success():
     ("name", "tidy"),
     [("Node_07.cluster.local", "node-07-cluster-local"), ("-x-", "x"), ("***", "host"), ("a" * 99, "a" * 48)],
 )
-def test_host_names_are_made_fit_for_keys(name, tidy):
+def test_host_names_are_converted_to_valid_keys(name, tidy):
     assert tidy_host(name) == tidy
 
 
@@ -66,7 +66,7 @@ def test_stopping_closes_and_sets_a_deadline():
     assert phase.left_s == 0.0
 
 
-def test_first_error_counts():
+def test_the_first_error_is_kept():
     phase = Phase()
     first = ValueError("first")
     phase.fail(first)
@@ -74,7 +74,7 @@ def test_first_error_counts():
     assert phase.error is first
 
 
-def test_caches_lie_under_the_chosen_folder(monkeypatch, tmp_path):
+def test_caches_are_below_the_chosen_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("MINIVLA_CACHE", str(tmp_path))
     settings = WorkerSettings(connect=("tcp/127.0.0.1:7447",), cores=3)
     assert settings.spool_dir.parent == settings.scene_dir.parent == tmp_path

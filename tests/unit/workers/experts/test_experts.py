@@ -23,7 +23,7 @@ UNSEEN = Sighting(0, 320.0, lambda: 0.0)
 
 
 class Seen(NamedTuple):
-    """Senses that have all been taken."""
+    """A view with precomputed values."""
 
     sighting: Sighting
     bearing_rad: float
@@ -48,7 +48,7 @@ def test_speed_is_proportional_to_the_centroid_distance_and_clamped():
     assert expert.act(seen(distance=5.0)).v_mps == 1.0
 
 
-def test_the_robot_is_told_to_stand_inside_the_success_circle():
+def test_the_commanded_speed_is_zero_inside_the_success_circle():
     expert = make_expert(make_job())
     assert expert.act(seen(distance=1.0, bearing=0.5)) == (0.0, 0.0)
 
@@ -78,7 +78,7 @@ def test_the_depth_law_uses_the_mask_depth_while_visible():
 
 
 @pytest.mark.parametrize("name", ExpertName)
-def test_every_expert_of_the_vocabulary_can_be_made(name):
+def test_every_expert_name_can_be_constructed(name):
     assert isinstance(make_expert(make_job(name)), Expert)
 
 

@@ -1,4 +1,4 @@
-"""What experts read off a frame."""
+"""Values that experts compute from a frame."""
 
 from __future__ import annotations
 
@@ -40,5 +40,5 @@ def test_the_percentile_by_counting_agrees_with_numpy():
         assert is_obstacle_near(depth, task) == (np.percentile(crop, 5) < 0.25)
 
 
-def test_pixels_without_a_surface_are_not_near():
+def test_pixels_without_a_surface_do_not_count_as_near():
     assert not is_obstacle_near(np.zeros((640, 640), np.float32), TaskConfig())

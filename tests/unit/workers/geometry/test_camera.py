@@ -1,4 +1,4 @@
-"""The camera's geometry: where it is, which way it looks, and what lands on which pixel."""
+"""The geometry of the camera: position, orientation and projection."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def project_by_gl(pose: Pose, point: tuple[float, float, float]) -> np.ndarray:
     return np.array(((x + 1) / 2 * SIZE, (1 - y) / 2 * SIZE, clip[3]))
 
 
-def test_camera_sits_where_the_configuration_says() -> None:
+def test_the_camera_has_the_configured_position() -> None:
     eye = optical_pose(Pose.planar(2.0, 3.0, math.pi / 2, z=0.1), CAMERA).eye
     assert eye == pytest.approx((2.0 + 0.075, 3.0 + 0.1003, 0.1 + 0.3444))
 
@@ -50,11 +50,11 @@ def test_optical_axes_are_a_right_handed_frame_at_any_tilt() -> None:
     assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
-def test_a_point_ahead_lands_in_the_middle() -> None:
+def test_a_point_ahead_is_projected_to_the_centre() -> None:
     assert project(Pose.planar(0.0, 0.0, 0.0), (5.0, -0.075, 0.3444)) == pytest.approx((320, 320, 4.8997))
 
 
-def test_a_point_to_the_left_and_above_lands_left_and_above() -> None:
+def test_a_point_to_the_left_and_above_is_projected_left_and_above() -> None:
     column, row, _ = project(Pose.planar(0.0, 0.0, 0.0), (5.0, 1.0, 1.0))
     assert column < 320
     assert row < 320

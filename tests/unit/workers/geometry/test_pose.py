@@ -1,4 +1,4 @@
-"""Poses: heading, and what counts as level."""
+"""Poses: heading and levelling."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ def leaning(yaw: float, pitch: float) -> Pose:
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 0.5, 3.1])
-def test_a_lean_below_the_limit_is_taken_away_and_nothing_else(yaw: float) -> None:
+def test_a_tilt_below_the_limit_is_removed_and_the_rest_is_kept(yaw: float) -> None:
     level = leaning(yaw, 5e-5).levelled(1e-4)
     assert (level.x, level.y, level.z, level.qx, level.qy) == (1.0, 2.0, 0.1, 0.0, 0.0)
     assert math.hypot(level.qw, level.qz) == pytest.approx(1.0, abs=1e-15)
     assert level.yaw == pytest.approx(yaw, abs=1e-8)
 
 
-def test_a_lean_above_the_limit_stays_as_it_is() -> None:
+def test_a_tilt_above_the_limit_is_kept() -> None:
     pose = leaning(1.0, -1.1e-4)
     assert pose.levelled(1e-4) is pose
 
 
-def test_a_level_pose_stays_level_to_the_bit() -> None:
+def test_a_level_pose_is_unchanged() -> None:
     pose = Pose.planar(1.0, 2.0, 0.7)
     again = pose.levelled(1e-4).levelled(1e-4)
     assert again == pose.levelled(1e-4)

@@ -1,4 +1,4 @@
-"""The slew limit: what it lets through, and what it holds back."""
+"""The slew limit of commands."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ RATES = st.floats(-1.5, 1.5)
 
 
 def rounded(twist: Twist) -> Twist:
-    """The twist as an archive holds it."""
+    """The twist in the precision of the archive."""
     return Twist(float(np.float32(twist.v_mps)), float(np.float32(twist.w_rps)))
 
 
-def test_speeding_up_is_held_to_the_acceleration() -> None:
+def test_acceleration_is_limited() -> None:
     assert slew(Twist(0.2, 0.0), Twist(1.0, 0.0), ROBOT, DT).v_mps == pytest.approx(0.2 + 2.5 * DT)
 
 
-def test_braking_is_held_to_the_braking_limit() -> None:
+def test_deceleration_is_limited() -> None:
     assert slew(Twist(0.7, 0.0), Twist(0.0, 0.0), ROBOT, DT).v_mps == pytest.approx(0.7 - 8.0 * DT)
 
 
-def test_turning_is_held_in_both_directions() -> None:
+def test_yaw_acceleration_is_limited_in_both_directions() -> None:
     assert slew(Twist(0.0, 0.0), Twist(0.0, 1.5), ROBOT, DT).w_rps == pytest.approx(3.2 * DT)
     assert slew(Twist(0.0, 0.0), Twist(0.0, -1.5), ROBOT, DT).w_rps == pytest.approx(-3.2 * DT)
 
 
-def test_a_small_change_passes_untouched() -> None:
+def test_a_small_change_is_not_limited() -> None:
     assert slew(Twist(0.5, 0.1), Twist(0.51, 0.12), ROBOT, DT) == rounded(Twist(0.51, 0.12))
 
 
@@ -53,7 +53,7 @@ def test_reversing_robots_brake_with_the_braking_limit() -> None:
 
 
 @given(v=SPEEDS, w=RATES, wanted_v=SPEEDS, wanted_w=RATES)
-def test_repeated_slewing_arrives_at_the_wanted_twist(v: float, w: float, wanted_v: float, wanted_w: float) -> None:
+def test_repeated_slewing_reaches_the_commanded_twist(v: float, w: float, wanted_v: float, wanted_w: float) -> None:
     twist, wanted = Twist(v, w), Twist(wanted_v, wanted_w)
     for _ in range(120):
         twist = slew(twist, wanted, ROBOT, DT)
@@ -61,7 +61,7 @@ def test_repeated_slewing_arrives_at_the_wanted_twist(v: float, w: float, wanted
 
 
 @given(v=SPEEDS, w=RATES, wanted_v=SPEEDS, wanted_w=RATES)
-def test_slewing_towards_what_was_recorded_returns_it_to_the_last_bit(
+def test_slewing_towards_a_recorded_twist_returns_it_exactly(
     v: float, w: float, wanted_v: float, wanted_w: float
 ) -> None:
     before = rounded(Twist(v, w))

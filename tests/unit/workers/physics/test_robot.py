@@ -1,4 +1,4 @@
-"""The robot's URDF: well formed, and of the measures the configuration gives."""
+"""The URDF of the robot: well formed, with the dimensions of the configuration."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_urdf_names_body_wheels_and_casters() -> None:
     assert names == {BASE_LINK, LEFT_WHEEL, RIGHT_WHEEL, *CASTERS}
 
 
-def test_wheels_stand_a_track_apart_and_roll_on_the_floor() -> None:
+def test_wheels_are_one_track_width_apart_and_touch_the_floor() -> None:
     robot = parse(RobotConfig(track_m=0.52, wheel_radius_m=0.2))
     left, right = (numbers(robot.find(f"joint[@name='joint_{w}']/origin"), "xyz") for w in (LEFT_WHEEL, RIGHT_WHEEL))
     assert left[1] - right[1] == pytest.approx(0.52)
@@ -41,7 +41,7 @@ def test_wheels_stand_a_track_apart_and_roll_on_the_floor() -> None:
     assert numbers(robot.find(f"link[@name='{LEFT_WHEEL}']/collision/geometry/sphere"), "radius") == [0.2]
 
 
-def test_left_wheel_is_on_the_left() -> None:
+def test_the_left_wheel_is_on_the_left() -> None:
     assert numbers(parse(RobotConfig()).find(f"joint[@name='joint_{LEFT_WHEEL}']/origin"), "xyz")[1] > 0
 
 

@@ -1,4 +1,4 @@
-"""Distances along the floor: straight where it is free, around what stands there, none where nothing connects."""
+"""Distances along the floor: straight, around obstacles, and none without a connection."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def test_a_free_straight_line_counts_as_its_length(start):
     assert geodesic(start) == pytest.approx(math.dist(start, (2.5, 1.3)) - 1.0, abs=1e-6)
 
 
-def test_a_start_inside_the_circle_is_there():
+def test_a_start_inside_the_circle_has_distance_zero():
     assert geodesic((1.8, 1.0)) == 0.0
 
 
-def test_the_way_round_a_wall_is_as_long_as_a_taut_string():
+def test_the_distance_around_a_wall_is_the_shortest_path():
     """Past the corners at (0.8, -1) and (1, -1), a quarter of a metre off, to the circle around (2.5, 1.3)."""
     found = geodesic((-1.5, 1.0), WALL)
     corners = ((-1.5, 1.0), (0.65, -1.2), (1.15, -1.2), (2.5, 1.3))
@@ -37,12 +37,12 @@ def test_the_way_round_a_wall_is_as_long_as_a_taut_string():
     assert found > math.dist((-1.5, 1.0), (2.5, 1.3)) - 1.0
 
 
-def test_nothing_connects_two_sides_of_a_fence():
+def test_two_sides_of_a_fence_are_not_connected():
     assert geodesic((-1.5, 1.0), FENCE) is None
 
 
-def test_a_wall_at_the_target_does_not_let_the_circle_through():
-    """The circle reaches beyond the wall; the far side of it is not the target's."""
+def test_a_wall_at_the_target_blocks_the_success_circle():
+    """The circle reaches beyond the wall; the far side does not count."""
     screen = Box((1.9, -3.0, 0.0), (2.0, 3.0, 2.5))
     assert geodesic((1.4, 1.3), screen) is None
 

@@ -22,7 +22,7 @@ CORNER = (
 
 
 def follow(path: tuple[Waypoint, ...], start: Pose, steps: int = 600) -> tuple[list[Pose], list[Twist]]:
-    """Integrates a robot that does exactly as it is told."""
+    """Integrates a robot that follows commands exactly."""
     follower, pose, command = Follower(path, ROBOT, CONFIG), start, Twist(0.0, 0.0)
     poses, commands = [pose], []
     for _ in range(steps):
@@ -70,8 +70,8 @@ def test_a_turn_on_the_spot_goes_the_planned_way_round(way):
     assert sum(command.w_rps for command in commands) / 60 == pytest.approx(math.radians(way * 200), abs=0.1)
 
 
-def test_a_turn_on_the_spot_ends_at_the_planned_heading_although_the_way_bends_on():
-    """By 90 degrees, then on along an arc to the left; farther on the spot the tail might touch something."""
+def test_a_turn_on_the_spot_ends_at_the_planned_heading_before_a_curve():
+    """By 90 degrees, then on along an arc to the left; turning further on the spot might cause contact at the tail."""
     turn = [Waypoint(0.0, 0.0, math.radians(10 * step)) for step in range(10)]
     arc = [Waypoint(0.6 * math.cos(a) - 0.6, 0.6 * math.sin(a), a + math.pi / 2) for a in (0.3, 0.6, 0.9, 1.2)]
     poses, commands = follow((*turn, *arc), Pose.planar(0, 0, 0))
@@ -79,7 +79,7 @@ def test_a_turn_on_the_spot_ends_at_the_planned_heading_although_the_way_bends_o
     assert max(standing) < math.pi / 2 + 0.05
 
 
-def test_bends_are_slowed_down_to_the_lateral_acceleration():
+def test_speed_in_curves_respects_the_lateral_acceleration():
     bend = tuple(Waypoint(math.sin(angle), 1 - math.cos(angle), angle) for angle in (0.2 * step for step in range(11)))
     _, commands = follow(bend, Pose.planar(0, 0, 0))
     assert max(abs(command.v_mps * command.w_rps) for command in commands) < 1.3 * CONFIG.lateral_acceleration_mps2
@@ -90,7 +90,7 @@ def test_a_speed_limit_is_kept():
     assert follower.act(Pose.planar(0, 0, 0), 0.05).v_mps == pytest.approx(0.05)
 
 
-def test_a_path_without_a_way_needs_no_driving():
+def test_an_empty_path_needs_no_driving():
     follower = Follower((Waypoint(0.0, 0.0, 0.0),), ROBOT, CONFIG)
     assert follower.is_done
     assert follower.act(Pose.planar(0, 0, 0), 1.0) == (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Paths on the grid of a room: forward only, free, deterministic, and none where there is none."""
+"""Paths on the grid of a room: forward only, collision-free, deterministic, and none if no path exists."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_every_step_is_a_forward_arc_or_a_turn_on_the_spot(yaw):
         assert 0.98 * STEP_M < chord <= STEP_M + 1e-9
 
 
-def test_the_same_question_has_the_same_answer():
+def test_planning_is_deterministic():
     assert plan(WALL) == plan(WALL)
 
 
@@ -89,7 +89,7 @@ def test_a_start_in_an_obstacle_has_no_path():
     assert plan(WALL, start=Waypoint(0.9, 0.5, 0.0)) is None
 
 
-def test_a_start_in_the_circle_with_sight_needs_no_way():
+def test_a_start_in_the_circle_with_sight_has_an_empty_path():
     path = plan(start=Waypoint(1.7, 1.3, 0.0), config=PlannerConfig(tight_margin_m=0.0))
     assert path is not None
     assert length_of(path) == 0.0

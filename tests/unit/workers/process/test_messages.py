@@ -20,7 +20,7 @@ from workers.process.messages import (
 )
 
 
-def test_order_is_one_line_whatever_the_instruction_says():
+def test_an_order_is_one_line_for_any_instruction():
     order = SimulationOrder(
         job=job_for(instruction="two\nlines"), scene_path=Path("s"), bundle_path=Path("b"), sid="h-1"
     )
@@ -29,12 +29,12 @@ def test_order_is_one_line_whatever_the_instruction_says():
     assert SimulationOrder.model_validate_json(line) == order
 
 
-def test_report_survives_the_pipe():
+def test_a_report_is_read_back_from_the_pipe():
     report = failure(FailReason.COLLISION, "0.3 m", 7, 1.5)
     assert read_report(to_line(report)) == report
 
 
-def test_chatter_on_the_pipe_is_no_report():
+def test_other_output_on_the_pipe_is_ignored():
     assert read_report(b"pybullet build time: Jan 29 2025\n") is None
 
 
@@ -46,6 +46,6 @@ def test_long_detail_keeps_both_ends():
 
 
 @pytest.mark.parametrize("kind", [SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE])
-def test_outcome_without_its_facts_is_refused(kind):
+def test_an_outcome_without_its_required_fields_is_refused(kind):
     with pytest.raises(ValidationError):
         SimulationReport(kind=kind)

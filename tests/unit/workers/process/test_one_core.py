@@ -1,11 +1,11 @@
-"""What a process that draws on one core finds in its environment."""
+"""The environment of a process that renders on one core."""
 
 from __future__ import annotations
 
 from workers.process.one_core import one_core
 
 
-def test_threads_are_off_and_the_rest_of_the_environment_stays() -> None:
+def test_threads_are_disabled_and_the_rest_of_the_environment_is_kept() -> None:
     assert one_core({"HOME": "/home/ada", "LP_NUM_THREADS": "8"}) == {
         "HOME": "/home/ada",
         "LP_NUM_THREADS": "0",
@@ -15,10 +15,10 @@ def test_threads_are_off_and_the_rest_of_the_environment_stays() -> None:
     }
 
 
-def test_other_tunables_of_glibc_stay() -> None:
+def test_other_glibc_tunables_are_kept() -> None:
     tuned = one_core({"GLIBC_TUNABLES": "glibc.malloc.check=3:glibc.malloc.hugetlb=0"})
     assert tuned["GLIBC_TUNABLES"] == "glibc.malloc.check=3:glibc.malloc.hugetlb=1"
 
 
-def test_taking_them_twice_changes_nothing() -> None:
+def test_applying_the_settings_twice_has_no_effect() -> None:
     assert one_core(one_core({})) == one_core({})

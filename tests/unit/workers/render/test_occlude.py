@@ -1,4 +1,4 @@
-"""Walls that hide: what stands wholly behind one is left out, and nothing that could be seen."""
+"""Occlusion by walls: parts completely behind a wall are left out, and no visible part is."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AHEAD = Pose.planar(0.0, 0.0, 0.0)
 
 
 def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
-    """Returns the instance ids of the parts that are said to be hidden."""
+    """Returns the instance ids of the parts that are classified as hidden."""
     bounds = PartBounds.of(scene)
     parts = np.arange(len(scene.part_first))
     hidden = Occluders.of(scene).hidden(bounds, parts, optical_pose(pose, CAMERA), CAMERA)
@@ -33,9 +33,9 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 1.0)), True),
         (Box((3.0, -0.5, 0.0), (3.5, 2.5, 1.0)), False),  # reaches out beside the wall
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 4.0)), False),  # and above it
-        (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # stands before it
-        (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # stands through it
-        (Box((-2.0, -0.5, 0.0), (-1.5, 0.5, 1.0)), False),  # stands behind the camera
+        (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # in front of it
+        (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # intersects it
+        (Box((-2.0, -0.5, 0.0), (-1.5, 0.5, 1.0)), False),  # behind the camera
     ],
 )
 def test_only_what_is_wholly_behind_a_wall_is_hidden(box: Box, is_hidden: bool) -> None:
@@ -44,19 +44,19 @@ def test_only_what_is_wholly_behind_a_wall_is_hidden(box: Box, is_hidden: bool) 
     assert 1 not in hidden_in(scene)
 
 
-def test_a_wall_hides_nothing_from_behind_and_nothing_when_the_near_plane_cuts_it() -> None:
+def test_a_wall_hides_nothing_from_its_back_or_across_the_near_plane() -> None:
     scene = build_scene([WALL, Box((3.0, -0.5, 0.0), (3.5, 0.5, 1.0))])
     assert hidden_in(scene, Pose.planar(2.05 - CAMERA.x_m, 0.0, 0.0)) == set()
     assert hidden_in(scene, Pose.planar(1.97 - CAMERA.x_m, 0.0, 0.0)) == set()
     assert hidden_in(scene, Pose.planar(1.8 - CAMERA.x_m, 0.0, 0.0)) == {2}
 
 
-def test_a_small_wall_is_not_asked() -> None:
+def test_a_small_wall_is_not_used_as_an_occluder() -> None:
     scene = build_scene([Box((2.0, -0.3, 0.0), (2.2, 0.3, 0.6)), Box((3.0, -0.1, 0.2), (3.1, 0.1, 0.4))])
     assert hidden_in(scene) == set()
 
 
-def test_nothing_that_is_hidden_shows_in_an_image_that_draws_all() -> None:
+def test_hidden_parts_are_invisible_in_a_complete_rendering() -> None:
     """Two rooms, a doorway between them, and clutter in both; TinyRenderer draws every part."""
     rng = np.random.default_rng(3)
     clutter = [

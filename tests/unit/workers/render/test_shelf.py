@@ -1,4 +1,4 @@
-"""The shelf of prepared scenes: what it keeps, and what it closes."""
+"""The cache of prepared scenes: what it keeps and closes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from workers.render.shelf import SceneShelf
 
 
 class Prepared:
-    """Remembers what it was made of and whether it was closed."""
+    """Records its scene and whether it was closed."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -35,7 +35,7 @@ def test_equal_scenes_are_told_apart() -> None:
     assert shelf.take(other).scene is other
 
 
-def test_the_scene_not_taken_for_longest_makes_room() -> None:
+def test_the_least_recently_used_scene_is_evicted() -> None:
     shelf, (a, b, c) = SceneShelf(Prepared, capacity=2), scenes(3)
     prepared_a, prepared_b = shelf.take(a), shelf.take(b)
     shelf.take(a)

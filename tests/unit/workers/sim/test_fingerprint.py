@@ -17,5 +17,5 @@ def test_fingerprint_is_the_same_every_time() -> None:
     assert make_fingerprint("some renderer") == make_fingerprint("some renderer")
 
 
-def test_fingerprint_keeps_the_words_of_the_renderer() -> None:
+def test_the_fingerprint_contains_the_renderer_description() -> None:
     assert make_fingerprint("llvmpipe").renderer == "llvmpipe"

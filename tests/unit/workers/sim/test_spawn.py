@@ -23,7 +23,7 @@ CRATE = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")
 
 
 def lane_room(length_m: float) -> LoadedScene:
-    """A room of two metres' width whose crate stands near one end."""
+    """A room of 2 m width with a crate near one end."""
     return prepare_scene(build_scene((*room_walls((-1.0, -1.0), (length_m, 1.0)), CRATE)))
 
 
@@ -54,7 +54,7 @@ def test_distances_stay_uniform_although_only_a_narrow_lane_leads_to_the_target(
     assert quarters.min() >= 75
 
 
-def test_a_distance_that_the_scene_lacks_is_drawn_anew() -> None:
+def test_a_distance_without_a_start_is_drawn_again() -> None:
     found = distances(lane_room(5.6), 60)
     assert len(found) == 60
     assert max(found) < 5.2
@@ -73,7 +73,7 @@ def test_near_starts_face_the_target_within_the_heading_noise(expert: ExpertName
 
 
 @pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
-def test_no_start_lies_beneath_a_shelf_on_legs(expert: ExpertName) -> None:
+def test_no_start_is_below_a_shelf_on_legs(expert: ExpertName) -> None:
     shelf = Box((2.0, -1.0, 1.5), (3.0, 1.0, 1.7), category="shelf")
     room = (*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE)
     for place, is_beneath in (
@@ -86,7 +86,7 @@ def test_no_start_lies_beneath_a_shelf_on_legs(expert: ExpertName) -> None:
         assert any(2.0 < start.x < 3.0 for start in starts) == is_beneath
 
 
-def test_there_is_no_start_where_the_tier_has_no_floor() -> None:
+def test_a_tier_without_floor_has_no_start() -> None:
     place = lane_room(3.4)
     assert first_start(place, crate_job(place)) is None
 
@@ -98,7 +98,7 @@ def test_the_same_attempt_starts_at_the_same_pose() -> None:
 
 
 def pillared_room() -> LoadedScene:
-    """An open room whose crate is ringed by pillars a metre and a half apart: some ways between them are tight."""
+    """An open room with a crate surrounded by pillars at 1.5 m; some passages between them are narrow."""
     angles = 2 * np.pi * np.arange(10) / 10
     spots = [(2.4 * math.cos(angle), 2.4 * math.sin(angle)) for angle in angles]
     pillars = [Box((x - 0.15, y - 0.15, 0.0), (x + 0.15, y + 0.15, 2.0)) for x, y in spots]
@@ -111,7 +111,7 @@ def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 
 
-def test_straight_drivers_start_where_the_way_is_foreseen_to_be_free() -> None:
+def test_straight_experts_start_where_the_predicted_drive_is_free() -> None:
     place = pillared_room()
     job = crate_job(place)
     ring = 2 * np.pi * np.arange(720) / 720
@@ -119,7 +119,7 @@ def test_straight_drivers_start_where_the_way_is_foreseen_to_be_free() -> None:
     lines = place.grid.are_lines_free(points, 0.97 * points / 5.0, job.spawn.approach_clearance_m)
     off = job.spawn.heading_noise_rad
     drives = [is_drive_free(place, job, (x, y, math.atan2(-y, -x) + off)) for x, y in points[lines]]
-    assert 0 < sum(drives) < len(drives)  # so that there is something to choose
+    assert 0 < sum(drives) < len(drives)  # so that there are several candidates
     for attempt in range(1, 60):
         tried = crate_job(place, attempt)
         start = first_start(place, tried)
@@ -127,7 +127,7 @@ def test_straight_drivers_start_where_the_way_is_foreseen_to_be_free() -> None:
         assert is_drive_free(place, tried, (start.x, start.y, start.yaw))
 
 
-def test_where_no_way_is_wide_the_one_with_most_room_is_taken() -> None:
+def test_without_a_wide_path_the_widest_one_is_chosen() -> None:
     walls = (Box((1.2, -1.0, 0.0), (8.0, -0.45, 2.0)), Box((1.2, 0.45, 0.0), (8.0, 1.0, 2.0)))
     place = prepare_scene(build_scene((*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE, *walls)))
     jobs = [crate_job(place, attempt) for attempt in range(1, 20)]

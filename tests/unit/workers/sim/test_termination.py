@@ -1,4 +1,4 @@
-"""The end of an episode, told from poses and commands."""
+"""The end of an episode from poses and commands."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def test_success_needs_five_stationary_frames_inside_the_radius():
     assert verdicts == [None, None, None, None, None, EndReason.SUCCESS]
 
 
-def test_standing_outside_the_radius_is_no_success():
+def test_a_stop_outside_the_radius_is_not_a_success():
     termination = Termination(TASK)
     assert all(termination.judge(0.0, 0.0, 1.01, False, 0.0) is None for _ in range(50))
 
 
-def test_moving_inside_the_radius_starts_the_hold_anew():
+def test_motion_inside_the_radius_restarts_the_hold():
     termination = Termination(TASK)
     for _ in range(4):
         assert termination.judge(0.0, 0.0, 0.9, False, 0.0) is None
@@ -40,7 +40,7 @@ def test_a_stall_needs_command_no_progress_and_an_obstacle():
     assert run(0.0, True) is None
 
 
-def test_sliding_more_than_a_centimetre_in_the_window_is_progress():
+def test_motion_of_more_than_a_centimetre_in_the_window_is_progress():
     termination = Termination(TASK)
     assert all(termination.judge(0.001 * t, 0.0, 5.0, True, 0.3) is None for t in range(60))
 

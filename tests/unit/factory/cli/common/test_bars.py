@@ -1,4 +1,4 @@
-"""Bars where no terminal shows them: a line now and then, and none where a terminal does or nothing is under way."""
+"""Progress without a terminal: occasional log lines, and none on a terminal or without active work."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def lines_of(text: StringIO) -> list[str]:
     return [line.rstrip() for line in text.getvalue().splitlines() if line.strip()]
 
 
-def test_a_log_file_hears_of_work_under_way() -> None:
+def test_a_log_file_gets_progress_lines() -> None:
     text = StringIO()
     with Bars(*COLUMNS, console=Console(file=text), transient=True, pause_s=0.0) as bar:
         task = bar.add_task("paper", total=240, note="")
@@ -27,7 +27,7 @@ def test_a_log_file_hears_of_work_under_way() -> None:
         assert lines_of(text) == ["paper  94/240 1052 episodes/h", "paper  95/240 1052 episodes/h"]
 
 
-def test_it_is_told_seldom() -> None:
+def test_progress_lines_are_rare() -> None:
     text = StringIO()
     with Bars(*COLUMNS, console=Console(file=text), transient=True, pause_s=3600.0) as bar:
         task = bar.add_task("paper", total=240, note="")
@@ -36,7 +36,7 @@ def test_it_is_told_seldom() -> None:
         assert lines_of(text) == []
 
 
-def test_what_is_over_or_of_unknown_length_is_no_news() -> None:
+def test_finished_or_unbounded_work_prints_no_progress_line() -> None:
     text = StringIO()
     with Bars(*COLUMNS, console=Console(file=text), transient=True, pause_s=0.0) as bar:
         bar.update(bar.add_task("episodes", total=2, note=""), completed=2)
@@ -44,7 +44,7 @@ def test_what_is_over_or_of_unknown_length_is_no_news() -> None:
         assert lines_of(text) == []
 
 
-def test_a_terminal_has_its_bar_and_no_lines() -> None:
+def test_a_terminal_shows_a_bar_and_no_lines() -> None:
     seen, told = StringIO(), StringIO()
     for text, pause_s in ((seen, 0.0), (told, 3600.0)):
         console = Console(file=text, force_terminal=True, width=80)

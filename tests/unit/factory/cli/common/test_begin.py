@@ -1,4 +1,4 @@
-"""What a run finds where it is to be made, before anything is built."""
+"""Checks of the output directory of a run before building."""
 
 from __future__ import annotations
 

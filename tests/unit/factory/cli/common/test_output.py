@@ -1,4 +1,4 @@
-"""Tables on a narrow terminal: in pieces that can be read, each with what tells its rows apart."""
+"""Tables on a narrow terminal: readable pieces, each with the identifying columns."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def printed(width: int) -> list[str]:
     return [line.rstrip() for line in text.getvalue().splitlines()]
 
 
-def test_a_table_that_fits_is_one() -> None:
+def test_a_table_that_fits_is_printed_in_one_piece() -> None:
     lines = printed(200)
     assert len(lines) == 4
     assert lines[0] == "figures"
     assert lines[1].split()[:2] == ["scene", "split"]
 
 
-def test_a_wide_table_is_printed_in_pieces_that_fit_and_break_no_word() -> None:
+def test_a_wide_table_is_printed_in_pieces_without_broken_words() -> None:
     lines = printed(80)
     assert max(map(len, lines)) <= 80
     heads = [line for line in lines if line.startswith("scene")]
@@ -37,7 +37,7 @@ def test_a_wide_table_is_printed_in_pieces_that_fit_and_break_no_word() -> None:
     assert lines.count("figures") == 1
 
 
-def test_a_text_that_fits_beside_no_other_is_folded_and_kept() -> None:
+def test_a_very_long_cell_is_wrapped_completely() -> None:
     text = io.StringIO()
     print_table("", ("what", "why", "n"), [("x" * 30, "y" * 30, 1)], Console(file=text, width=50, soft_wrap=True))
     assert text.getvalue().count("y") == 30 + len(["why"])

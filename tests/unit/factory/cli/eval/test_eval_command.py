@@ -1,4 +1,4 @@
-"""Mistakes in the words of `factory eval`, each refused by name before anything is driven."""
+"""Errors in the arguments of `factory eval`, each refused by name before an episode runs."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ def test_mistakes_are_named(dataset: Path, words: tuple[str, ...], said: str) ->
         cli.main(["eval", "--data", str(dataset), *words], standalone_mode=False)
 
 
-def test_a_split_that_is_none_is_a_mistake_of_usage(dataset: Path) -> None:
+def test_an_unknown_split_is_a_usage_error(dataset: Path) -> None:
     import click
 
     with pytest.raises(click.UsageError, match="unknown split 'test'; valid values: train_id"):
         cli.main(["eval", "--data", str(dataset), "--policy", "stop", "--split", "test"], standalone_mode=False)
 
 
-def test_a_directory_that_is_no_dataset_is_named(tmp_path: Path) -> None:
+def test_a_directory_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="is not a dataset"):
         cli.main(["eval", "--data", str(tmp_path), "--policy", "stop"], standalone_mode=False)
 
 
-def test_freshly_drawn_episodes_have_nothing_to_replay() -> None:
+def test_replay_refuses_newly_drawn_episodes() -> None:
     from factory.eval.specs.campaign import require_recordings
     from tests.builders.eval_results import spec_of, specs_of
 

@@ -1,4 +1,4 @@
-"""The tables of a dataset: what goes into which group, beside the paper, and in the face of damage."""
+"""The tables of a dataset: groups, comparison with the paper, and damaged data."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_rollouts_are_grouped_by_scene_split_and_tier() -> None:
     assert row_of(found.scene_tiers, "hospital / near").n == 1
 
 
-def test_the_papers_values_stand_beside_ours() -> None:
+def test_the_papers_values_are_printed_beside_the_measured_ones() -> None:
     found = measure([episode_row()])
     near = row_of(found.tiers, "near")
     assert (near.paper.steps_mean, near.share, near.paper.share) == (128.5, 1.0, 0.545)
@@ -86,7 +86,7 @@ def test_every_template_has_a_row_and_colour_ones_the_papers_zero() -> None:
     assert (row.n, row.kind, row.paper.n) == (1, "train, colour", 0)
 
 
-def test_only_attempts_that_the_world_decided_count() -> None:
+def test_only_attempts_with_a_simulated_outcome_count() -> None:
     failures = [failed("collision"), failed("timeout", 2), failed("crash", 3), failed("expired", 3)]
     found = measure([episode_row(1, attempt=3), episode_row(2)], failures)
     office = row_of(found.attempts, "office")
@@ -97,7 +97,7 @@ def test_only_attempts_that_the_world_decided_count() -> None:
     assert office.paper.rate == (0.8, 0.9)
 
 
-def test_attempts_are_told_by_tier_and_by_scene_and_tier() -> None:
+def test_attempts_are_grouped_by_tier_and_by_scene_and_tier() -> None:
     failures = [failed("spawn", spawn_tier=Tier.FAR), failed("no_path", scene="hospital", spawn_tier=Tier.FAR)]
     found = measure([episode_row(1)], failures)
     assert row_of(found.attempts, "far").attempts == 2
@@ -121,7 +121,7 @@ def test_navigation_errors_have_quantiles_and_a_share_within_the_radius() -> Non
     assert row.std == pytest.approx(0.1)
 
 
-def test_correlation_is_told_for_all_scenes_and_tiers() -> None:
+def test_correlation_is_reported_for_all_scenes_and_tiers() -> None:
     episodes = [episode_row(n, spawn_dist_m=2.0 + n, trajectory_length_m=1.0 + n) for n in range(1, 5)]
     found = measure(episodes)
     assert [fit.group for fit in found.correlation] == ["all", "office", "hospital", "near", "mid", "far"]
@@ -129,7 +129,7 @@ def test_correlation_is_told_for_all_scenes_and_tiers() -> None:
     assert "has 0" in row_of(found.correlation, "hospital").remark
 
 
-def test_overlap_counts_instances_that_training_names_too() -> None:
+def test_overlap_counts_instances_that_occur_in_training() -> None:
     test = {"split": Split.TEST_ID}
     found = measure(
         [
@@ -144,7 +144,7 @@ def test_overlap_counts_instances_that_training_names_too() -> None:
     assert (office.targets, office.shared, office.share) == (2, 1, 0.5)
     assert (office.episodes, office.episodes_on_shared) == (3, 2)
     (everything,) = [row for row in found.overlap if (row.scene, row.split) == ("all", "test_id")]
-    assert (everything.targets, everything.shared) == (3, 1)  # the hospital's chair is another one
+    assert (everything.targets, everything.shared) == (3, 1)  # the chair of the hospital is another instance
 
 
 def test_an_empty_dataset_has_every_table_and_no_mean() -> None:
@@ -155,21 +155,21 @@ def test_an_empty_dataset_has_every_table_and_no_mean() -> None:
     assert row_of(found.attempts, "all").success.share is None
 
 
-def test_a_sound_dataset_leaves_nothing_out(own: Path) -> None:
+def test_no_episode_of_a_valid_dataset_is_left_out(own: Path) -> None:
     found = measure_dataset(own)
     assert found.remarks == ()
     assert (found.episodes, found.planned, found.complete) == (3, 3, True)
     assert row_of(found.attempts or (), "office").reasons == {"timeout": 1}
 
 
-def test_a_partial_dataset_says_how_much_is_there(tmp_path: Path) -> None:
+def test_statistics_of_a_partial_dataset_report_its_completeness(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 2, planned=5)
     found = measure_dataset(tmp_path / "data")
     assert found.is_sound
     assert [remark.text for remark in found.remarks] == ["the run is not finished: 2 of 5 planned episodes"]
 
 
-def test_a_dataset_without_an_episode_says_so(tmp_path: Path) -> None:
+def test_an_empty_dataset_is_reported(tmp_path: Path) -> None:
     with open_archive(tmp_path / "data") as archive:
         write_tables(archive, small_plan(3), {}, [], [], NOW)
     found = measure_dataset(tmp_path / "data")
@@ -210,7 +210,7 @@ def resplit(root: Path, splits: list[str]) -> None:
     pq.write_table(type(table).from_pylist(rows, schema=table.schema), root / "metadata.parquet")
 
 
-def test_an_instance_on_both_sides_against_the_promise_is_damage(own: Path) -> None:
+def test_a_shared_instance_despite_the_separation_option_is_damage(own: Path) -> None:
     resplit(own, ["train_id", "test_id", "test_id"])
     describe(own, shared_instances={"office": []})
     found = measure_dataset(own)
@@ -237,7 +237,7 @@ def test_wrong_rows_are_left_out_and_named(own: Path) -> None:
     assert "row 2 (ep_000002) has wrong values in final_ne_m, spawn_tier" in found.remarks[0].text
 
 
-def test_rows_that_stand_twice_are_left_out(own: Path) -> None:
+def test_duplicate_rows_are_left_out(own: Path) -> None:
     table = pq.read_table(own / "metadata.parquet")
     pq.write_table(type(table).from_pylist([*table.to_pylist()] * 2, schema=table.schema), own / "metadata.parquet")
     found = measure_dataset(own)
@@ -245,7 +245,7 @@ def test_rows_that_stand_twice_are_left_out(own: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["gone", "rubbish"])
-def test_without_a_record_of_attempts_the_rest_is_told(own: Path, damage: str) -> None:
+def test_statistics_without_an_attempt_log_report_the_rest(own: Path, damage: str) -> None:
     path = own / "attempts.parquet"
     path.unlink() if damage == "gone" else path.write_bytes(b"rubbish")
     found = measure_dataset(own)
@@ -311,13 +311,13 @@ def test_only_the_plan_paper_and_its_parts_are_compared_by_default() -> None:
         assert compute_statistics("data", rows, compare_paper=True).beside_paper is True
 
 
-def test_command_prints_json_that_reads_back(own: Path) -> None:
+def test_the_command_prints_valid_json(own: Path) -> None:
     done = CliRunner().invoke(command, [str(own), "--json"], standalone_mode=False)
     found = Statistics.model_validate(json.loads(done.stdout))
     assert found == measure_dataset(own)
 
 
-def test_command_ends_with_one_on_damage_and_says_what_is_left_out(own: Path) -> None:
+def test_the_command_exits_with_1_on_damage_and_names_the_omitted_rows(own: Path) -> None:
     (own / "episodes" / "ep_000003.zip").unlink()
     done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
     assert done.return_value == 1

@@ -1,4 +1,4 @@
-"""Watching a run: a coordinator that is away for a moment is asked again, one that stays away ends the watch."""
+"""Watching a run: a short outage of the coordinator is retried, a long one ends the watch."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def progress(archived: int) -> Progress:
 
 
 def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
-    """Returns a source that gives each answer in turn; `None` is silence."""
+    """Returns a source that returns each answer in turn; `None` is no answer."""
     left = iter(answers)
 
     def source() -> Progress:
         answer = next(left)
         if answer is None:
-            raise TransientError("nobody answers")
+            raise TransientError("no coordinator answers")
         return progress(answer)
 
     return source
 
 
-def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_returned_jobs_do_not_count_as_failed_attempts(capsys: pytest.CaptureFixture[str]) -> None:
     tried = progress(1).model_copy(update={"attempts": {"success": 1, "released": 2, "timeout": 3}})
     stdout.print(draw_progress(tried))
     assert "failed attempts: 3 timeout; returned jobs: 2; redrawn targets: 0" in capsys.readouterr().out
@@ -61,7 +61,7 @@ def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[st
         (("rlimits",), "validator sandbox: rlimits only; install the extra"),
     ],
 )
-def test_status_tells_what_confines_the_validator(
+def test_status_shows_the_validator_sandbox(
     capsys: pytest.CaptureFixture[str], layers: tuple[str, ...], said: str
 ) -> None:
     told = progress(1).model_copy(update={"sandbox": layers})
@@ -72,14 +72,14 @@ def test_status_tells_what_confines_the_validator(
     assert told.model_dump(mode="json")["sandbox"] == list(layers)
 
 
-def test_the_bar_of_a_run_counts_no_job_that_was_given_back() -> None:
+def test_the_progress_bar_of_a_run_does_not_count_returned_jobs() -> None:
     bar = _RunBar(load_plan("demo"))
     bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
     assert bar.tasks[0].fields["note"].endswith("0 failed attempts")
 
 
 @pytest.mark.parametrize(("archived", "state"), [(1, "alive"), (3, "left")])
-def test_workers_of_a_finished_run_have_left(capsys: pytest.CaptureFixture[str], archived: int, state: str) -> None:
+def test_a_finished_run_shows_no_workers(capsys: pytest.CaptureFixture[str], archived: int, state: str) -> None:
     beat = datetime(2026, 1, 1, tzinfo=UTC)
     worker = WorkerStatus(sid="host.1", host="host", slots=1, leased=0, archived=1, last_beat=beat, alive=True)
     stdout.print(draw_progress(progress(archived).model_copy(update={"workers": (worker,)})))
@@ -87,21 +87,21 @@ def test_workers_of_a_finished_run_have_left(capsys: pytest.CaptureFixture[str],
     assert line.split()[-1] == state
 
 
-def test_a_watch_outlives_a_restart(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_watch_survives_a_restart_of_the_coordinator(capsys: pytest.CaptureFixture[str]) -> None:
     watch_progress(telling([1, None, None, 2, None, 3]), pause_s=0.001)
     assert "3 of 3 episodes archived" in capsys.readouterr().out
 
 
-def test_a_watch_ends_with_the_error_when_the_silence_lasts() -> None:
+def test_a_watch_ends_with_an_error_after_a_long_silence() -> None:
     def always_silent() -> Iterable[int | None]:
         yield 1
         while True:
             yield None
 
-    with pytest.raises(TransientError, match="nobody answers"):
+    with pytest.raises(TransientError, match="no coordinator answers"):
         watch_progress(telling(always_silent()), pause_s=0.001, patience_s=0.05)
 
 
-def test_who_never_answered_is_not_waited_for() -> None:
-    with pytest.raises(TransientError, match="nobody answers"):
+def test_a_coordinator_that_never_answered_is_reported_immediately() -> None:
+    with pytest.raises(TransientError, match="no coordinator answers"):
         watch_progress(telling([None, 3]), pause_s=0.001)

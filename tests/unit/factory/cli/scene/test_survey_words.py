@@ -1,4 +1,4 @@
-"""Each figure of a survey is a line that says what it means."""
+"""Each value of a survey is printed on a line with its meaning."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from factory.scenes.survey.report import report_survey
 from tests.builders.scene import box_room
 
 
-def test_every_figure_is_told_with_what_it_means() -> None:
+def test_every_figure_is_printed_with_its_meaning() -> None:
     report = replace(report_survey(box_room()), blind=3, unseen=("crate_001",), farthest_floor_m=1.25)
     lines = list(say_survey(report))
     assert "start points without a visible target: 3; only the planner expert uses them" in lines

@@ -1,4 +1,4 @@
-"""What counts as an action: shapes, kinds, ranges, and messages that say what came instead."""
+"""Parsing of actions: shapes, types, ranges, and messages for invalid answers."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def test_a_pair_of_numbers_is_one_twist(answer: Any) -> None:
     assert read(answer).twists == (Twist(0.5, -1.0),)
 
 
-def test_a_chunk_is_carried_out_in_order() -> None:
+def test_a_chunk_is_executed_in_order() -> None:
     assert read(np.array([[0.1, 0.0], [0.2, 0.0]])).twists == (Twist(0.1, 0.0), Twist(0.2, 0.0))
 
 
-def test_tokens_are_grid_points() -> None:
+def test_tokens_are_converted_to_grid_points() -> None:
     assert read(np.array([6, 3]), "tokens").twists == (Twist(1.0, 0.0),)
     assert read({"tokens": [[0, 0], [3, 6]]}).twists == (Twist(0.0, -1.5), Twist(0.5, 1.5))
 
 
-def test_whole_numbers_are_speeds_unless_the_policy_says_tokens() -> None:
+def test_integers_are_speeds_unless_the_policy_declares_tokens() -> None:
     assert read([0, 0]).twists == (Twist(0.0, 0.0),)
 
 
@@ -56,7 +56,7 @@ def test_actions_out_of_range_are_counted() -> None:
         ([0.0, 0.0], "joints", "continuous or tokens"),
     ],
 )
-def test_anything_else_is_the_policys_failure_and_says_what_came(answer: Any, kind: str, message: str) -> None:
+def test_an_invalid_action_is_a_policy_failure_with_a_description(answer: Any, kind: str, message: str) -> None:
     with pytest.raises(PolicyFailure, match=message) as caught:
         read(answer, kind)
     assert caught.value.fault is PolicyFault.INVALID

@@ -21,14 +21,14 @@ def track_through(*points: tuple[float, float], stand: int = 0) -> np.ndarray:
     return np.array(rows, float)
 
 
-def test_spl_is_the_shortest_way_over_the_driven_one_and_zero_without_success() -> None:
+def test_spl_is_the_shortest_over_the_driven_length_and_zero_without_success() -> None:
     assert measure.spl(True, 4.0, 5.0) == pytest.approx(0.8)
-    assert measure.spl(True, 4.0, 3.9) == 1.0  # shorter than the shortest: the cells' way is not exact
+    assert measure.spl(True, 4.0, 3.9) == 1.0  # shorter than the shortest: the path on the grid is not exact
     assert measure.spl(False, 4.0, 4.0) == 0.0
     assert measure.spl(True, 0.0, 0.0) == 1.0
 
 
-def test_soft_spl_has_progress_in_the_place_of_success() -> None:
+def test_soft_spl_replaces_success_by_progress() -> None:
     assert measure.soft_spl(4.0, 1.0, 5.0) == pytest.approx(0.75 * 0.8)
     assert measure.soft_spl(4.0, 6.0, 5.0) == 0.0  # farther away than at the start
     assert measure.soft_spl(4.0, 0.0, 4.0) == 1.0
@@ -39,7 +39,7 @@ def test_progress_is_the_covered_share_of_the_start_distance() -> None:
     assert measure.progress(4.0, 5.0) == pytest.approx(-0.25)
 
 
-def test_the_three_progresses_are_of_the_end_of_the_closest_point_and_of_what_lies_outside_the_circle() -> None:
+def test_progress_is_measured_at_the_end_at_the_closest_point_and_outside_the_circle() -> None:
     found = progresses(start_m=4.0, final_m=3.0, least_m=2.0, task=TASK)
     assert found == pytest.approx({"progress_final": 0.25, "progress_max": 0.5, "progress_normalised": 2 / 3})
     assert progresses(4.0, 0.9, 0.9, TASK)["progress_normalised"] == 1.0
@@ -61,12 +61,12 @@ def test_a_stop_counts_inside_the_radius_and_held_for_five_frames(
     assert measure.has_stopped_at(track, (0.0, 0.0), TASK) is stopped
 
 
-def test_driving_through_the_circle_is_no_stop() -> None:
+def test_driving_through_the_circle_does_not_count_as_a_stop() -> None:
     track = np.column_stack((np.linspace(-2, 2, 300), np.zeros(300)))
     assert not measure.has_stopped_at(track, (0.0, 0.0), TASK)
 
 
-def test_any_instance_is_met_at_another_object_of_the_category_only() -> None:
+def test_any_instance_success_counts_only_objects_of_the_category() -> None:
     other = CRATE.model_copy(update={"target_id": "crate_99", "centroid_m": (-2.0, 0.0, 0.3)})
     track = track_through((0.0, 0.0), (-1.2, 0.0), stand=6)
     assert measure.stops_at_any(track, (CRATE, other), "crate", TASK)
@@ -85,7 +85,7 @@ def test_floor_distance_goes_around_and_starts_beside_furniture_at_the_nearest_f
     assert measure.floor_distance_m(grid, (-8.0, 0.0), CRATE, 1.0) is None
 
 
-def test_a_target_without_any_floor_has_no_way() -> None:
+def test_a_target_without_connected_floor_has_no_path() -> None:
     far = Target(
         target_id="crate_9",
         category="crate",

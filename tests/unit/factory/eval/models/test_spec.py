@@ -1,4 +1,4 @@
-"""The file of specs: what it says of itself, what a part of it is, and how a bad one is refused."""
+"""The spec file: description, subsets, and refusal of invalid files."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def test_a_file_of_specs_reads_back_as_it_was_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["s.json"]
 
 
-def test_a_digest_covers_what_decides_the_numbers_and_not_the_words_about_it() -> None:
+def test_the_digest_covers_the_episodes_and_not_their_description() -> None:
     assert SET.model_copy(update={"source": "elsewhere"}).digest == SET.digest
     moved = SET.specs[0].model_copy(update={"spawn_pose": (0.0, 0.0, 0.1)})
     assert specs_of(moved, *SET.specs[1:]).digest != SET.digest
     assert SET.spec_digest(moved) != SET.spec_digest(SET.specs[0])
 
 
-def test_a_part_is_spread_over_the_list_and_says_so() -> None:
+def test_a_subset_is_spread_over_the_list_and_recorded() -> None:
     part = SET.only(None, 5)
     assert [spec.spec_id for spec in part.specs] == [f"ep_{n:06d}" for n in (1, 3, 5, 7, 9)]
     assert part.source.endswith("5 of 10")
@@ -39,7 +39,7 @@ def test_a_part_is_spread_over_the_list_and_says_so() -> None:
         SET.only(frozenset({Split.VAL_ID}))
 
 
-def test_two_specs_of_one_name_are_refused() -> None:
+def test_two_specs_with_one_name_are_refused() -> None:
     with pytest.raises(ValueError, match="ep_000001"):
         specs_of(spec_of(1), spec_of(1))
 
@@ -52,7 +52,7 @@ def test_two_specs_of_one_name_are_refused() -> None:
         (json.dumps({"format": SPECS_FORMAT + 1}), "upgrade minivla-factory"),
     ],
 )
-def test_a_bad_file_is_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
+def test_an_invalid_file_is_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(UsageError, match=message) as caught:
@@ -60,6 +60,6 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path, text: str, message: str) 
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_file_names_the_verb_that_makes_one(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused_with_the_command_that_writes_it(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="factory eval specs"):
         read_specs(tmp_path / "none.json")

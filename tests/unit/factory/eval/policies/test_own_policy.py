@@ -1,4 +1,4 @@
-"""What is said when a policy's module, class or package is not there, before anything is driven."""
+"""Messages about a missing module, class or package of a policy, before an episode runs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Driver(_Base): pass
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working directory, whose modules are forgotten again."""
+    """The working directory; its modules are unloaded at the end."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(sys, "modules", dict(sys.modules))
     return tmp_path
 
 
-def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
+def test_a_missing_module_is_reported_with_the_search_path(folder: Path) -> None:
     said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
     for judge in (require_at_hand, load_class):
         with pytest.raises(UsageError, match=said) as caught:
@@ -40,7 +40,7 @@ def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
         assert "frozen" not in str(caught.value)
 
 
-def test_a_missing_class_is_told_those_that_the_module_has(folder: Path) -> None:
+def test_a_missing_class_is_reported_with_the_classes_of_the_module(folder: Path) -> None:
     (folder / "own_pilots.py").write_text(MODULE)
     with pytest.raises(UsageError, match=r"no class 'pilot'; .*own_pilots.py has Pilot, Driver; did you mean 'Pilot'"):
         load_class("own_pilots:pilot")
@@ -53,7 +53,7 @@ def test_a_missing_class_is_told_those_that_the_module_has(folder: Path) -> None
         ("class Policy:\n  def act(self) return 1\n", r"cannot be created: SyntaxError: .*\(broken_pilot.py:2\)"),
     ],
 )
-def test_a_module_that_cannot_be_imported_is_told_by_its_own_line(folder: Path, text: str, said: str) -> None:
+def test_an_import_error_names_the_line_of_the_module(folder: Path, text: str, said: str) -> None:
     (folder / "broken_pilot.py").write_text(text)
     require_at_hand("broken_pilot:Policy")
     with pytest.raises(UsageError, match=said):
@@ -65,7 +65,7 @@ def test_a_module_of_the_working_directory_is_found_without_importing_it(folder:
     require_at_hand("loud_pilot:Policy")
 
 
-def test_every_page_names_a_class_that_the_example_has(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_page_names_an_existing_class_of_the_example(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT / "docs" / "evaluation")
     pages = [ROOT / "README.md", ROOT / "docs" / "evaluation" / "README.md", Path("my_policy.py")]
     named = {name for page in pages for name in re.findall(r"my_policy:\w+", page.read_text())}

@@ -1,4 +1,4 @@
-"""The sheet in shared memory: what one process writes, another reads, even when the writer is stuck."""
+"""The status in shared memory: one process writes, another reads, even when the writer is blocked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SharedStatus(int(sys.argv[1])).write(DriverStatus(Activity.ASKING, 12.5, 7, 3.0,
 """
 
 
-def test_what_another_process_wrote_is_read_here() -> None:
+def test_a_process_reads_the_state_that_another_process_wrote() -> None:
     sheet = SharedStatus.fresh()
     try:
         assert sheet.read().busy is Activity.STARTING
@@ -36,7 +36,7 @@ while time.monotonic() < end:
 """
 
 
-def test_no_state_is_read_that_is_half_of_one_and_half_of_another() -> None:
+def test_reads_of_the_shared_state_are_atomic() -> None:
     sheet = SharedStatus.fresh()
     try:
         first, read = sheet.read(), []
@@ -52,7 +52,7 @@ def test_no_state_is_read_that_is_half_of_one_and_half_of_another() -> None:
         sheet.close()
 
 
-def test_a_writer_that_died_in_the_middle_leaves_the_state_before() -> None:
+def test_a_writer_killed_during_a_write_leaves_the_previous_state() -> None:
     sheet = SharedStatus.fresh()
     try:
         sheet.write(DriverStatus(Activity.ASKING, 12.5, 7))

@@ -1,4 +1,4 @@
-"""Under which limit a call of a policy stands: the patient one for a reset and a first answer, else the strict one."""
+"""Timeouts of policy calls: the load timeout for a reset and a first answer, otherwise the action timeout."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def sheet() -> Iterator[SharedStatus]:
 
 
 def busy_when_asked(sheet: SharedStatus, watch: SheetWatch, calls: int) -> list[Activity]:
-    """What stands on the sheet while each call of an episode goes on, its reset first."""
+    """Returns the status during each call of an episode, reset first."""
     watch.begin(Activity.SIMULATING)
     found = []
     for _ in range(calls):
@@ -37,7 +37,7 @@ def busy_when_asked(sheet: SharedStatus, watch: SheetWatch, calls: int) -> list[
     return found
 
 
-def test_only_answers_after_the_first_one_stand_under_the_strict_limit(sheet: SharedStatus) -> None:
+def test_only_answers_after_the_first_one_have_the_strict_timeout(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
     assert busy_when_asked(sheet, watch, 4) == [Activity.MAKING, Activity.MAKING, Activity.ASKING, Activity.ASKING]
     assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.ASKING, Activity.ASKING]
@@ -45,13 +45,13 @@ def test_only_answers_after_the_first_one_stand_under_the_strict_limit(sheet: Sh
     assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.MAKING, Activity.ASKING]
 
 
-def test_an_experts_time_is_the_simulations(sheet: SharedStatus) -> None:
+def test_the_time_of_an_expert_counts_as_simulation_time(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
     watch.is_privileged = True
     assert busy_when_asked(sheet, watch, 4) == [Activity.SIMULATING] * 4
 
 
-def test_the_sheet_says_how_far_the_robot_has_come(sheet: SharedStatus) -> None:
+def test_the_shared_status_has_the_progress_of_the_robot(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
     watch.begin(Activity.SIMULATING)
     for x, distance_m in ((0.0, 2.0), (0.5, 1.5), (0.2, 1.8)):

@@ -1,4 +1,4 @@
-"""Results from other machines: what an honest one is, and everything that gives a wrong one away."""
+"""Checks of results from other machines: a valid result, and every detected inconsistency."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instructio
 
 
 def arrived(**changes: Any) -> EpisodeResult:
-    """The result of an honest drive to the circle."""
+    """The result of a valid drive to the success circle."""
     rows = [*range(0, STEPS - 1, 6), STEPS - 1]
     values: dict[str, Any] = {
         **describe_request(TASK),
@@ -79,7 +79,7 @@ def test_an_honest_result_has_no_findings() -> None:
     assert findings() == []
 
 
-def test_a_process_that_was_ended_may_have_lost_its_poses() -> None:
+def test_the_result_of_a_killed_process_may_lack_poses() -> None:
     lost = {"end": EvalEnd.POLICY_DIED, "success": False, "any_instance": False, "spl": 0.0, "soft_spl": 0.0}
     assert findings(**lost, track=((0.0, 0.0, 0.0),)) == []
 
@@ -92,7 +92,7 @@ def test_a_process_that_was_ended_may_have_lost_its_poses() -> None:
         ({"instruction": "Stay."}, "instruction is 'Stay.'"),
         ({"geodesic_m": 9.0}, "geodesic_m is 9.0"),
         ({"end": EvalEnd.TIMEOUT}, "success is True"),
-        ({"any_instance": False}, "none at any instance"),
+        ({"any_instance": False}, "success is true, but any_instance is false"),
         ({"num_steps": 1001}, "more than the 1000"),
         ({"final_ne_m": 1.2}, "the radius is 1 m"),
         ({"contact_steps": 122}, "122 steps with contact"),
@@ -108,7 +108,7 @@ def test_a_process_that_was_ended_may_have_lost_its_poses() -> None:
         ({"track": ((0.0, 0.0, 0.0),) * 21}, "final_ne_m is 1.000 m, by the track 3.000 m"),
     ],
 )
-def test_whatever_cannot_be_is_named(changes: dict[str, Any], reason: str) -> None:
+def test_every_inconsistent_value_is_named(changes: dict[str, Any], reason: str) -> None:
     assert any(reason in finding for finding in findings(**changes)), findings(**changes)
 
 
@@ -124,7 +124,7 @@ def judged(tmp_path: Path, data: bytes) -> Any:
     return ResultJudge({1: TASK}).check(path, job_for(1), TARGET)
 
 
-def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) -> None:
+def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path) -> None:
     data = bundle_of(arrived())
     receipt = judged(tmp_path, data)
     assert (receipt.index, receipt.num_steps, receipt.file_bytes) == (1, STEPS, len(data))
@@ -134,7 +134,7 @@ def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) 
     assert read_driven(io.BytesIO(data)).result == arrived()
 
 
-def test_bundles_that_are_none_or_answer_something_else_are_refused(tmp_path: Path) -> None:
+def test_invalid_bundles_and_bundles_of_other_tasks_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidBundle, match="not a readable zip"):
         judged(tmp_path, b"rubbish")
     with pytest.raises(InvalidBundle, match=r"spl is 0\.5"):

@@ -1,4 +1,4 @@
-"""A campaign as a run of evaluation tasks: one name for one campaign, and everything a worker needs in the task."""
+"""An evaluation as a run of tasks: a unique run name, and tasks with all data that a worker needs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def campaign(drives: Dataset) -> Campaign:
-    """It again, by two policies."""
+    """The same episode with two policies."""
     specs = specs_of_dataset(drives, [Split.TRAIN_ID])
     return Campaign(specs, drives.root, ("stop", "replay"), (Variant.ORIGINAL,), Setup(settings=specs.settings))
 
@@ -51,7 +51,7 @@ def test_the_plan_has_the_scenes_and_settings_of_the_specs(campaign: Campaign, d
     assert plan.run.startswith("eval_")
 
 
-def test_whatever_changes_a_number_changes_the_name_of_the_run(
+def test_every_setting_that_affects_results_changes_the_run_name(
     campaign: Campaign, drives: Dataset, tmp_path: Path
 ) -> None:
     settings = campaign.specs.settings
@@ -83,7 +83,7 @@ def test_a_worker_gets_the_task_of_the_campaign_with_the_recorded_actions(campai
     assert (planned.index, planned.episode) == (2, EpisodeSpec.of(tasks[2].request.spec))
 
 
-def test_specs_that_do_not_fit_their_scene_are_refused_before_anything_is_given_out(campaign: Campaign) -> None:
+def test_specs_that_do_not_fit_their_scene_are_refused_before_tasks_are_created(campaign: Campaign) -> None:
     def campaign_with(**changes: object) -> Campaign:
         (spec,) = campaign.specs.specs
         specs = campaign.specs.model_copy(update={"specs": (spec.model_copy(update=changes),)})

@@ -23,7 +23,7 @@ def test_an_interval_is_that_of_the_bca_bootstrap() -> None:
     assert found.high - found.mean > found.mean - found.low  # a skew to the right, which BCa sees
 
 
-def test_an_interval_covers_the_truth_about_as_often_as_it_says() -> None:
+def test_an_interval_has_about_its_nominal_coverage() -> None:
     rng = np.random.default_rng(7)
     samples = [rng.normal(3.0, 1.0, 40).tolist() for _ in range(120)]
     found = [mean_of(sample) for sample in samples]

@@ -1,4 +1,4 @@
-"""What is said of policies that fail as programs: each way once, with its first message."""
+"""Reports of policy errors: each kind once, with its first message."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.builders.eval_results import evaluation_of, result_of
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
 
 
-def test_each_way_of_failing_is_told_once_with_its_first_message() -> None:
+def test_each_kind_of_failure_is_reported_once_with_its_first_message() -> None:
     rows = [
         result_of(1),
         result_of(2, success=False, end=EvalEnd.POLICY_INVALID, detail="NaN"),
@@ -27,7 +27,7 @@ def test_each_way_of_failing_is_told_once_with_its_first_message() -> None:
     ]
 
 
-def test_failures_under_other_words_count_and_those_of_the_world_do_not() -> None:
+def test_failures_under_ablated_instructions_count_and_world_failures_do_not() -> None:
     rows = [
         result_of(1, success=False, end=EvalEnd.COLLISION),
         result_of(1, success=False, end=EvalEnd.POLICY_HUNG, variant=Variant.EMPTY, instruction=""),
@@ -36,7 +36,7 @@ def test_failures_under_other_words_count_and_those_of_the_world_do_not() -> Non
     assert (fault.end, fault.drives, fault.of) == (EvalEnd.POLICY_HUNG, 1, 2)
 
 
-def test_only_a_policy_that_failed_everywhere_has_only_failed() -> None:
+def test_a_policy_is_reported_as_always_failing_only_when_every_episode_failed() -> None:
     raised = result_of(1, success=False, end=EvalEnd.POLICY_RAISED)
     assert score_policy("m:P", [raised], NOTE).only_failed
     assert not score_policy("m:P", [raised, result_of(2, success=False)], NOTE).only_failed

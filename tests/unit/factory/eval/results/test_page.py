@@ -1,4 +1,4 @@
-"""The page of an evaluation: self-contained, free of what others wrote into names, main metrics first."""
+"""The page of an evaluation: self-contained, escaped, main metrics first."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_names_and_instructions_cannot_become_markup() -> None:
         assert text in page
 
 
-def test_everything_is_within_the_page() -> None:
+def test_the_page_is_self_contained() -> None:
     page = write_page(evaluation_of("stop"), {"stop": [failure()]})
     outline = Outline(page)
     sources = [link for link in outline.links if not link.startswith("#")]
@@ -38,7 +38,7 @@ def test_everything_is_within_the_page() -> None:
     assert "default-src 'none'" in page
 
 
-def test_films_play_only_when_asked_and_can_be_paused() -> None:
+def test_videos_do_not_autoplay_and_can_be_paused() -> None:
     page = write_page(evaluation_of("stop", "expert"), {"stop": [failure(), failure()], "expert": [failure()]})
     films = re.findall(r"<video[^>]*>", page)
     assert len(films) == 3
@@ -59,7 +59,7 @@ def test_tables_scroll_in_containers_that_the_keyboard_reaches() -> None:
         assert attributes["aria-label"]
 
 
-def test_main_metrics_come_first_and_the_rest_is_folded() -> None:
+def test_main_metrics_are_first_and_the_rest_is_collapsed() -> None:
     page = write_page(evaluation_of("expert", "stop"), {"stop": [failure()]})
     main, rest = page.split('<section id="measures">')
     table = main[main.index("<table") :]
@@ -70,7 +70,7 @@ def test_main_metrics_come_first_and_the_rest_is_folded() -> None:
         assert f"<details><summary><h3>{title}</h3></summary>" in rest
 
 
-def test_each_policy_stands_in_each_table_with_its_interval() -> None:
+def test_each_table_lists_each_policy_with_its_interval() -> None:
     page = write_page(evaluation_of("expert", "stop"), {})
     for title in ("All episodes", "By split", "By scene", "By tier", "By category", "By template"):
         table = page.split(f"<h3>{title}</h3>")[1].split("</table>")[0]
@@ -86,7 +86,7 @@ def test_the_same_evaluation_gives_the_same_bytes() -> None:
     assert write_page(evaluation_of("stop"), shown) == write_page(evaluation_of("stop"), shown)
 
 
-def test_failures_are_chosen_from_every_way_to_end() -> None:
+def test_shown_failures_cover_every_termination_reason() -> None:
     ends = [EvalEnd.TIMEOUT] * 6 + [EvalEnd.COLLISION] * 2 + [EvalEnd.POLICY_HUNG]
     rows = [result_of(n, success=False, end=end) for n, end in enumerate(ends, 1)] + [result_of(10)]
     assert [row.spec_id[-2:] for row in choose_failures(rows, 5)] == ["01", "02", "07", "08", "09"]

@@ -1,4 +1,4 @@
-"""Tables of results: counts by hand, groups in order, gaps of other words, paired comparisons."""
+"""Tables of results: counts, order of groups, ablation gaps, paired comparisons."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.builders.eval_results import result_of
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
 
 
-def test_a_score_counts_each_end_once_and_averages_the_measures() -> None:
+def test_a_score_counts_each_termination_once_and_averages_the_measures() -> None:
     rows = [
         result_of(1, trajectory_length_m=2.0, spl=0.8),
         result_of(2, success=False, end=EvalEnd.COLLISION, contact_steps=20, any_instance=True),
@@ -31,13 +31,13 @@ def test_a_score_counts_each_end_once_and_averages_the_measures() -> None:
     assert found.ne_m.mean == pytest.approx(2.5)
 
 
-def test_episodes_without_a_way_along_the_floor_are_left_out_of_spl_only() -> None:
+def test_episodes_without_a_floor_path_are_excluded_only_from_spl() -> None:
     rows = [result_of(1), result_of(2, geodesic_m=None, spl=None, soft_spl=None)]
     found = score_policy("m:P", rows, NOTE).overall
     assert (found.spl.n, found.soft_spl.n, found.ne_m.n) == (1, 1, 2)
 
 
-def test_groups_follow_the_papers_order_and_hold_every_row_once() -> None:
+def test_groups_follow_the_papers_order_and_contain_every_row_once() -> None:
     rows = [
         result_of(1, split=Split.TEST_OOD_OBJ, tier=Tier.FAR, category="zebra"),
         result_of(2, split=Split.TEST_ID, tier=Tier.NEAR, category="sofa", categories_in_view=2),
@@ -53,7 +53,7 @@ def test_groups_follow_the_papers_order_and_hold_every_row_once() -> None:
         assert sum(group.n for group in groups if group.by == by) == 3
 
 
-def test_the_gap_of_other_words_is_taken_pair_by_pair() -> None:
+def test_the_ablation_gap_is_computed_from_paired_episodes() -> None:
     rows = [result_of(n, categories_in_view=2 if n <= 2 else 1) for n in range(1, 7)]
     rows += [
         result_of(n, success=n > 4, variant=Variant.WRONG, instruction="Go to the sofa.", categories_in_view=1)
@@ -77,7 +77,7 @@ def test_a_comparison_counts_the_four_kinds_of_pairs_and_what_is_left_out() -> N
     assert found.differences["ne_m"].mean == pytest.approx(-0.5)
 
 
-def test_runs_over_other_questions_are_not_compared() -> None:
+def test_results_on_different_specs_are_not_compared() -> None:
     with pytest.raises(UsageError, match="no original episode in common"):
         compare([result_of(1)], [result_of(2)], Variant.ORIGINAL)
     with pytest.raises(UsageError, match="same --specs"):

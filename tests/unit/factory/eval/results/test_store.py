@@ -1,4 +1,4 @@
-"""The evaluation directory: durable rows, a torn tail, other questions refused."""
+"""The evaluation directory: durable rows, recovery of a torn tail, refusal of other specs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def log_of(root: Path) -> Path:
     return root / "policies" / "expert" / "episodes.jsonl"
 
 
-def test_rows_come_back_in_the_order_of_the_specs_variants_apart(tmp_path: Path) -> None:
+def test_rows_are_read_back_in_spec_order_by_variant(tmp_path: Path) -> None:
     with store_in(tmp_path / "out") as store:
         for number in (3, 1):
             store.add(result_of(number))
@@ -57,7 +57,7 @@ def test_a_damaged_row_is_named(tmp_path: Path) -> None:
         store.results("expert")
 
 
-def test_a_directory_of_another_question_is_refused(tmp_path: Path) -> None:
+def test_a_directory_with_other_specs_is_refused(tmp_path: Path) -> None:
     with store_in(tmp_path) as store:
         store.add(result_of(1))
     with pytest.raises(UsageError, match=r"another evaluation .*with_pose False, now True"):
@@ -66,7 +66,7 @@ def test_a_directory_of_another_question_is_refused(tmp_path: Path) -> None:
         store_in(tmp_path, MANIFEST.model_copy(update={"specs_digest": "0" * 64}))
 
 
-def test_a_directory_where_nothing_was_driven_yet_takes_another_question(tmp_path: Path) -> None:
+def test_a_directory_without_results_accepts_other_specs(tmp_path: Path) -> None:
     asked = MANIFEST.model_copy(update={"with_pose": True})
     store_in(tmp_path)
     with store_in(tmp_path, asked) as store:
@@ -75,14 +75,14 @@ def test_a_directory_where_nothing_was_driven_yet_takes_another_question(tmp_pat
         store_in(tmp_path)
 
 
-def test_a_directory_whose_jobs_were_given_to_others_keeps_its_question(tmp_path: Path) -> None:
+def test_a_directory_with_claimed_jobs_keeps_its_specs(tmp_path: Path) -> None:
     store_in(tmp_path)
     (tmp_path / "ledger.db").touch()
     with pytest.raises(UsageError, match="another evaluation"):
         store_in(tmp_path, MANIFEST.model_copy(update={"with_pose": True}))
 
 
-def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
+def test_an_unrelated_directory_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(UsageError, match="not empty"):
         store_in(tmp_path)
@@ -96,20 +96,20 @@ def test_a_newer_format_is_refused_by_its_number(tmp_path: Path) -> None:
         store_in(tmp_path)
 
 
-def test_a_file_in_the_place_of_the_directory_is_an_error_of_the_world(tmp_path: Path) -> None:
+def test_a_file_instead_of_the_directory_is_reported(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(WorldError, match="cannot write"):
         store_in(tmp_path / "out")
 
 
 @pytest.mark.parametrize("policy", ["my.module:Class", "ws://127.0.0.1:8000", "expert:depth", "../../x", "Expert"])
-def test_a_policys_folder_is_a_plain_name_of_its_own(policy: str) -> None:
+def test_the_folder_of_a_policy_has_a_unique_plain_name(policy: str) -> None:
     name = folder_name(policy)
     assert name == Path(name).name
     assert name not in {"", ".", "..", "expert"}
 
 
-def test_a_comparison_takes_the_only_policy_or_asks_which(tmp_path: Path) -> None:
+def test_a_comparison_uses_the_only_policy_or_requires_a_name(tmp_path: Path) -> None:
     with store_in(tmp_path) as store:
         store.add(result_of(1))
         assert read_policy_folder(tmp_path)[0] == "expert"

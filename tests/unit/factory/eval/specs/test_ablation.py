@@ -1,4 +1,4 @@
-"""Other words: never the true ones, the same for the same set, from categories that are there."""
+"""Ablated instructions: never the original, deterministic, from existing categories."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ CATEGORIES = ("crate", "barrel", "crate", "barrel", "crate")
 SET = specs_of(*(spec_of(n, category=category) for n, category in enumerate(CATEGORIES, 1)))
 
 
-def test_shuffled_words_are_another_episodes_and_never_the_same() -> None:
+def test_a_shuffled_instruction_comes_from_another_episode() -> None:
     found = instructions(SET, Variant.SHUFFLED, SCENES)
     assert all(found[spec.spec_id] != spec.instruction for spec in SET.specs)
     assert set(found.values()) <= {spec.instruction for spec in SET.specs}
     assert found == instructions(SET, Variant.SHUFFLED, SCENES)
 
 
-def test_wrong_words_name_another_category_of_the_scene_in_the_same_template() -> None:
+def test_a_wrong_instruction_names_another_category_in_the_same_template() -> None:
     found = instructions(SET, Variant.WRONG, SCENES)
     assert [found[spec.spec_id] for spec in SET.specs] == [
         f"Go to the {'barrel' if category == 'crate' else 'crate'}." for category in CATEGORIES
     ]
 
 
-def test_wrong_words_prefer_what_is_in_view() -> None:
+def test_a_wrong_instruction_prefers_a_visible_category() -> None:
     targets = ROOM.targets + tuple(
         ROOM.targets[0].model_copy(update={"target_id": f"{name}_1", "category": name}) for name in ("sofa", "table")
     )
@@ -41,18 +41,18 @@ def test_wrong_words_prefer_what_is_in_view() -> None:
     assert set(instructions(specs, Variant.WRONG, scenes).values()) == {"Go to the sofa."}
 
 
-def test_a_template_with_a_colour_keeps_one() -> None:
+def test_a_wrong_instruction_with_a_colour_template_has_a_colour() -> None:
     spec = spec_of(1, category="crate", colour="red", template_id="train_06", instruction="Go to the red crate.")
     found = instructions(specs_of(spec), Variant.WRONG, SCENES)
     assert found["ep_000001"] == "Go to the red barrel."
 
 
-def test_empty_words_are_empty_and_the_original_ones_the_specs_own() -> None:
+def test_the_empty_variant_is_empty_and_the_original_variant_is_unchanged() -> None:
     assert set(instructions(SET, Variant.EMPTY, SCENES).values()) == {""}
     assert instructions(SET, Variant.ORIGINAL, SCENES)["ep_000001"] == "Go to the crate."
 
 
-def test_what_cannot_be_shuffled_or_named_wrongly_is_said() -> None:
+def test_an_impossible_ablation_is_reported() -> None:
     with pytest.raises(UsageError, match="the same instruction"):
         instructions(specs_of(spec_of(1), spec_of(2)), Variant.SHUFFLED, SCENES)
     alone = {"b" * 64: ROOM.model_copy(update={"targets": ROOM.targets[:1]})}

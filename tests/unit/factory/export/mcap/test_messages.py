@@ -1,4 +1,4 @@
-"""What an MCAP export says of an episode, before it is encoded."""
+"""The messages of an MCAP export before encoding."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from workers.geometry.pose import Pose
 
 
 def arc(v: float, w: float, steps: int, hz: int, yaw: float = 0.0) -> np.ndarray:
-    """Poses of a robot that turns in place of driving straight: exact for straight drives and turns on the spot."""
+    """Poses of a robot; exact for straight drives and turns on the spot."""
     times = np.arange(steps) / hz
     heading = yaw + w * times
     poses = np.zeros((steps, 7), np.float32)

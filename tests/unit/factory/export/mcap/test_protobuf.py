@@ -1,4 +1,4 @@
-"""Messages and descriptors of an MCAP export: their bytes, and what a reader decodes with the descriptors alone."""
+"""Messages and descriptors of an MCAP export: their bytes, and decoding with the descriptors only."""
 
 from __future__ import annotations
 

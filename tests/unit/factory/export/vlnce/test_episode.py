@@ -1,4 +1,4 @@
-"""Episodes in Habitat's words: axes, headings, paths, tokens."""
+"""Episodes in Habitat's conventions: axes, headings, paths, tokens."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ COORDINATES = st.floats(-1e3, 1e3, allow_nan=False).map(lambda value: value + 0.
 
 
 @given(st.tuples(COORDINATES, COORDINATES, COORDINATES))
-def test_points_go_to_habitat_and_back(point):
+def test_points_are_converted_to_habitat_and_back(point):
     assert from_habitat(to_habitat(point)) == point
 
 
-def test_up_goes_up_and_the_axes_stay_right_handed():
+def test_the_up_axis_is_converted_and_axes_stay_right_handed():
     x, y, z = (np.array(to_habitat(axis)) for axis in np.eye(3).tolist())
     np.testing.assert_array_equal(z, (0, 1, 0))
     np.testing.assert_array_equal(np.cross(x, y), z)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, math.pi / 2, math.pi, -2.0])
-def test_an_agent_looks_where_the_robot_looks(yaw):
+def test_the_agent_has_the_heading_of_the_robot(yaw):
     forward = Rotation.from_quat(rotation_of(yaw)).apply((0, 0, -1))
     np.testing.assert_allclose(forward, to_habitat((math.cos(yaw), math.sin(yaw), 0.0)), atol=1e-12)
 
@@ -48,7 +48,7 @@ def test_an_agent_stands_upright():
 
 
 @given(st.floats(0.02, 12.0), st.integers(2, 400))
-def test_a_thinned_track_keeps_its_ends_and_its_spacing(length_m, steps):
+def test_a_subsampled_trajectory_keeps_its_ends_and_spacing(length_m, steps):
     track = np.zeros((steps, 3))
     track[:, 0] = np.linspace(0, length_m, steps)
     thin = thin_track(track)
@@ -59,11 +59,11 @@ def test_a_thinned_track_keeps_its_ends_and_its_spacing(length_m, steps):
     assert gaps.max() <= max(0.25 * 1.5 + step, step + 1e-9)
 
 
-def test_a_robot_that_never_moved_has_a_path_of_its_place():
+def test_a_stationary_robot_has_a_path_of_one_point():
     assert len(thin_track(np.ones((7, 3)))) <= 2
 
 
-def test_words_become_numbers_and_back():
+def test_words_are_encoded_and_decoded():
     texts = ["Go to the red sofa.", "Drive to the chair, then stop."]
     words = vocabulary_of(texts)
     assert words[:2] == ["<pad>", "<unk>"]
@@ -74,7 +74,7 @@ def test_words_become_numbers_and_back():
     assert tokens_of_text("Go to the zebra.", index, 5)[3] == 1
 
 
-def test_an_entry_has_what_habitats_parsers_ask_for():
+def test_an_entry_has_the_fields_that_habitat_requires():
     parts = parts_for()
     entry = json.loads(json.dumps(vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0)))
     assert entry["goals"] == [{"position": [GOAL_M[0], 0.0, 0.0], "radius": RADIUS_M}]

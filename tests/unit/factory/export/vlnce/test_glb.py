@@ -1,4 +1,4 @@
-"""Scenes as binary glTF: what a reader finds of two boxes, one plain and one with a texture."""
+"""Scenes as binary glTF: two boxes, one plain and one with a texture."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def vertices_of(scene, layer):
 
 
 @pytest.mark.parametrize(("name", "layer"), [("colours", -1), ("texture_0", 0)])
-def test_every_triangle_is_there_in_the_axes_of_gltf(scene, meshes, name, layer):
+def test_every_triangle_is_written_in_gltf_axes(scene, meshes, name, layer):
     mesh = meshes[name]
     x, y, z = scene.positions[vertices_of(scene, layer)].T
     np.testing.assert_array_equal(mesh.vertices[mesh.faces.ravel()].astype(np.float32), np.column_stack([x, z, -y]))
 
 
-def test_a_textured_mesh_has_its_picture_and_its_coordinates(scene, meshes):
+def test_a_textured_mesh_has_its_image_and_coordinates(scene, meshes):
     visual = meshes["texture_0"].visual
     np.testing.assert_array_equal(np.asarray(visual.material.baseColorTexture.convert("RGB")), scene.textures[0])
     np.testing.assert_allclose(visual.uv, scene.uvs[vertices_of(scene, 0)], atol=1e-6)

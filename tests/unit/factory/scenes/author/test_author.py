@@ -75,7 +75,7 @@ def read_meshes(path: Path) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", BUILTIN_SCENES)
 @pytest.mark.parametrize("seed", range(3))
-def test_every_category_of_the_paper_stands_at_least_four_times(name: str, seed: int) -> None:
+def test_every_category_of_the_paper_occurs_at_least_four_times(name: str, seed: int) -> None:
     counts = count_categories(lay_out_scene(BUILTIN_SCENES[name], seed))
     wanted = {*BUILTIN_CATEGORIES[name].seen, *BUILTIN_CATEGORIES[name].held_out}
     assert set(counts) == wanted
@@ -95,7 +95,7 @@ def test_seeds_give_different_layouts() -> None:
     assert [(p.name, p.x, p.y) for p in first.placements] != [(p.name, p.x, p.y) for p in second.placements]
 
 
-def test_no_furniture_stands_in_a_door() -> None:
+def test_no_furniture_blocks_a_door() -> None:
     plan = lay_out_scene(BUILTIN_SCENES["office"], 0)
     assert plan.kept_clear
     for placement in plan.placements:
@@ -114,7 +114,7 @@ def test_same_seed_writes_the_same_geometry_and_pixels(shelves: Path, tmp_path: 
     assert all(file.read_bytes() == (tmp_path / "textures" / file.name).read_bytes() for file in textures)
 
 
-def test_authoring_again_into_the_same_directory_replaces_the_scene(shelves: Path) -> None:
+def test_authoring_into_the_same_directory_replaces_the_scene(shelves: Path) -> None:
     before = read_meshes(shelves)
     other = read_meshes(author_scene("warehouse_multiple_shelves", 1, shelves.parent))
     assert before.keys() != other.keys()
@@ -149,7 +149,7 @@ def test_clutter_names_match_no_category_word() -> None:
     assert not [name for name in clutter if TARGET_WORDS.search(name)]
 
 
-def test_every_model_stands_on_or_above_the_floor() -> None:
+def test_every_model_is_on_or_above_the_floor() -> None:
     props = PropBuilder(0)
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):
@@ -157,8 +157,8 @@ def test_every_model_stands_on_or_above_the_floor() -> None:
             assert low[2] > -0.01, f"{name} variant {variant} reaches {low[2]:.3f} m"
 
 
-def test_no_two_materials_show_in_one_plane() -> None:
-    """Else both are seen, in specks; backs against a wall and undersides on the floor are not seen."""
+def test_no_two_visible_materials_share_a_plane() -> None:
+    """Otherwise z-fighting is visible; backs against a wall and undersides on the floor are not visible."""
     props, found = PropBuilder(0), []
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):
@@ -197,5 +197,5 @@ def test_unknown_scene_names_the_known_ones(tmp_path: Path) -> None:
         author_scene("garage", 0, tmp_path)
 
 
-def test_author_version_is_set() -> None:
+def test_the_author_version_is_set() -> None:
     assert AUTHOR_VERSION

@@ -1,4 +1,4 @@
-"""Colour names are those that people would give."""
+"""Colour names match human naming."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def test_reference_colours_have_their_names(rgb: tuple[int, int, int], name: str
     assert COLOUR_NAMES[int(name_indices(np.array(rgb) / 255))] == name
 
 
-def test_half_of_the_samples_make_a_colour_and_less_do_not() -> None:
+def test_a_colour_needs_half_of_the_samples() -> None:
     red, blue, green = (1.0, 0, 0), (0, 0, 1.0), (0, 0.5, 0)
     assert dominant_name([red, red, blue, green]) == "red"
     assert dominant_name([red, red, blue, green, blue]) == "unknown"
 
 
-def test_a_thing_of_two_colours_has_none() -> None:
+def test_an_object_of_two_colours_has_no_colour_name() -> None:
     red, blue = (1.0, 0, 0), (0, 0, 1.0)
     assert dominant_name([red] * 6 + [blue] * 4) == "unknown"
     assert dominant_name([red] * 7 + [blue] * 3) == "red"
@@ -60,7 +60,7 @@ def test_a_blue_chair_on_a_black_base_is_blue() -> None:
     assert dominant_name([blue] * 45 + [black] * 55) == "unknown"
 
 
-def test_black_and_gray_are_rivals_to_each_other() -> None:
+def test_black_and_gray_compete_with_each_other() -> None:
     black, gray = (0.1, 0.1, 0.1), (0.5, 0.5, 0.5)
     assert dominant_name([gray] * 58 + [black] * 42) == "unknown"
     assert dominant_name([gray] * 70 + [black] * 30) == "gray"
@@ -70,7 +70,7 @@ def test_teal_is_neither_green_nor_blue() -> None:
     assert dominant_name([(31 / 255, 127 / 255, 130 / 255)]) == "unknown"
 
 
-def test_no_samples_have_no_colour() -> None:
+def test_an_object_without_samples_has_no_colour() -> None:
     assert dominant_name(np.zeros((0, 3))) == "unknown"
 
 

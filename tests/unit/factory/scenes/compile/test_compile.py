@@ -1,4 +1,4 @@
-"""A stage becomes a scene package, or an error that says why not."""
+"""Compilation of a stage to a scene package, or an error with the reason."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def room(tmp_path: Path, things: str = "", text: StageText = TEXT) -> CompiledSc
     return compile_stage(text.write(tmp_path / "room.usda", room_body(text, things)), "room", "test")
 
 
-def test_a_room_becomes_a_valid_package(tmp_path: Path) -> None:
+def test_a_room_compiles_to_a_valid_package(tmp_path: Path) -> None:
     scene = room(tmp_path)
     data = encode_scene(scene)
     assert encode_scene(decode_scene(io.BytesIO(data))) == data
@@ -68,7 +68,7 @@ def test_spawns_fit_and_are_spread(tmp_path: Path) -> None:
     assert np.ptp(scene.spawns, axis=0) == pytest.approx([7.0, 5.0], abs=0.7)
 
 
-def test_no_spawn_lies_beneath_a_shelf_on_legs(tmp_path: Path) -> None:
+def test_no_spawn_is_below_a_shelf_on_legs(tmp_path: Path) -> None:
     scene = room(tmp_path, TEXT.box("SM_ShelfSteel_A", (-3, -2, 1.5), (0, 2, 1.7)))
     assert "shelf" in {target.category for target in scene.info.targets}
     assert Grid.from_scene(scene).clearance_at(np.array([[-1.5, 0.0]]))[0] > 1  # free floor
@@ -76,7 +76,7 @@ def test_no_spawn_lies_beneath_a_shelf_on_legs(tmp_path: Path) -> None:
     assert not beneath.all(axis=1).any()
 
 
-def test_a_thing_behind_a_wall_is_neither_seen_nor_started_at_from_there(tmp_path: Path) -> None:
+def test_an_object_behind_a_wall_is_neither_visible_nor_a_target_from_there(tmp_path: Path) -> None:
     wall = TEXT.box("Divider", (-0.1, -1.5, 0), (0, 3, 2.5)) + TEXT.box("SM_Board", (0.0, 1.0, 0.9), (0.04, 2.0, 1.6))
     scene = room(tmp_path, wall)
     column = [target.category for target in scene.info.targets].index("whiteboard")
@@ -85,7 +85,7 @@ def test_a_thing_behind_a_wall_is_neither_seen_nor_started_at_from_there(tmp_pat
     assert (seeing[:, 0] > 0).all()
 
 
-def test_a_walled_in_thing_is_left_out_with_a_note_but_stays_an_instance(tmp_path: Path) -> None:
+def test_an_enclosed_object_is_no_target_but_stays_an_instance(tmp_path: Path) -> None:
     cell = (
         TEXT.box("CellA", (-3.6, -2.6, 0), (-3.5, -0.5, 2.5))
         + TEXT.box("CellB", (-1.5, -2.6, 0), (-1.4, -0.5, 2.5))
@@ -99,13 +99,13 @@ def test_a_walled_in_thing_is_left_out_with_a_note_but_stays_an_instance(tmp_pat
     assert "crate" in {item.category for item in scene.info.instances}
 
 
-def test_far_strays_are_left_out_with_a_note(tmp_path: Path) -> None:
+def test_distant_outliers_are_left_out_with_a_note(tmp_path: Path) -> None:
     scene = room(tmp_path, TEXT.box("Book", (0, 0, 343582), (1, 1, 343583)))
     assert scene.info.bounds_m[1][2] < 10
     assert any("Book" in note for note in scene.info.notes)
 
 
-def test_glass_is_solid_but_not_shown(tmp_path: Path) -> None:
+def test_glass_is_solid_but_not_rendered(tmp_path: Path) -> None:
     glass = """
     def Material "Glass" {
         token outputs:surface.connect = </World/Glass/Shader.outputs:surface>
@@ -129,7 +129,7 @@ def test_the_top_down_picture_has_a_pixel_block_a_cell(tmp_path: Path) -> None:
     assert picture.shape == (2 * scene.occupancy.shape[0], 2 * scene.occupancy.shape[1], 3)
 
 
-def test_textures_reach_the_package_upright(tmp_path: Path) -> None:
+def test_textures_are_upright_in_the_package(tmp_path: Path) -> None:
     halves = np.zeros((8, 8, 3), np.uint8)
     halves[:4], halves[4:] = (200, 0, 0), (0, 0, 200)
     Image.fromarray(halves).save(tmp_path / "halves.png")
@@ -172,7 +172,7 @@ def test_textures_reach_the_package_upright(tmp_path: Path) -> None:
         (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)) + TEXT.box("Chair", (20, 20, 0), (20.5, 20.5, 1)), "no reachable"),
     ],
 )
-def test_what_cannot_become_a_scene_is_told_why(tmp_path: Path, body: str, message: str) -> None:
+def test_an_unusable_stage_is_refused_with_the_reason(tmp_path: Path, body: str, message: str) -> None:
     path = TEXT.write(tmp_path / "odd.usda", body)
     with pytest.raises(WorldError, match=message) as caught:
         compile_stage(path, "odd", "test")
@@ -189,7 +189,7 @@ def test_an_imported_package_is_named_by_its_content(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["My Room", "office", "", "9lives"])
-def test_names_that_cannot_be_used_are_refused(tmp_path: Path, name: str) -> None:
+def test_invalid_scene_names_are_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(UsageError, match="name"):
         import_scene(tmp_path / "room.usda", name, tmp_path)
 
@@ -217,6 +217,6 @@ def test_a_stage_far_from_its_origin_is_refused(tmp_path: Path) -> None:
         compile_stage(TEXT.write(tmp_path / "site.usda", site), "site", "test")
 
 
-def test_looking_into_the_cache_does_not_load_usd() -> None:
+def test_reading_the_cache_does_not_load_usd() -> None:
     code = "import sys, factory.scenes; raise SystemExit('pxr' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

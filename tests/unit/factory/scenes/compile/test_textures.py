@@ -21,7 +21,7 @@ def flat(red: int, green: int, blue: int) -> bytes:
     return png(np.full((4, 4, 3), (red, green, blue), np.uint8))
 
 
-def test_a_picture_keeps_its_rows_and_colours() -> None:
+def test_an_image_keeps_its_rows_and_colours() -> None:
     halves = np.zeros((8, 8, 3), np.uint8)
     halves[:4], halves[4:] = (200, 0, 0), (0, 0, 200)
     book = load_textures({"a.png": 1.0}, {"a.png": png(halves)}.get)
@@ -30,14 +30,14 @@ def test_a_picture_keeps_its_rows_and_colours() -> None:
     assert book.layers[0, -10, 10].tolist() == [0, 0, 200]
 
 
-def test_equal_pictures_share_a_layer() -> None:
+def test_equal_images_share_a_layer() -> None:
     book = load_textures({"a.png": 1.0, "b.png": 1.0}, lambda path: flat(1, 2, 3))
     assert len(book.layers) == 1
     assert book.layer_of["a.png"] == book.layer_of["b.png"] == 0
 
 
 @pytest.mark.parametrize("data", [None, b"no picture", flat(0, 0, 0)[:40]], ids=["missing", "garbage", "cut off"])
-def test_what_cannot_be_read_is_noted(data: bytes | None) -> None:
+def test_an_unreadable_texture_is_noted(data: bytes | None) -> None:
     book = load_textures({"dir/a.png": 1.0}, lambda path: data)
     assert book.layers.shape[0] == 0
     assert "a.png" in book.notes[0]

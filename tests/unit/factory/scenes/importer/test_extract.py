@@ -1,4 +1,4 @@
-"""What a stage shows arrives whole, in metres and z up, whatever the author did."""
+"""Extraction of the visible geometry of a stage, in metres and z up."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def volume(part: Part) -> float:
 
 @pytest.mark.parametrize("up", ["Y", "Z"])
 @pytest.mark.parametrize("metres", [1.0, 0.01, 0.0254])
-def test_units_and_axes_end_as_metres_z_up(tmp_path: Path, up: str, metres: float) -> None:
+def test_units_and_axes_are_converted_to_metres_z_up(tmp_path: Path, up: str, metres: float) -> None:
     text = StageText(metres, up)
     extraction = extract_stage(text.write(tmp_path / "scene.usda", room_body(text)))
     expected = extract_stage(TEXT.write(tmp_path / "plain.usda", room_body(TEXT)))
@@ -69,20 +69,20 @@ def test_a_mirrored_box_still_faces_outwards(tmp_path: Path) -> None:
     assert volume(part) == pytest.approx(6.0)
 
 
-def test_left_handed_meshes_are_turned(tmp_path: Path) -> None:
+def test_left_handed_meshes_are_reoriented(tmp_path: Path) -> None:
     left = TRIANGLE.format(name="Left", more='uniform token orientation = "leftHanded"')
     (part,) = extract(tmp_path, left).parts
     a, b, c = part.triangles[0]
     assert np.cross(b - a, c - a)[2] == -1
 
 
-def test_an_open_two_sided_mesh_gets_a_back(tmp_path: Path) -> None:
+def test_an_open_two_sided_mesh_gets_back_faces(tmp_path: Path) -> None:
     (part,) = extract(tmp_path, TRIANGLE.format(name="Sheet", more="uniform bool doubleSided = 1")).parts
     a, b, c = np.moveaxis(part.triangles, 1, 0)
     assert np.cross(b - a, c - a)[:, 2].tolist() == [1, -1]
 
 
-def test_instances_and_payloads_are_all_there(tmp_path: Path) -> None:
+def test_all_instances_and_payloads_are_extracted(tmp_path: Path) -> None:
     TEXT.write(tmp_path / "prop.usda", BOX)
     arcs = {"Reference": "references = @prop.usda@", "Payload": "payload = @prop.usda@"}
     copies = [
@@ -95,7 +95,7 @@ def test_instances_and_payloads_are_all_there(tmp_path: Path) -> None:
     assert extraction.models == {"/World/Reference0", "/World/Payload1"}
 
 
-def test_copies_of_a_point_instancer_stand_where_they_should(tmp_path: Path) -> None:
+def test_copies_of_a_point_instancer_have_their_positions(tmp_path: Path) -> None:
     instancer = f"""
     def PointInstancer "Crates" {{
         rel prototypes = </World/Crates/Crate>
@@ -109,7 +109,7 @@ def test_copies_of_a_point_instancer_stand_where_they_should(tmp_path: Path) -> 
     assert [box_of(part)[0][0] for part in extraction.parts] == [0.0, 5.0]
 
 
-def test_what_is_invisible_or_a_guide_is_not_shown(tmp_path: Path) -> None:
+def test_invisible_prims_and_guides_are_not_extracted(tmp_path: Path) -> None:
     hidden = TEXT.box("Hidden", (0, 0, 0), (1, 1, 1), more='token visibility = "invisible"')
     proxy = TEXT.box("Proxy", (0, 0, 0), (1, 1, 1), more='uniform token purpose = "proxy"')
     guide = TEXT.box("Helper", (0, 0, 0), (1, 1, 1), more='uniform token purpose = "guide"')
@@ -121,7 +121,7 @@ def test_what_is_invisible_or_a_guide_is_not_shown(tmp_path: Path) -> None:
     ]
 
 
-def test_a_broken_prim_is_a_note_and_the_rest_is_kept(tmp_path: Path) -> None:
+def test_a_broken_prim_is_noted_and_the_rest_is_kept(tmp_path: Path) -> None:
     torn = TRIANGLE.format(name="Torn", more="").replace("[0, 1, 2]", "[0, 1, 7]")
     empty = 'def Mesh "Empty" {\n}\n'
     lost = TRIANGLE.format(name="Lost", more="").replace("(1, 0, 0)", "(inf, 0, 0)")
@@ -177,7 +177,7 @@ def test_foreign_units_of_a_layer_are_noted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("units", ["metersPerUnit = 0", "metersPerUnit = -1"])
-def test_units_that_make_no_sense_are_refused(tmp_path: Path, units: str) -> None:
+def test_invalid_units_are_refused(tmp_path: Path, units: str) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX, units=units)
     with pytest.raises(WorldError, match="metersPerUnit"):
         extract_stage(path)
@@ -188,14 +188,14 @@ def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
         extract_stage(tmp_path / "absent.usd")
 
 
-def test_a_file_that_is_no_usd_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_usd_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "scene.usda"
     path.write_text("hello")
     with pytest.raises(WorldError, match=r"scene\.usda"):
         extract_stage(path)
 
 
-def test_the_digest_follows_the_content_and_not_the_place(tmp_path: Path) -> None:
+def test_the_digest_depends_on_the_content_and_not_on_the_path(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     one, two = (extract_stage(TEXT.write(tmp_path / place / "scene.usda", BOX)) for place in "ab")
@@ -203,7 +203,7 @@ def test_the_digest_follows_the_content_and_not_the_place(tmp_path: Path) -> Non
     assert one.sha256 == two.sha256 != other.sha256
 
 
-def test_a_primvar_whose_indices_miss_its_values_costs_the_colour_and_not_the_mesh(tmp_path: Path) -> None:
+def test_a_primvar_with_invalid_indices_drops_the_colour_and_keeps_the_mesh(tmp_path: Path) -> None:
     tint = """color3f[] primvars:displayColor = [(1, 0, 0)] (interpolation = "vertex")
         int[] primvars:displayColor:indices = [0, 0, 7]"""
     extraction = extract(tmp_path, TRIANGLE.format(name="Tinted", more=tint) + BOX)

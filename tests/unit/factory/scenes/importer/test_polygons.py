@@ -38,7 +38,7 @@ def test_triangles_stay_in_the_order_of_their_faces() -> None:
 
 
 @pytest.mark.parametrize(("counts", "indices"), [([4], [0, 1, 2]), ([3], [0, 1, 9]), ([3], [0, 1, -1])])
-def test_topology_that_contradicts_itself_is_refused(counts: list[int], indices: list[int]) -> None:
+def test_inconsistent_topology_is_refused(counts: list[int], indices: list[int]) -> None:
     with pytest.raises(ValueError, match="bad topology"):
         triangulate(np.eye(3), np.array(counts), np.array(indices))
 

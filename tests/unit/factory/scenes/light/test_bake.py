@@ -1,4 +1,4 @@
-"""Baked light on rooms of boxes: where it is darker and where it is not."""
+"""Baked light in rooms of boxes: dark and bright areas."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def bake(boxes: Sequence[Box], lamps: Sequence[int] = (LAMP_NUMBER,)) -> LightMa
 
 
 def light_at(light: LightMap, boxes: Sequence[Box], box: int, axis: int, sign: int, place: tuple[float, ...]) -> float:
-    """The mean of the three channels at a place on the face of a box that looks along an axis."""
+    """The mean of the three channels at a position on the face of a box along an axis."""
     triangles = box_triangles(boxes)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     for row in range(12 * box, 12 * box + 12):
@@ -57,7 +57,7 @@ def test_under_a_table_is_darker_than_beside_it() -> None:
     assert floor_light(light, boxes, 1.5, 0.0) < 0.75 * floor_light(light, boxes, 1.5, 1.3)
 
 
-def test_a_crate_throws_a_contact_shadow_that_fades() -> None:
+def test_a_crate_has_a_contact_shadow_that_fades_with_distance() -> None:
     boxes = (*ROOM, CRATE)
     light = bake(boxes)
     beside, near, open_floor = (floor_light(light, boxes, -2.2 - gap, 0.0) for gap in (0.04, 0.3, 0.6))
@@ -66,24 +66,24 @@ def test_a_crate_throws_a_contact_shadow_that_fades() -> None:
     assert open_floor > 0
 
 
-def test_what_is_hidden_under_a_thing_does_not_leak_out_as_black() -> None:
+def test_hidden_texels_do_not_darken_visible_ones() -> None:
     boxes = (*ROOM, CRATE)
     assert floor_light(bake(boxes), boxes, -1.38, 0.0) > 40
 
 
-def test_light_does_not_pass_walls() -> None:
+def test_light_does_not_pass_through_walls() -> None:
     wall = Box((0.9, -3.0, 0.0), (1.1, 3.0, 2.5))
     boxes = (*ROOM, wall)
     light = bake(boxes)
     assert floor_light(light, boxes, 2.0, 0.0) < 0.75 * floor_light(light, boxes, -0.5, 0.0)
 
 
-def test_what_glows_is_fully_bright() -> None:
+def test_emissive_surfaces_are_fully_bright() -> None:
     light = bake(ROOM)
     assert light_at(light, ROOM, LAMP_NUMBER, 2, -1, (0.0, 0.0, 2.45)) == 255
 
 
-def test_a_scene_without_lamps_is_lit_all_the_same() -> None:
+def test_a_scene_without_lamps_is_lit() -> None:
     light = bake(ROOM[:-2], lamps=())
     assert 120 < floor_light(light, ROOM, 0.5, 0.5) < 255
 
@@ -101,7 +101,7 @@ def test_the_same_scene_gives_the_same_light() -> None:
     assert one.uvs.tobytes() == other.uvs.tobytes()
 
 
-def test_a_light_place_is_shown_with_less_light_than_a_dark_one() -> None:
+def test_exposure_reduces_bright_areas_more_than_dark_ones() -> None:
     triangles, groups = box_triangles(ROOM), np.repeat(np.arange(len(ROOM)), 12)
     brightness = np.repeat(np.arange(len(ROOM)) == LAMP_NUMBER, 12).astype(float)
     pale, dark = (bake_light(triangles, groups, brightness, 0.0, np.full(len(triangles), grey)) for grey in (0.8, 0.2))

@@ -1,4 +1,4 @@
-"""The dark rim beside what stands on the floor."""
+"""The contact shadow beside objects on the floor."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ def test_only_the_floor_is_darkened() -> None:
     assert contact_shade(box_triangles([FLOOR, LEG]), 0.0, points, sideways) == pytest.approx(1.0)
 
 
-def test_what_hangs_above_the_floor_throws_no_rim() -> None:
+def test_objects_above_the_floor_cast_no_contact_shadow() -> None:
     lamp = Box((-0.01, -0.01, 0.5), (0.01, 0.01, 0.7))
     assert shade((0.02, 0.0, 0.0), boxes=(FLOOR, lamp)) == pytest.approx([1.0])
 
 
-def test_a_floor_of_any_height_counts() -> None:
+def test_contact_shadows_work_at_any_floor_height() -> None:
     raised = Box((-3, -3, 1.9), (3, 3, 2.0)), Box((-0.01, -0.01, 2.0), (0.01, 0.01, 2.7))
     (beside,) = shade((0.02, 0.0, 2.0), boxes=raised, floor_m=2.0)
     assert beside < 0.5
 
 
-def test_a_scene_without_anything_on_the_floor_has_no_rim() -> None:
+def test_a_scene_with_an_empty_floor_has_no_contact_shadow() -> None:
     assert shade((0.0, 0.0, 0.0), boxes=(FLOOR,)) == pytest.approx([1.0])

@@ -1,4 +1,4 @@
-"""Normals that run on over the pieces of a round surface, and stay apart over sharp edges."""
+"""Normals are smooth over the pieces of a round surface and separate at sharp edges."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_sides_of_a_hexagon_stay_flat() -> None:
     assert not find_bends(charts, triangles, zeros(triangles)).is_bent.any()
 
 
-def test_a_box_has_no_bends() -> None:
+def test_a_box_has_no_smooth_edges() -> None:
     triangles = box_triangles([Box((0, 0, 0), (1, 1, 1))])
     charts = find_charts(triangles, zeros(triangles))
     bends = find_bends(charts, triangles, zeros(triangles))
@@ -66,14 +66,14 @@ def test_normals_agree_where_two_pieces_of_a_drum_meet() -> None:
         assert normal == pytest.approx(np.array(spot) * (1, 1, 0) / 0.3, abs=1e-3)
 
 
-def test_pieces_of_other_groups_do_not_run_on() -> None:
+def test_normals_are_not_smoothed_across_groups() -> None:
     triangles = drum(12)
     groups = np.repeat(np.arange(12), 2)
     charts = find_charts(triangles, groups)
     assert not find_bends(charts, triangles, groups).is_bent.any()
 
 
-def test_a_bent_piece_gets_two_texels_across_its_bend_however_small() -> None:
+def test_a_curved_piece_gets_at_least_two_texels_across_its_curve() -> None:
     triangles = drum(12, radius=0.02, height=0.04)
     charts = find_charts(triangles, zeros(triangles))
     bends = find_bends(charts, triangles, zeros(triangles))

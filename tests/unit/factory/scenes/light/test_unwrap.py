@@ -21,7 +21,7 @@ def room_charts() -> Charts:
 
 
 def covered(layout: Unwrap) -> np.ndarray:
-    """How many charts claim each texel."""
+    """Number of charts that use each texel."""
     claims = np.zeros(layout.shape, int)
     for (column, row), (wide, high) in zip(layout.place, layout.size, strict=True):
         claims[row : row + high, column : column + wide] += 1
@@ -41,7 +41,7 @@ def test_a_turned_box_has_charts_no_larger_than_its_faces() -> None:
     assert charts.area == pytest.approx(charts.extent.prod(axis=1))
 
 
-def test_corners_lie_where_origin_and_axes_say() -> None:
+def test_corners_are_given_by_origin_and_axes() -> None:
     triangles = box_triangles([Box((1, 2, 3), (4, 4, 4))])
     charts = find_charts(triangles, np.zeros(12, np.int64))
     axes = charts.axes[charts.of_triangle]
@@ -56,13 +56,13 @@ def test_groups_and_distant_faces_of_one_plane_are_not_joined() -> None:
     assert len(find_charts(both, np.zeros(len(both), np.int64)).area) == 12
 
 
-def test_triangles_without_area_do_no_harm() -> None:
+def test_degenerate_triangles_are_accepted() -> None:
     charts = find_charts(np.zeros((2, 3, 3)), np.zeros(2, np.int64))
     assert np.isfinite(charts.axes).all()
     assert np.isfinite(unwrap(charts).uvs).all()
 
 
-def test_no_two_charts_share_a_texel_and_all_lie_in_the_map() -> None:
+def test_charts_do_not_overlap_and_are_inside_the_map() -> None:
     layout = unwrap(room_charts())
     assert covered(layout).max() == 1
     assert covered(layout).sum() == layout.size.prod(axis=1).sum()
@@ -78,7 +78,7 @@ def test_bilinear_sampling_stays_within_the_chart() -> None:
     assert ((texel >= low - 1e-9) & (texel <= high + 1e-9)).all()
 
 
-def test_a_map_that_is_too_small_gets_coarser_texels() -> None:
+def test_an_overfull_map_gets_coarser_texels() -> None:
     charts = room_charts()
     fine, coarse = unwrap(charts), unwrap(charts, width=128, max_height=128)
     assert coarse.shape[0] <= 128
@@ -91,7 +91,7 @@ def test_more_pieces_than_texels_are_refused() -> None:
         unwrap(room_charts(), width=2, max_height=2)
 
 
-def test_pieces_that_need_two_texels_get_one_where_there_is_no_room() -> None:
+def test_pieces_that_need_two_texels_get_one_in_a_full_map() -> None:
     charts = room_charts()
     least = np.full((len(charts.area), 2), 2)
     count = len(charts.area)

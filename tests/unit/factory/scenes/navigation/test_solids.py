@@ -1,4 +1,4 @@
-"""Floor, collider and occupancy say what is solid and where."""
+"""Floor, collider and occupancy of a scene."""
 
 from __future__ import annotations
 
@@ -62,17 +62,17 @@ def test_floor_and_ceiling_are_not_solid() -> None:
     assert solid.max(axis=(0, 1)).tolist() == [2, 2, 1]
 
 
-def test_an_authored_collider_stands_for_what_lies_within_it() -> None:
+def test_an_authored_collider_replaces_the_meshes_inside_it() -> None:
     shown = part("/World/Shelf/visual", box((0, 0, 0), (1, 1, 1)))
     beside = part("/World/Crate/visual", box((3, 0, 0), (4, 1, 1)))
     proxy = part("/World/Shelf/collision", box((0, 0, 0), (0.2, 1, 1)), is_collider=True)
     far = part("/World/Shelf/collision_2", box((0.9, 0, 0), (1, 1, 1)), is_collider=True)
     solid = solid_triangles([shown, beside], [proxy, far], 0.0)
-    assert len(solid) == 3 * 10  # what lies on the floor is floor
+    assert len(solid) == 3 * 10  # geometry on the floor counts as floor
     assert not ((solid[:, :, 0] > 0.2) & (solid[:, :, 0] < 0.9)).any()
 
 
-def test_a_collider_that_covers_too_little_replaces_nothing() -> None:
+def test_a_collider_that_covers_too_little_replaces_no_mesh() -> None:
     shown = part("/World/Shelf/visual", box((0, 0, 0), (1, 1, 1)))
     proxy = part("/World/Shelf/collision", box((0, 0, 0), (0.2, 1, 1)), is_collider=True)
     assert len(solid_triangles([shown], [proxy], 0.0)) == 20
@@ -87,7 +87,7 @@ def test_weld_joins_corners_and_drops_double_and_empty_triangles() -> None:
     assert vertices.dtype == np.float32
 
 
-def test_weld_of_nothing_is_nothing() -> None:
+def test_weld_of_no_triangles_is_empty() -> None:
     vertices, faces = weld(np.zeros((0, 3, 3)))
     assert vertices.shape == (0, 3)
     assert faces.shape == (0, 3)
@@ -109,7 +109,7 @@ def test_a_tall_pillar_shows_its_outline() -> None:
     assert cells.sum() == 36
 
 
-def test_what_is_above_or_below_the_band_is_free() -> None:
+def test_geometry_outside_the_height_band_is_free() -> None:
     assert not cells_of(box((0.5, 0.5, 0.61), (1, 1, 2))).any()
     assert not cells_of(box((0.5, 0.5, -1), (1, 1, 0.04))).any()
 
@@ -122,11 +122,11 @@ def test_a_ramp_counts_only_where_it_is_in_the_band() -> None:
     assert (columns.min(), columns.max()) == (2, 23)
 
 
-def test_thin_posts_are_not_lost() -> None:
+def test_thin_posts_are_rasterised() -> None:
     assert cells_of(box((0.521, 0.521, 0), (0.522, 0.522, 2))).sum() == 1
 
 
-def test_walls_hide_and_tables_do_not_and_beyond_the_floor_is_occupied() -> None:
+def test_walls_block_sight_and_tables_do_not_and_cells_off_the_floor_are_occupied() -> None:
     floor = box((0, 0, -0.1), (4, 4, 0))
     wall, bench = box((1, 1, 0), (1.2, 3, 2.5)), box((3, 1, 0), (3.4, 3, 0.5))
     frame, grid = build_occupancy(np.concatenate([wall, bench]), np.concatenate([floor, wall, bench]), 0.0)

@@ -1,4 +1,4 @@
-"""A scene's start points are measured, and too few of them are called so with a reason."""
+"""The start points of a scene are measured, and too few of them are reported with a reason."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_covered_share_falls_with_the_distance_asked_for() -> None:
     assert shares[0] < 0.5
 
 
-def test_each_spawn_says_what_it_sees() -> None:
+def test_each_spawn_lists_its_visible_targets() -> None:
     report = report_survey(ROOM)
     assert [sight.targets for sight in report.sights] == ROOM.spawn_sees.sum(axis=1).tolist()
     assert {name for sight in report.sights for name in sight.categories} == {"crate", "barrel"}
@@ -42,14 +42,14 @@ def test_too_few_spawns_are_a_shortcoming_with_a_remedy() -> None:
     assert "0.72 m" in reason
 
 
-def test_no_spawn_at_all_is_measured_too() -> None:
+def test_a_scene_without_spawns_is_measured() -> None:
     none = replace(ROOM, spawns=ROOM.spawns[:0], spawn_sees=ROOM.spawn_sees[:0])
     report = report_survey(none)
     assert (report.spawns, report.share_within, report.nearest_min_m) == (0, 0.0, 0.0)
     assert report.unseen == tuple(target.target_id for target in ROOM.info.targets)
 
 
-def test_blind_spawns_are_a_shortcoming() -> None:
+def test_spawns_without_visible_targets_are_a_shortcoming() -> None:
     blind = replace(ROOM, spawn_sees=np.zeros_like(ROOM.spawn_sees))
     assert any("straight path" in reason for reason in report_survey(blind).shortcomings)
 

@@ -1,4 +1,4 @@
-"""The outermost match is the thing; containers, groups and scopes are looked into."""
+"""The outermost match is the object; containers, groups and scopes are descended."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def found(tmp_path: Path, body: str) -> list[tuple[str, str]]:
     return [(candidate.path.removeprefix("/World/"), candidate.category) for candidate in candidates]
 
 
-def test_the_outermost_match_wins(tmp_path: Path) -> None:
+def test_the_outermost_match_is_the_target(tmp_path: Path) -> None:
     rack = TEXT.group("SM_RackPile_04", box("Frame") + box("SM_CratePlastic_01", 0.2, 0.5))
     assert found(tmp_path, rack) == [("SM_RackPile_04", "rack")]
 
 
-def test_a_container_of_things_side_by_side_is_descended(tmp_path: Path) -> None:
+def test_a_container_of_adjacent_objects_is_descended(tmp_path: Path) -> None:
     chairs = TEXT.group("Chairs", box("Chair_1", 0) + box("Chair_2", 1.0))
     assert found(tmp_path, chairs) == [("Chairs/Chair_1", "chair"), ("Chairs/Chair_2", "chair")]
 
 
-def test_boards_above_each_other_are_one_shelf(tmp_path: Path) -> None:
+def test_stacked_boards_are_one_shelf(tmp_path: Path) -> None:
     boards = "".join(TEXT.box(f"Shelf_{z}", (0, 0, z * 0.5), (1, 0.4, z * 0.5 + 0.05)) for z in range(4))
     assert found(tmp_path, TEXT.group("Bookcase", boards)) == [("Bookcase", "shelf")]
 
@@ -48,22 +48,22 @@ def test_scopes_are_descended(tmp_path: Path) -> None:
     assert found(tmp_path, TEXT.group("Tables", box("Desk_1"), kind="Scope")) == [("Tables/Desk_1", "table")]
 
 
-def test_nothing_below_a_component_is_a_thing_of_its_own(tmp_path: Path) -> None:
+def test_prims_below_a_component_are_not_separate_objects(tmp_path: Path) -> None:
     stand = TEXT.group("SM_Nightstand", box("Table_top"), head='kind = "component"')
     assert found(tmp_path, stand) == []
 
 
-def test_implausible_sizes_are_no_things_but_may_hold_some(tmp_path: Path) -> None:
+def test_prims_of_implausible_size_are_no_objects_but_may_contain_objects(tmp_path: Path) -> None:
     hall = TEXT.group("TableHall", box("Floor", 0, 30.0) + box("Desk_1"))
     assert found(tmp_path, hall + box("Chair_toy", 0, 0.05)) == [("TableHall/Desk_1", "table")]
 
 
-def test_authored_labels_outrank_names(tmp_path: Path) -> None:
+def test_authored_labels_have_priority_over_names(tmp_path: Path) -> None:
     label = 'string semantic:Semantics:params:semanticData = "chair"\n'
     assert found(tmp_path, TEXT.group("Thing_17", label + box("Part"))) == [("Thing_17", "chair")]
 
 
-def test_copies_of_a_point_instancer_are_things(tmp_path: Path) -> None:
+def test_copies_of_a_point_instancer_are_objects(tmp_path: Path) -> None:
     instancer = f"""
     def PointInstancer "Crates" {{
         rel prototypes = </World/Crates/Crate>

@@ -1,4 +1,4 @@
-"""The list of targets is readable, editable and honoured; what it gets wrong is named."""
+"""The target list can be read and edited and is applied; its errors are named."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def plain(stage: Path) -> CompiledScene:
 
 
 def edited(stage: Path, plain: CompiledScene, **changes: dict[str, object]) -> CompiledScene:
-    """The room compiled again with the rows of some targets changed; new ids add rows."""
+    """Compiles the room again with changed rows of some targets; new ids add rows."""
     data = yaml.safe_load(format_target_list(plain.info))
     rows = {row["id"]: row for row in data["targets"]}
     for name, change in changes.items():
@@ -44,7 +44,7 @@ def test_the_list_as_written_gives_the_same_targets(stage: Path, plain: Compiled
     assert (again.part_instance == plain.part_instance).all()
 
 
-def test_a_disabled_target_is_none_but_stays_in_the_scene(stage: Path, plain: CompiledScene) -> None:
+def test_a_disabled_target_stays_in_the_scene_as_an_object(stage: Path, plain: CompiledScene) -> None:
     scene = edited(stage, plain, plant_001={"enabled": False})
     assert [target.target_id for target in scene.info.targets] == ["chair_001"]
     assert "plant" in {instance.category for instance in scene.info.instances}
@@ -63,7 +63,7 @@ def test_a_prim_that_no_rule_knows_can_be_added(stage: Path, plain: CompiledScen
     assert target.centroid_m == pytest.approx((-2.0, 1.5, 0.45))
 
 
-def test_the_digest_of_the_source_covers_what_is_honoured(stage: Path, plain: CompiledScene) -> None:
+def test_the_source_digest_covers_the_applied_edits(stage: Path, plain: CompiledScene) -> None:
     digests = [
         scene.info.source_sha256
         for scene in (
@@ -121,7 +121,7 @@ def test_mistakes_are_named_by_row_and_key(tmp_path: Path, text: str, words: lis
     assert all(word in str(caught.value) for word in (*words, "targets_room.yaml")), str(caught.value)
 
 
-def test_a_missing_file_is_answered_with_the_whole_command_that_writes_one(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused_with_the_complete_command_that_writes_one(tmp_path: Path) -> None:
     path = tmp_path / "my targets.yaml"
     with pytest.raises(UsageError) as caught:
         load_target_list(path, "lab")
@@ -129,7 +129,7 @@ def test_a_missing_file_is_answered_with_the_whole_command_that_writes_one(tmp_p
     assert "Errno" not in str(caught.value)
 
 
-def test_what_is_written_is_read_back(tmp_path: Path, plain: CompiledScene) -> None:
+def test_a_written_list_is_read_back(tmp_path: Path, plain: CompiledScene) -> None:
     path = tmp_path / "targets_room.yaml"
     path.write_text(format_target_list(plain.info))
     rows = load_target_list(path).targets

@@ -1,4 +1,4 @@
-"""How a running coordinator does: whether it lives and can serve, and its figures. Asks its parts, changes nothing."""
+"""Monitors a running coordinator: liveness, readiness and metrics. Does not change its components."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from coordinator.meters import Meter, Meters
 from schemas.errors import FactoryError
 from schemas.wire import Progress
 
-__all__ = ["Snapshot", "Vitals", "Watched"]
+__all__ = ["HealthMonitor", "Snapshot", "StatusSource"]
 
 _COMMIT_S = 5.0
 _FRESH_S = 1.0
@@ -22,46 +22,50 @@ _FRESH_S = 1.0
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Figures of one moment."""
+    """Metrics at one point in time."""
 
     progress: Progress | None
-    """Of the run; a gateway does not know it."""
+    """Progress of the run; `None` for a gateway."""
     frames: int
-    """Archived, over all episodes of the ledger."""
+    """Number of frames in all archived episodes."""
     sums: Mapping[Meter, float]
+    """Counters of the process."""
     requests: Mapping[str, int]
+    """Number of requests by verb."""
     free_bytes: int
+    """Free space of the archive's disk, bytes."""
     reserve_bytes: int
+    """Free space below which no job is leased, bytes."""
     backlog: int
-    """Requests that wait for the ledger's writer."""
+    """Number of requests that wait for the ledger's writer; at a gateway, of bundles that wait for a puller."""
     sandbox: tuple[str, ...]
-    """What confines the processes that validate bundles; empty before the first bundle."""
+    """Active sandbox layers of the validating processes; empty before the first bundle."""
 
 
-class Watched(Protocol):
-    """A process that serves for long, as status pages ask it."""
+class StatusSource(Protocol):
+    """Interface of a coordinator or gateway for the status pages."""
 
     def is_alive(self) -> bool:
-        """Whether what everything goes through still runs; if not, only a restart helps."""
+        """Returns whether the central thread runs; if it has ended, restart the process."""
 
     def troubles(self) -> tuple[str, ...]:
-        """Returns why it cannot serve now, in words; nothing when it can."""
+        """Returns the reasons why the process cannot serve now; empty if it can."""
 
     def snapshot(self) -> Snapshot:
-        """Returns the figures."""
+        """Returns the current metrics."""
 
 
-class Vitals:
-    """Answers for a coordinator; safe to ask from any thread.
+class HealthMonitor:
+    """Thread-safe health monitor of a coordinator.
 
     Args:
-        writer: of its ledger.
-        meters: of its process.
-        read: reads progress and frames from the ledger.
-        free_bytes: asks the archive's disk.
-        reserve_bytes: that the archive keeps free.
-        is_listening: whether its zenoh session is open.
-        sandbox: tells what confines the processes that validate bundles.
+        writer: writer of the ledger.
+        meters: counters of the process.
+        read: function that reads the progress and the number of frames from the ledger.
+        free_bytes: function that returns the free space of the archive's disk, bytes.
+        reserve_bytes: free space below which no job is leased, bytes.
+        is_listening: function that returns whether the zenoh session is open.
+        sandbox: function that returns the active sandbox layers of the validating processes.
     """
 
     def __init__(
@@ -86,13 +90,13 @@ class Vitals:
         self._taken = 0.0
 
     def is_alive(self) -> bool:
-        """Whether the thread that everything goes through still runs; if not, only a restart helps."""
+        """Returns whether the threads of the ledger writer run; if they have ended, restart the process."""
         return self._writer.is_alive
 
     def troubles(self) -> tuple[str, ...]:
-        """Returns why it cannot serve now, in words; nothing when it can.
+        """Returns the reasons why the coordinator cannot serve now; empty if it can.
 
-        A full disk is no trouble here: workers must stay connected to bring what they have.
+        A full disk is not such a reason: workers must stay connected to deliver their bundles.
         """
         found = []
         if not self._is_listening():
@@ -106,7 +110,7 @@ class Vitals:
         return tuple(found)
 
     def snapshot(self) -> Snapshot:
-        """Returns the figures, at most a second old, so that many who ask cost no more than one."""
+        """Returns the metrics, cached for one second, so that frequent requests do not load the ledger."""
         with self._reading:
             if self._last is None or time.monotonic() - self._taken > _FRESH_S:
                 progress, frames = self._read()

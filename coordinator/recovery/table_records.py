@@ -1,4 +1,4 @@
-"""What a dataset's tables remember of a run whose ledger was lost or is an older copy. Writes to the ledger only."""
+"""Restores records of a lost or outdated ledger from the dataset's tables. Writes to the ledger only."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from datetime import datetime
 from sqlalchemy import Engine
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.repair import recall
-from coordinator.recovery.judge import Draws
+from coordinator.ledger.repair import record_failures
+from coordinator.recovery.stray_files import PlannedDraws
 from coordinator.tables.checkpoint import count_failures, read_failures
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from schemas.dataset import EpisodeSummary, FailedAttempt
@@ -20,15 +20,15 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
-__all__ = ["recall_failures", "validated_files"]
+__all__ = ["restore_failures", "validated_files"]
 
 
 def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
-    """Returns episode -> SHA-256 of the file that was validated, as `metadata.parquet` lists them.
+    """Returns the SHA-256 of the validated file by episode number, from `metadata.parquet`.
 
     Args:
-        root: of the dataset.
-        plan: of the run; a table of another one says nothing.
+        root: root of the dataset.
+        plan: plan of the run; rows of other plans are ignored.
     """
     columns = [read_column(root / METADATA_FILE, name) for name in ("index", "file_sha256", "plan_digest")]
     if any(isinstance(column, str) for column in columns):
@@ -40,7 +40,7 @@ def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
     }
 
 
-def recall_failures(
+def restore_failures(
     engine: Engine,
     root: Place,
     plan: Plan,
@@ -48,25 +48,26 @@ def recall_failures(
     now: datetime,
     whole: Mapping[int, EpisodeSummary],
 ) -> None:
-    """Records the failed attempts that `attempts.parquet` lists and the ledger does not know.
+    """Records the failed attempts that `attempts.parquet` lists and the ledger lacks.
 
-    Does nothing while the table is not ahead of the ledger, which is the rule: it is written from the ledger.
+    Does nothing if the table is not ahead of the ledger, which is the normal case: the table is written from the
+    ledger.
 
     Args:
-        engine: writes the ledger.
-        root: of the dataset.
+        engine: engine of the ledger writer.
+        root: root of the dataset.
         plan: of the run.
-        catalog: of its scenes.
-        now: of the repair.
-        whole: files that are about to be adopted.
+        catalog: compiled scenes of the plan.
+        now: time of the repair.
+        whole: rows of the files to adopt, by episode number.
     """
     with engine.begin() as connection:
         if not whole and _failed_attempts(root) <= count_failures(connection):
             return
         known = list(read_failures(connection))
-        told = list(_of_plan(read_failed_attempts(root / ATTEMPTS_FILE), Draws(plan, catalog, connection)))
+        told = list(_of_plan(read_failed_attempts(root / ATTEMPTS_FILE), PlannedDraws(plan, catalog, connection)))
         ends = {index: (summary.draw, summary.attempt) for index, summary in whole.items()}
-        recall(connection, plan, catalog, told, known, now, ends)
+        record_failures(connection, plan, catalog, told, known, now, ends)
 
 
 def _failed_attempts(root: Place) -> int:
@@ -76,8 +77,8 @@ def _failed_attempts(root: Place) -> int:
         return 0
 
 
-def _of_plan(failures: list[FailedAttempt], draws: Draws) -> Iterator[FailedAttempt]:
-    """Yields the rows that are of the plan's draws: a table of another run must not move an episode."""
+def _of_plan(failures: list[FailedAttempt], draws: PlannedDraws) -> Iterator[FailedAttempt]:
+    """Yields the rows that match the plan's draws; a table of another run must not change jobs."""
     for one in failures:
         number = one.episode_id.removeprefix("ep_")
         planned = draws.planned(int(number), one.draw) if number.isdecimal() else None

@@ -1,4 +1,7 @@
-"""The ledger as the coordinator's own pullers need it: each call is one commit of the writer's. Decides nothing."""
+"""Implements the ledger operations of the coordinator's pullers, with one commit of the writer per call.
+
+The state machine in `coordinator.ledger` decides which operations succeed.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ from schemas.dataset import BundleReceipt
 from schemas.terms import FailReason
 from schemas.wire import Fail, cut_detail
 
-__all__ = ["LedgerBook"]
+__all__ = ["LocalLedgerClient"]
 
 
-class LedgerBook:
-    """A `Book` beside the ledger."""
+class LocalLedgerClient:
+    """`LedgerClient` that accesses the ledger in the same process."""
 
     def __init__(self, writer: Writer, terms: Terms, clock: Callable[[], datetime]) -> None:
         self._writer = writer
@@ -24,15 +27,15 @@ class LedgerBook:
         self._clock = clock
 
     def keep(self, pull: Pull, seconds: float) -> bool:
-        """See `Book`."""
+        """See `LedgerClient`."""
         return self._writer.call(lambda connection: claims.extend(connection, pull.lease, self._clock(), seconds))
 
     def is_owned(self, index: int) -> bool:
-        """See `Book`."""
+        """See `LedgerClient`."""
         return self._writer.call(lambda connection: outcomes.is_owned(connection, index))
 
     def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        """See `Book`."""
+        """See `LedgerClient`."""
         return self._writer.call(
             lambda connection: (
                 outcomes.archive(connection, pull.lease, receipt, self._clock())
@@ -41,7 +44,7 @@ class LedgerBook:
         )
 
     def refuse(self, pull: Pull, detail: str) -> None:
-        """See `Book`."""
+        """See `LedgerClient`."""
         report = Fail(
             sid=pull.sid,
             lease=pull.lease,

@@ -1,6 +1,6 @@
-"""Judges the files among a dataset's episodes that its ledger does not own: which attempt of the plan each one is.
+"""Classifies episode files that the ledger does not own: determines which attempt of the plan each file belongs to.
 
-Reads and validates; moves nothing and writes nothing.
+The module reads and validates files; it does not move or write files.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from schemas.job import Job, episode_id
 from schemas.plan import Plan
 from schemas.storage.place import Place, at_hand, children, digest_of
 
-__all__ = ["Draws", "Foreign", "StrayJudge", "count_plans"]
+__all__ = ["ForeignEpisode", "PlannedDraws", "StrayClassifier", "count_plans"]
 
 _SAMPLE = 25
 
 
-class Foreign(str):
-    """A refusal: the file is an episode, but of another run."""
+class ForeignEpisode(str):
+    """Reason for rejecting a file: it is an episode of another run."""
 
 
-class Draws:
-    """The draws that a plan gives its episodes.
+class PlannedDraws:
+    """Draws of the episodes of a plan.
 
     Args:
-        plan: of the run.
-        catalog: of its scenes.
-        ledger: a sound ledger of the run, which spares expanding the plan; `None` when there is none.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        ledger: connection to an intact ledger of the run, which avoids expanding the plan; `None` without a ledger.
     """
 
     def __init__(self, plan: Plan, catalog: Catalog, ledger: Connection | None = None) -> None:
@@ -50,7 +50,7 @@ class Draws:
         self._first: Mapping[int, PlannedJob] | None = None
 
     def planned(self, index: int, draw: int) -> PlannedJob | None:
-        """Returns a draw of an episode; `None` when the plan has no such draw."""
+        """Returns a draw of an episode, or `None` if the plan has no such draw."""
         planned = self._first_of(index)
         if planned is None or not 0 <= draw < self.plan.budget.draws:
             return None
@@ -59,7 +59,7 @@ class Draws:
         return planned
 
     def job(self, index: int, draw: int, attempt: int) -> Job | None:
-        """Returns the job of an attempt; `None` when the plan has no such draw."""
+        """Returns the job of an attempt, or `None` if the plan has no such draw."""
         planned = self.planned(index, draw)
         return None if planned is None else to_job(self.plan, self.catalog, planned, attempt)
 
@@ -72,36 +72,36 @@ class Draws:
         return self._first.get(index)
 
 
-class StrayJudge:
-    """Judges files one by one.
+class StrayClassifier:
+    """Classifier of episode files.
 
     Args:
-        draws: of the run.
-        checker: validates bundles.
-        ledger: of the run; `None` when it is lost.
-        validated: episode -> SHA-256 of the file that was validated before, as `metadata.parquet` lists it. Such a file
-            is hashed and not validated again.
+        draws: draws of the plan.
+        checker: validator of bundles.
+        ledger: connection to the ledger of the run; `None` if it is lost.
+        validated: mapping of episode number to the SHA-256 of its validated file, from `metadata.parquet`. A file with
+            this digest is not validated again.
     """
 
     def __init__(
         self,
-        draws: Draws,
+        draws: PlannedDraws,
         checker: Checker,
         ledger: Connection | None,
         validated: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
         self._draws, self._checker, self._ledger, self._validated = draws, checker, ledger, validated
 
-    def judge(self, path: Place, index: int, *, replaces: bool = False) -> EpisodeSummary | str:
-        """Returns the row that a file deserves as an episode, or why it deserves none.
+    def classify(self, path: Place, index: int, *, replaces: bool = False) -> EpisodeSummary | str:
+        """Returns the row of the episode that a file contains, or the reason why it is rejected.
 
         Args:
-            path: of the file.
-            index: of the episode that its name says.
-            replaces: whether it may take the place of the file that the ledger owns.
+            path: path of the file.
+            index: episode number in the file name.
+            replaces: whether the file may replace the file that the ledger owns.
 
         Raises:
-            TransientError: nothing can be validated on this machine now.
+            TransientError: no bundle can be validated on this machine now.
         """
         try:
             with at_hand(path) as local:
@@ -109,7 +109,7 @@ class StrayJudge:
                     meta = bundle.meta
                 said, plan = meta.job, self._draws.plan
                 if said.plan_digest != plan.digest:
-                    return Foreign(f"an episode of run {said.run}, which has another plan than {plan.run}")
+                    return ForeignEpisode(f"an episode of run {said.run}, which has another plan than {plan.run}")
                 job = self._draws.job(index, said.draw, said.attempt)
                 if job is None:
                     return f"the plan has no draw {said.draw} of {episode_id(index)}"
@@ -128,7 +128,7 @@ class StrayJudge:
 
 
 def count_plans(root: Place) -> Counter[str]:
-    """Returns plan digest -> how many episodes of a sample of a dataset name it; damaged ones count for none."""
+    """Returns the number of episodes per plan digest in a sample of a dataset; damaged files are skipped."""
     files = children(root / EPISODES)
     found: Counter[str] = Counter()
     for path in files[:: max(1, len(files) // _SAMPLE)]:

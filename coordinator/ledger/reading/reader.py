@@ -1,4 +1,4 @@
-"""A read-only look at a ledger, for those who report. Opens and closes; writes nothing, needs no coordinator."""
+"""Opens a ledger read-only and converts database errors. Does not write and needs no coordinator."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from coordinator.ledger.engine import open_reader, shown_url
 from coordinator.ledger.reading.audit import ledger_trouble
 from schemas.errors import FactoryError, WorldError
 
-__all__ = ["Connection", "damage_translated", "look_into", "require_sound"]
+__all__ = ["Connection", "open_ledger", "require_sound", "translate_damage"]
 
 _REMEDY = "`factory repair` rebuilds it from the episodes"
 
 
 @contextmanager
-def look_into(url: str) -> Iterator[Connection]:
-    """Opens the ledger at a URL for reading.
+def open_ledger(url: str) -> Iterator[Connection]:
+    """Opens a ledger read-only; a context manager that yields the connection.
 
     Raises:
-        WorldError: there is no ledger, or what is read in the block cannot be read or understood.
+        WorldError: the ledger does not exist, or data read in the block are damaged.
     """
     engine = open_reader(url)
     try:
-        with damage_translated(url), engine.connect() as connection:
+        with translate_damage(url), engine.connect() as connection:
             yield connection
     finally:
         engine.dispose()
 
 
 @contextmanager
-def damage_translated(url: str) -> Iterator[None]:
-    """Turns what goes wrong in the block into a `WorldError` when the ledger is damaged; else lets it pass.
+def translate_damage(url: str) -> Iterator[None]:
+    """Converts exceptions of the block to `WorldError` if the ledger is damaged; other exceptions are re-raised.
 
-    A value that cannot be understood is our mistake as long as the ledger is sound, so that is looked at first.
+    An exception with an intact ledger is an error in the software, so the function audits the ledger first.
     """
     try:
         yield
@@ -50,11 +50,11 @@ def damage_translated(url: str) -> Iterator[None]:
 
 
 def require_sound(url: str, cause: Exception | None = None) -> None:
-    """Makes sure that a ledger can be used.
+    """Checks that a ledger is intact.
 
     Raises:
-        WorldError: it is damaged; says how.
-        UsageError: it is of a newer format.
+        WorldError: the ledger is damaged; the message describes the damage.
+        UsageError: the ledger has a newer format.
     """
     trouble = ledger_trouble(url)
     if trouble:

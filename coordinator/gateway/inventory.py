@@ -1,6 +1,7 @@
-"""What lies in a gateway's directory, told to its core at start: kept, offered for adoption, or set aside.
+"""Reconciles a gateway's directory with the ledger at start: files are kept, offered for adoption or quarantined.
 
-Like `reconcile` in the core, with the ledger far away. Deletes nothing that could be an episode.
+This is the counterpart of `reconcile` in the core, with requests instead of ledger access. The module does not delete
+files that could be episodes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from schemas.job import Job
 from schemas.keys import Verb
 from schemas.wire import Ack
 
-__all__ = ["Stock", "take_stock"]
+__all__ = ["DirectoryInventory", "reconcile_directory"]
 
 _LAST = 2**31 - 1
 
@@ -31,57 +32,58 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass
-class Stock:
-    """What was found, by episode number."""
+class DirectoryInventory:
+    """Result of the reconciliation, by episode number."""
 
     kept: int = 0
-    """Files that the ledger owns here."""
+    """Number of files that the ledger records at this gateway."""
     adopted: list[int] = field(default_factory=list)
-    """Published, but the core had not been told."""
+    """Episodes that were published and not yet recorded."""
     quarantined: list[int] = field(default_factory=list)
+    """Episodes whose files were moved to the quarantine folder."""
     lost: list[int] = field(default_factory=list)
-    """The ledger owned them here, and their files are gone; they are made anew."""
+    """Episodes that the ledger recorded at this gateway and whose files are missing; they are collected again."""
 
 
-def take_stock(
+def reconcile_directory(
     archive: DirectoryArchive, core: CoreLink, checker: Checker, stop: threading.Event, *, is_new: bool
-) -> Stock:
-    """Brings a gateway's directory and the ledger to agree.
+) -> DirectoryInventory:
+    """Reconciles a gateway's directory with the ledger.
 
     Args:
-        archive: of the gateway, held exclusively.
-        core: to ask.
-        checker: judges files that are to be adopted.
-        stop: ends waiting for the core.
-        is_new: whether the directory was just made.
+        archive: archive of the gateway, held exclusively.
+        core: request client of the core.
+        checker: validator of the files to adopt.
+        stop: event that ends waiting for the core.
+        is_new: whether the directory was just created.
 
     Raises:
-        TransientError: told to stop before the core has answered, or nothing can be judged on this machine now.
-        WorldError: the core says that episodes lie in another directory of this gateway.
+        TransientError: `stop` was set before the core replied, or no bundle can be validated on this machine now.
+        WorldError: the ledger records episodes in another directory of this gateway.
     """
-    stock = Stock()
+    inventory = DirectoryInventory()
     for path in archive.foreign():
         archive.quarantine(path, "no episode by its name")
     present = archive.present()
     for told in _inventories({index: path.stat().st_size for index, path in present.items()}, is_new=is_new):
         while len((reply := core.insist(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:
-            stock.lost += reply.lost
-        stock.kept += len(told.files) - len(reply.strays)
-        stock.lost += reply.lost
+            inventory.lost += reply.lost
+        inventory.kept += len(told.files) - len(reply.strays)
+        inventory.lost += reply.lost
         for stray in reply.strays:
-            _settle(stray, present[stray.index], archive, core, checker, stop, stock)
+            _settle(stray, present[stray.index], archive, core, checker, stop, inventory)
     log.info(
-        "stock_taken",
-        kept=stock.kept,
-        adopted=len(stock.adopted),
-        quarantined=len(stock.quarantined),
-        lost=len(stock.lost),
+        "inventory_reconciled",
+        kept=inventory.kept,
+        adopted=len(inventory.adopted),
+        quarantined=len(inventory.quarantined),
+        lost=len(inventory.lost),
     )
-    return stock
+    return inventory
 
 
 def _inventories(sizes: dict[int, int], *, is_new: bool) -> Iterator[Inventory]:
-    """Yields inventories that cover every number there can be, each within the bounds of one message."""
+    """Yields inventories that cover all episode numbers, each within the size limits of one message."""
     first, rest = 1, iter(sorted(sizes.items()))
     while files := tuple(islice(rest, MAX_FILES)):
         last = files[-1][0]
@@ -97,18 +99,18 @@ def _settle(
     core: CoreLink,
     checker: Checker,
     stop: threading.Event,
-    stock: Stock,
+    inventory: DirectoryInventory,
 ) -> None:
     refusal = _offer(stray, path, core, checker, stop)
     if refusal:
         archive.quarantine(path, refusal)
-        stock.quarantined.append(stray.index)
+        inventory.quarantined.append(stray.index)
     else:
-        stock.adopted.append(stray.index)
+        inventory.adopted.append(stray.index)
 
 
 def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: threading.Event) -> str:
-    """Offers a file to the core if it is what its job asks for; returns why not, or nothing when it is adopted."""
+    """Validates a file and offers it to the core; returns the reason if it is not adopted, else an empty string."""
     if stray.job is None:
         return stray.why
     try:
@@ -120,7 +122,7 @@ def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: thr
 
 
 def _job_of(path: Path, job: Job) -> Job:
-    """Returns the job at the attempt that a file says it is of, where that is a later one of the same draw."""
+    """Returns the job at the attempt recorded in the file, if that is a later attempt of the same draw."""
     with path.open("rb") as file, BundleReader(file) as bundle:
         said = bundle.meta.job
     is_later = said.draw == job.draw and said.attempt > job.attempt

@@ -1,6 +1,6 @@
-"""The front desk: takes what came through the door, has it parsed and done, and answers after COMMIT.
+"""Handles the requests that the router receives: parses them, queues them for the ledger and replies after COMMIT.
 
-Never blocks: it runs in zenoh's threads on the way in and in the writer's answering thread on the way out.
+The module does not block. It receives requests in zenoh's threads and replies in the writer's answering thread.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.load import Load
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
-from coordinator.protocol.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
+from coordinator.protocol.relay_handlers import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
 from schemas.keys import Verb
@@ -29,29 +29,30 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
-__all__ = ["Front"]
+__all__ = ["RequestHandler"]
 
 _READS_WAITING = 16
 _WAITING_BYTES = 16 << 20
-"""Of messages that wait for the ledger; parsed they take ten times as much memory."""
+"""Maximum total size of messages that wait for the ledger, bytes; a parsed message takes ten times the memory."""
 _VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
 
 
-class Front(Closing):
-    """Between router and writer; a context manager whose exit ends its reading thread.
+class RequestHandler(Closing):
+    """Request handler between router and ledger writer; a context manager.
 
     Args:
-        writer: of the ledger.
-        terms: of the run.
-        clock: the time.
-        read_progress: a slow look at the ledger; runs in a thread of its own.
-        dispatch: takes a bundle that waits to be pulled, and tells gateways what is theirs.
-        on_archived: a gateway has archived, or lost, an episode.
-        on_drain: an operator wants the workers to leave.
-        backlog: requests that may wait, an eighth of them of one host; further ones get no answer and are asked again.
-        meters: where questions are counted.
+        writer: writer of the ledger.
+        terms: terms of the run.
+        clock: wall clock.
+        read_progress: function that reads the progress from the ledger; runs in a separate thread.
+        dispatch: assignment of announced bundles to gateways.
+        on_archived: callback after a gateway archived or lost an episode.
+        on_drain: callback after a drain request.
+        backlog: maximum number of waiting requests, an eighth of them per host. Further requests get no reply and are
+            repeated by the client.
+        meters: counters of requests.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class Front(Closing):
         self._limit = LogLimit()
 
     def take(self, inquiry: Inquiry) -> None:
-        """Takes a question; the answer follows when it is durable. Never raises."""
+        """Accepts a request; the reply follows when the result is durable. Does not raise."""
         try:
             if inquiry.verb in _VERBS:
                 self._meters.note_request(inquiry.verb)
@@ -95,7 +96,7 @@ class Front(Closing):
             self._fail(inquiry, error)
 
     def note_gone(self, sid: str) -> None:
-        """A worker's link has closed: that only shortens its leases, for it may be back in a moment."""
+        """Shortens the leases of a worker whose connection closed; the worker may reconnect."""
         if self._writer.backlog > self._backlog:
             return  # a hint only
         hint_s = self._terms.lease_ttl_s / 2
@@ -125,7 +126,7 @@ class Front(Closing):
         future.add_done_callback(partial(self._reply, inquiry, request, octets))
 
     def _reply(self, inquiry: Inquiry, request: ParsedRequest, octets: int, future: Future[ProtocolAnswer]) -> None:
-        """Answers in the one answering thread; nothing that goes wrong with a request may reach the next."""
+        """Sends the reply in the answering thread. An error of one request does not affect the next."""
         self._load.leave(request.host, octets)
         error = future.exception()
         try:
@@ -140,7 +141,7 @@ class Front(Closing):
 
     def _answer(self, inquiry: Inquiry, request: ParsedRequest, answer: ProtocolAnswer) -> None:
         if isinstance(request.message, AdminRequest):
-            self._note_operator(request.message)
+            self._handle_admin(request.message)
         if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
             self._dispatch.take(request.host, request.message.router, 0)
         if _changes_tables(request, answer):
@@ -158,7 +159,7 @@ class Front(Closing):
     def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:
         self._limit.write(write, event, inquiry.host, host=inquiry.host, verb=inquiry.verb, **fields)
 
-    def _note_operator(self, request: AdminRequest) -> None:
+    def _handle_admin(self, request: AdminRequest) -> None:
         log.info("operator", action=request.action, episodes=len(request.indices) or "all")
         if request.action is AdminAction.DRAIN:
             self._on_drain()
@@ -182,7 +183,7 @@ class Front(Closing):
 
 
 def _changes_tables(request: ParsedRequest, answer: ProtocolAnswer) -> bool:
-    """Returns whether a gateway has brought or lost an episode."""
+    """Returns whether a gateway archived or lost an episode."""
     if isinstance(request.message, Archived):
         return answer.reply == Ack(accepted=True)
     return isinstance(answer.reply, InventoryReply) and bool(answer.reply.lost)

@@ -1,13 +1,13 @@
-"""The housekeeper: chores again and again, and a failing one neither ends the others nor fills the log."""
+"""Periodic tasks: a failing task neither stops the others nor floods the log."""
 
 from __future__ import annotations
 
 import threading
 
-from coordinator.housekeeper import Housekeeper
+from coordinator.periodic_tasks import PeriodicTasks
 
 
-def test_a_chore_that_fails_is_done_again_but_seldom_while_others_go_on() -> None:
+def test_a_failing_task_is_retried_rarely_while_others_continue() -> None:
     done = {"broken": 0, "sound": 0}
     enough = threading.Event()
 
@@ -20,7 +20,7 @@ def test_a_chore_that_fails_is_done_again_but_seldom_while_others_go_on() -> Non
         if done["broken"] >= 2 and done["sound"] >= 50:
             enough.set()
 
-    with Housekeeper({"broken": (0.01, fail), "sound": (0.01, work)}) as keeper:
+    with PeriodicTasks({"broken": (0.01, fail), "sound": (0.01, work)}) as running:
         assert enough.wait(60)
-        assert keeper.is_alive
+        assert running.is_alive
     assert done["broken"] < done["sound"] / 2

@@ -1,6 +1,7 @@
-"""What the core answers its gateways: each question turned into fenced work on the ledger. Knows no zenoh.
+"""Implements the requests of gateways as fenced operations on the ledger. Does not use zenoh.
 
-Like `protocol` for workers; a gateway can do to the ledger what the core's own pullers do, and say what lies with it.
+This is the counterpart of `protocol` for gateways. A gateway may record what the core's own pullers record, and reports
+the files that it stores.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.difference import ListedFile, describe_difference
 from coordinator.expansion.draw import to_job
-from coordinator.ledger import claims, keepers, outcomes
+from coordinator.ledger import claims, gateway_episodes, outcomes
 from coordinator.ledger.moves import JobRow
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
@@ -49,20 +50,20 @@ _OF_THE_JOB = (
     *("split", "scene", "instruction", "target_id", "template_id", "colour", "expert"),
     *("scene_sha256", "plan_digest", "run"),
 )
-"""What an episode's row repeats of its job under the same name."""
+"""Fields that an episode's row copies from its job under the same name."""
 _MOST_AHEAD = 10_000
-"""Attempts that a file may be ahead of a rebuilt ledger."""
+"""Maximum number of attempts that a file may be ahead of a rebuilt ledger."""
 _DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bindparam("of_draw"))
 _CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
 
 
 def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
-    """Does what a gateway asks, within the caller's transaction."""
+    """Executes a request of a gateway within the caller's transaction."""
     return ProtocolAnswer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
 
 
 def orders_for(pulls: tuple[Pull, ...]) -> Orders:
-    """Returns orders as they are sent."""
+    """Returns the message with the orders of a gateway."""
     return Orders(
         orders=tuple(
             RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
@@ -94,19 +95,19 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
     wrong = _contradictions(row, summary, terms)
     if wrong:
         return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
-    if keepers.is_kept(connection, summary.index, gateway, summary.file_sha256):
-        return Ack(accepted=True)  # said before, and the answer was lost
+    if gateway_episodes.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
+        return Ack(accepted=True)  # a repeated request whose reply was lost
     if told.lease is not None:
         accepted = outcomes.archive(connection, told.lease, summary, now)
     else:
         accepted = _adopt(connection, summary, terms, now)
     if accepted:
-        keepers.note_keeper(connection, summary.index, gateway)
+        gateway_episodes.record_at_gateway(connection, summary.index, gateway)
     return Ack(accepted=accepted)
 
 
 def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[str]:
-    """Returns the fields in which a told episode is not what its job asks for."""
+    """Returns the fields in which a reported episode differs from its job."""
     job = to_job(terms.plan, terms.catalog, planned_of(row), summary.attempt)
     wanted = {
         "episode_id": job.episode_id,
@@ -119,9 +120,9 @@ def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[
 
 
 def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: datetime) -> bool:
-    """Records a file that was published when its gateway or the core died, as long as the job is open.
+    """Records a file that was published before a crash of its gateway or of the core, if the job is open.
 
-    A ledger that was rebuilt may stand at an earlier attempt than the file.
+    A rebuilt ledger may be at an earlier attempt than the file.
     """
     row = current_job(connection, summary.index)
     if row is None or row.state not in OPEN_STATES or row.draw != summary.draw or row.attempt > summary.attempt:
@@ -143,7 +144,7 @@ def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, 
 
 
 def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
-    if told.is_new and (kept := keepers.count_by_gateway(connection).get(gateway)):
+    if told.is_new and (kept := gateway_episodes.count_by_gateway(connection).get(gateway)):
         return Refusal(
             error=f"the ledger has {kept} episodes at gateway {gateway}, but the gateway's directory is new: "
             "give its former --out, or another --name; lost episodes are generated again after "
@@ -151,7 +152,7 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
         )
     files = {index: ListedFile(size) for index, size in told.files if told.first <= index <= told.last}
     owned, wrong = set(), {}
-    for index, record in keepers.kept_by(connection, gateway, told.first, told.last):
+    for index, record in gateway_episodes.records_of_gateway(connection, gateway, told.first, told.last):
         owned.add(index)
         if why := describe_difference(files.get(index), record):
             wrong[index] = why
@@ -190,7 +191,7 @@ RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
         Verb.INVENTORY: Inventory,
     }
 )
-"""What each verb of a gateway carries; `orders` is answered without the ledger."""
+"""Message type by verb of a gateway; the reply to `orders` does not need the ledger."""
 
 _HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
     {Join: _join, Hold: _hold, Archived: _archived, Refused: _refused, Inventory: _inventory}

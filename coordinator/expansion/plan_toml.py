@@ -1,4 +1,4 @@
-"""Writes a plan as TOML text, which `coordinator.expansion.file` reads back as the same plan. Pure."""
+"""Serialises a plan as TOML, which `coordinator.expansion.file` parses into the same plan. Writes no file."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import tomli_w
 
 from schemas.plan import Plan
 
-__all__ = ["spell_plan"]
+__all__ = ["plan_to_toml"]
 
 
-def spell_plan(plan: Plan) -> str:
-    """Returns the plan as TOML, without values that equal their default, except for the shares."""
+def plan_to_toml(plan: Plan) -> str:
+    """Returns the plan as TOML. Values that equal their default are omitted, except the shares."""
     shares = {"tiers", "splits"}
     data = plan.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=shares)
     scenes = data.pop("scenes")

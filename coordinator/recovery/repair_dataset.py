@@ -1,6 +1,7 @@
-"""Puts a dataset directory right that no coordinator works on: adopts, quarantines, re-queues, rebuilds.
+"""Repairs a dataset without a running coordinator: adopts, quarantines and requeues episodes, rebuilds the ledger.
 
-Deletes nothing that could be an episode or a ledger: what it takes away lies in `quarantine/`, the reason beside it.
+The module does not delete files that could be episodes or ledgers: it moves them to `quarantine/` and writes the reason
+beside them.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
 from coordinator.ledger.repair import record_whole
-from coordinator.recovery.memory import recall_failures
-from coordinator.recovery.renewal import set_aside_ledger
+from coordinator.recovery.ledger_replacement import quarantine_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
 from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
+from coordinator.recovery.table_records import restore_failures
 from coordinator.tables.checkpoint import read_failures, write_checkpoint
 from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
@@ -49,68 +50,69 @@ _LISTED_CHARS = 500
 
 @dataclass(frozen=True)
 class RepairInput:
-    """A dataset directory and what is known of it beforehand."""
+    """Dataset to repair, with its plan and scenes."""
 
     root: Place
-    """Where the dataset lies."""
+    """Root of the dataset."""
     home: Path
-    """Its directory, or for a dataset in object storage that of its ledger, part files and lock."""
+    """Directory of the dataset; for object storage the directory of its ledger, part files and lock."""
     url: str
-    """Of the ledger."""
+    """URL of the ledger."""
     plan: Plan
+    """Plan of the run."""
     catalog: Catalog
-    """Of the plan's scenes; those that `scenes` names lie elsewhere than in the directory."""
+    """Compiled scenes of the plan; the packages of scenes in `scenes` are stored outside the dataset."""
     scenes: Mapping[str, str]
-    """Scene name -> why its package in the directory cannot be used."""
+    """Mapping of scene name to the reason why its package in the dataset is unusable."""
     stranger: str = ""
-    """Why the ledger, whole or not, is not this dataset's; empty when it is, or is lost."""
+    """Reason why the ledger belongs to another dataset; empty if it belongs to this dataset or is lost."""
 
 
 def repair(
-    patient: RepairInput,
+    dataset: RepairInput,
     checker: Checker,
     now: datetime,
     *,
     apply: bool,
     take_over: bool = False,
-    tell: ProgressCallback = lambda _done, _all: None,
+    on_progress: ProgressCallback = lambda _done, _all: None,
 ) -> RepairReport:
-    """Finds what is wrong and, unless it is a dry run, puts it right.
+    """Finds faults of a dataset and, with `apply`, repairs them.
 
     Args:
-        patient: the directory.
-        checker: validates what might be adopted.
-        now: of the repair.
-        apply: whether to carry out what is found; else nothing is changed.
-        take_over: whether to take a dataset in object storage from a home whose coordinator is gone for good.
-        tell: told how many episodes of how many are looked at.
+        dataset: dataset to repair.
+        checker: validator of files to adopt.
+        now: time of the repair.
+        apply: whether to apply the actions; otherwise the dataset is not changed.
+        take_over: whether to take over a dataset in object storage from a home whose coordinator has ended for good.
+        on_progress: progress callback with the number of examined episodes and the total.
 
     Raises:
-        WorldError: a coordinator works on the directory, or the disk refuses.
+        WorldError: a coordinator holds the dataset, or the disk cannot be written.
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
-        archive = stack.enter_context(_open(patient, take_over)) if apply else None
-        trouble = patient.stranger or ledger_trouble(patient.url, patient.catalog)
-        with _reading(patient.url, trouble) as ledger:
-            survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)
-            actions = [*_of_ledger(trouble), *_of_scenes(patient), *_of(patient.root, survey)]
-            actions += _of_tables(patient, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
+        archive = stack.enter_context(_open(dataset, take_over)) if apply else None
+        trouble = dataset.stranger or ledger_trouble(dataset.url, dataset.catalog)
+        with _reading(dataset.url, trouble) as ledger:
+            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
+            actions = [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
+            actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
-            _carry_out(patient, archive, survey, trouble, now)
+            _apply_actions(dataset, archive, survey, trouble, now)
         return RepairReport(
-            dataset=str(patient.root),
-            run=patient.plan.run,
+            dataset=str(dataset.root),
+            run=dataset.plan.run,
             applied=archive is not None,
             actions=tuple(actions),
             episodes=survey.whole + len(survey.adopt) + len(survey.restore),
-            planned=patient.plan.episodes,
+            planned=dataset.plan.episodes,
         )
 
 
-def _open(patient: RepairInput, take_over: bool) -> Archive:
-    store = patient.root if isinstance(patient.root, ObjectPath) else None
-    return open_archive(patient.home, store, take_over=take_over)
+def _open(dataset: RepairInput, take_over: bool) -> Archive:
+    store = dataset.root if isinstance(dataset.root, ObjectPath) else None
+    return open_archive(dataset.home, store, take_over=take_over)
 
 
 @contextmanager
@@ -131,8 +133,8 @@ def _of_ledger(trouble: str) -> Iterator[Action]:
         yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
 
 
-def _of_scenes(patient: RepairInput) -> Iterator[Action]:
-    for name, why in patient.scenes.items():
+def _of_scenes(dataset: RepairInput) -> Iterator[Action]:
+    for name, why in dataset.scenes.items():
         yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
 
 
@@ -151,9 +153,9 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
         yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
 
 
-def _of_tables(patient: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
-    """Says which tables do not say what the ledger says, or will say once the other actions are done."""
-    for name, why in _table_findings(patient.root, ledger).items():
+def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
+    """Yields the tables that differ from the ledger, or will differ after the other actions."""
+    for name, why in _table_findings(dataset.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
     if changes and ledger is not None:
         yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
@@ -181,48 +183,48 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
         found[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
         found[CARD_FILE] = "is not there"
-    with suppress(ArchiveCorrupt):  # named above
+    with suppress(ArchiveCorrupt):  # reported above
         found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
     return found
 
 
-def _carry_out(patient: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
-    """Every step may be cut off and done again: files first, then the ledger, the tables last."""
-    for name, why in patient.scenes.items():
-        path = archive.scene_path(name, patient.catalog[name].sha256)
+def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+    """Applies the actions: files first, then the ledger, then the tables. An interrupted repair can be repeated."""
+    for name, why in dataset.scenes.items():
+        path = archive.scene_path(name, dataset.catalog[name].sha256)
         if path.exists():
             archive.quarantine(path, why)
-    for name, entry in patient.catalog.items():
+    for name, entry in dataset.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256)
     for path, why in survey.quarantine:
         archive.quarantine(path, why)
     for path, summary in survey.restore:
         archive.restore(path, summary.index)
     if trouble:
-        set_aside_ledger(archive, patient.url, trouble)
-    engine = open_writer(patient.url)
+        quarantine_ledger(archive, dataset.url, trouble)
+    engine = open_writer(dataset.url)
     try:
-        open_run(engine, patient.plan, patient.catalog, _lease_ttl_of(engine), now)
+        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now)
         with engine.begin() as connection:
             for index, why in survey.requeue:
                 lose(connection, index, now, why)
         whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
-        recall_failures(
-            engine, patient.root, patient.plan, patient.catalog, now, {summary.index: summary for summary in whole}
+        restore_failures(
+            engine, dataset.root, dataset.plan, dataset.catalog, now, {summary.index: summary for summary in whole}
         )
         for summary in whole:
-            _adopt(engine, patient, archive, summary, now)
+            _adopt(engine, dataset, archive, summary, now)
         with engine.connect() as connection:
-            write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+            write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive, deep=True)
     finally:
         engine.dispose()
 
 
-def _adopt(engine: Engine, patient: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
+def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
     with engine.begin() as connection:
         at = (summary.draw, summary.attempt)
-        refusal = record_whole(connection, patient.plan, patient.catalog, summary, now, at, replaces=True)
+        refusal = record_whole(connection, dataset.plan, dataset.catalog, summary, now, at, replaces=True)
         if refusal:
             connection.rollback()
     if refusal:
@@ -230,6 +232,6 @@ def _adopt(engine: Engine, patient: RepairInput, archive: Archive, summary: Epis
 
 
 def _lease_ttl_of(engine: Engine) -> float:
-    """Returns the lease time the ledger was last run with, so that opening it changes nothing."""
+    """Returns the lease duration in the ledger, so that opening it does not change the duration."""
     with engine.connect() as connection:
         return read_info(connection).lease_ttl_s if holds_run(connection) else _LEASE_TTL_S

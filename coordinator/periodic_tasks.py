@@ -1,0 +1,66 @@
+"""Runs tasks periodically in one thread. A failing task is logged once and retried with growing pauses."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from schemas.support.closing import Closing
+from schemas.support.log_limit import Repeated
+
+__all__ = ["PeriodicTask", "PeriodicTasks"]
+
+PeriodicTask = tuple[float, Callable[[], None]]
+"""Pause in seconds, and the function to call."""
+
+_SHARE = 20
+"""Least ratio of the pause after a task to the duration of the task."""
+_AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
+"""Pause after the first failure of a task, and longest pause, seconds. The pause doubles with each failure. It is never
+shorter than the interval of the task."""
+
+log = structlog.get_logger(__name__)
+
+
+class PeriodicTasks(Closing):
+    """Thread that runs tasks one after the other until closed; a context manager."""
+
+    def __init__(self, tasks: Mapping[str, PeriodicTask]) -> None:
+        self._tasks = tasks
+        self._failing = {
+            name: Repeated(log.bind(task=name), "periodic_task_failed", (SQLAlchemyError,)) for name in tasks
+        }
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="periodic-tasks")
+        self._thread.start()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Stops the thread after the current task."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        due = {name: time.monotonic() + pause for name, (pause, _) in self._tasks.items()}
+        while not self._stop.wait(max(0.0, min(due.values()) - time.monotonic())):
+            name = min(due, key=due.__getitem__)
+            pause, work = self._tasks[name]
+            began = time.monotonic()
+            failing = self._failing[name]
+            try:
+                work()
+            except Exception as error:  # noqa: BLE001 - the loop of tasks: logged, and done again
+                failing.fail(error)
+                pause = max(pause, min(_AFTER_FAILURE_S * 2 ** min(failing.failures - 1, 10), _LONGEST_S))
+            else:
+                failing.succeed()
+            ended = time.monotonic()
+            due[name] = ended + max(pause, _SHARE * (ended - began) if pause >= 1 else 0.0)

@@ -1,0 +1,108 @@
+"""The language of the product: no figurative phrases and no former names in its text."""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.builders.pages import PAGES, ROOT
+
+PACKAGES = ("schemas", "coordinator", "workers", "factory", "minivla", "tests", "docs", "deploy")
+OTHER_SUFFIXES = ("c", "css", "html", "j2", "service", "sh", "toml", "yaml", "yml")
+OTHER_FILES = ("Makefile", "pyproject.toml")
+HISTORY = {ROOT / "CHANGELOG.md", *(ROOT / "docs" / "decisions").glob("*.md")}
+"""Texts that are true at their date and keep the words of that date."""
+LISTS = {Path(__file__), ROOT / "tests" / "unit" / "test_plain_english.py"}
+"""Tests that list phrases."""
+PHRASES = (
+    *("somebody", "nobody", "anybody", "everybody", "whoever", "whomever"),
+    *("is none of", "that is none", "what is no", "what there is", "what came of it", "comes of it"),
+    *("what became of", "becomes of", "whatever came", "over and over", "for good", "in so many"),
+    *("stands in", "stand in", "stands for", "stands on the", "lies in", "lies with", "lies at", "lies where"),
+    *("Says whether", "Says what", "Says nothing", "Says no", "is said", "are said", "has nothing to say"),
+    *("is told", "are told", "was told", "as told", "told by", "told apart", "tells apart"),
+    *("at hand", "of its own", "of their own", "of ours", "at the wheel", "goes the whole way"),
+    *("befalls", "befall", "befell", "mishap", "mishaps", "felt", "feels", "calm run", "calm one"),
+    *("in the wild", "in the face of", "in words", "may have meant", "wish", "wishes", "speaks", "begun"),
+    *("confess", "confesses", "bury", "buries", "grow up", "grows up", "living", "dawdles"),
+    *("to be had", "cannot be had", "can be had"),
+    *("DESIGN ", "STYLE ", "notes/"),
+)
+"""Phrases without a technical meaning. They match as whole words, in this case or with a capital."""
+NAMES = (
+    *("Seat", "Sheet", "Errand", "Parcel", "Insider", "Situation", "Relief", "Patient", "Lap"),
+    *("errand", "errands", "parcel", "parcels", "nursery", "naked", "spell", "spells", "the party"),
+)
+"""Former names of classes and parts."""
+
+
+def _pattern(phrases: tuple[str, ...]) -> str:
+    words = sorted(set(phrases) | {phrase[0].upper() + phrase[1:] for phrase in phrases}, key=len)
+    return "|".join(rf"(?<![\w/.`\"'-]){re.escape(word)}(?![\w-])" for word in reversed(words))
+
+
+BANNED = re.compile(f"{_pattern(PHRASES)}|{_pattern(NAMES)}")
+
+
+def python_text(source: str) -> Iterator[tuple[int, str]]:
+    """Yields line and text of docstrings, comments and strings of several words; fields of f-strings are code."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            yield node.lineno, node.value
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
+def text_of(path: Path) -> list[tuple[int, str]]:
+    source = path.read_text(encoding="utf-8")
+    return list(python_text(source)) if path.suffix == ".py" else list(enumerate(source.splitlines(), 1))
+
+
+def files() -> list[Path]:
+    found = [*PAGES, *(ROOT / name for name in OTHER_FILES)]
+    for package in PACKAGES:
+        for suffix in ("py", *OTHER_SUFFIXES):
+            found += (ROOT / package).rglob(f"*.{suffix}")
+    return sorted({path for path in found if path not in HISTORY and path not in LISTS})
+
+
+def hits(path: Path) -> list[str]:
+    return [
+        f"{path.relative_to(ROOT)}:{line}: {' '.join(text[max(0, hit.start() - 30) : hit.end() + 30].split())}"
+        for line, text in text_of(path)
+        for hit in BANNED.finditer(text)
+    ]
+
+
+@pytest.mark.parametrize("part", [*PACKAGES, "."])
+def test_text_has_no_banned_phrase_and_no_former_name(part: str) -> None:
+    parts = [path.relative_to(ROOT).parts for path in files()]
+    chosen = [ROOT.joinpath(*names) for names in parts if (names[0] if len(names) > 1 else ".") == part]
+    assert chosen
+    found = [hit for path in chosen for hit in hits(path)]
+    assert not found, "\n".join([f"{len(found)} phrases to rewrite:", *found])
+
+
+def test_identifiers_and_code_are_not_text() -> None:
+    source = (
+        "def stands_in(nobody):\n    return nobody  # a comment\n\n\n"
+        "name = 'nobody', 'two words'\nvalue = f'a {stands_in(1)} b'\n"
+    )
+    assert {text for _, text in python_text(source)} == {"# a comment", "two words", "a ", " b"}
+
+
+@pytest.mark.parametrize("text", ["what nobody expects", "Stands in for a part", "a Sheet of values"])
+def test_a_banned_phrase_is_found_in_any_position(text: str) -> None:
+    assert BANNED.search(text)
+
+
+@pytest.mark.parametrize("text", ["a worksheet", "spelling", "the file `kitchen.usd`", "felting", "third-party code"])
+def test_parts_of_other_words_are_not_found(text: str) -> None:
+    assert BANNED.search(text) is None
