@@ -13,5 +13,5 @@ if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
     { apt-get update -qq && apt-get install -y -qq --no-install-recommends libegl1 libgl1-mesa-dri; } >/dev/null 2>&1
     has_egl && exit 0
 fi
-echo "no EGL driver: frames will come from the slow fallback renderer; to mend it: sudo apt-get install libegl1 libgl1-mesa-dri"
+echo "no EGL driver: frames are rendered by the slow fallback renderer; to install one: sudo apt-get install libegl1 libgl1-mesa-dri"
 exit 0

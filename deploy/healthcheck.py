@@ -11,7 +11,7 @@ URL = "http://127.0.0.1:9464/healthz"
 
 
 def main() -> int:
-    """Returns 0 when healthy."""
+    """Returns 0 if the process is healthy, else 1."""
     words = Path("/proc/1/cmdline").read_bytes().split(b"\0")
     if not {b"coordinator", b"gateway"} & set(words) or b"--http" not in words:
         return 0

@@ -37,7 +37,7 @@ DOORS = {
     "pyseccomp": {"coordinator/validation/sandbox.py"},
     "huggingface_hub": {"factory/push/hub.py"},
     "av": {"factory/export/video.py", "factory/visualize/film.py"},
-    "matplotlib": {"factory/report/canvas.py"},
+    "matplotlib": {"factory/report/drawing/canvas.py"},
     "jinja2": {"factory/html/"},
     "mcap": {"factory/export/mcap/exporter.py"},
     "mcap_protobuf": {"factory/export/mcap/protobuf.py"},

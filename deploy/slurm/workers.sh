@@ -1,5 +1,5 @@
 #!/bin/bash
-# Workers of a cluster as a Slurm array; a coordinator runs elsewhere, e.g. on the login node or by systemd.
+# Runs workers as a Slurm array job. The coordinator runs elsewhere, e.g. on the login node or with systemd.
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
 # A task that is preempted or reaches its time limit gives its jobs back and queues itself again; the run is finished
@@ -18,7 +18,7 @@ endpoint=${1:?usage: sbatch --array=1-N workers.sh ENDPOINT TLS_DIR}
 tls=${2:?usage: sbatch --array=1-N workers.sh ENDPOINT TLS_DIR}
 cores=${SLURM_CPUS_PER_TASK:-1}
 scratch=${SLURM_TMPDIR:-${TMPDIR:-/tmp}}
-# bundles wait on the node's own disk; scenes are kept beside them and fetched once a node
+# bundles and scenes are stored on the local disk of the node; scenes are fetched once per node
 export MINIVLA_CACHE="${scratch}/minivla-${USER:-factory}"
 
 told_to_stop=
@@ -43,7 +43,7 @@ while kill -0 "${worker}" 2>/dev/null; do
 done
 
 if [ -n "${told_to_stop}" ] && [ -n "${SLURM_JOB_ID:-}" ]; then
-    echo "told to stop before the run was finished: queueing again"
+    echo "stopped before the run was finished: requeueing"
     scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
     exit $?
 fi

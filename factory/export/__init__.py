@@ -1,15 +1,15 @@
-"""A dataset in the formats people train from: one file or folder a format, behind one base class and a registry.
+"""Exports datasets to training formats. Each format is one module with an exporter class, listed in a registry.
 
-Reads datasets through `factory.dataset.reader`; never simulates, never changes the dataset.
+Reads datasets through `factory.dataset.reader`. Does not simulate and does not change the dataset.
 """
 
 from __future__ import annotations
 
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
-from factory.export.estimate import ExportEstimate, estimate_export
+from factory.export.execution.estimate import ExportEstimate, estimate_export
+from factory.export.execution.report import ExportReport, Skip
+from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.registry import EXPORTERS, find_exporter
-from factory.export.report import ExportReport, Skip
-from factory.export.run import ExportOrder, ExportProgress, run_export
 
 __all__ = [
     "EXPORTERS",

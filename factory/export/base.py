@@ -1,8 +1,8 @@
-"""What a format is to the export: the base class of all exporters and the words it speaks. Does no I/O.
+"""Base class of all exporters, with the models that it uses. Does no I/O.
 
-An exporter is used in two steps. `write_episode` runs in one process a core and writes the files of one episode, its
-*piece*, into an empty folder; it returns *facts*, small numbers and strings that are kept beside. `finish` runs once,
-with all pieces in the order of the plan, and writes what belongs to no single episode: tables, cards, shards.
+An export has two steps. `write_episode` runs in worker processes and writes the files of one episode, its *piece*, into
+an empty folder; it returns *facts*, a small model that is stored with the piece. `finish` runs once with all pieces in
+the order of the plan and writes the files of the whole export: tables, cards, shards.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ __all__ = ["EpisodeFacts", "ExportPiece", "Exporter", "Finish", "Options"]
 
 
 class Options(Model):
-    """What a user can choose of a format: each field becomes an option of the command line with its description.
+    """Options of a format. Each field becomes a command line option with its description as help text.
 
-    Fields are `bool`, `int`, `int | None` or a `Literal` of strings, and all have defaults; a field that another format
-    has too must be the same.
+    Fields are `bool`, `int`, `int | None` or a `Literal` of strings, and all have defaults. Formats that share a field
+    name must define it equally.
     """
 
     def check(self, meta: DatasetMeta) -> None:
-        """Holds the options against a dataset, before anything is written.
+        """Validates the options against a dataset, before anything is written.
 
         Raises:
-            UsageError: they contradict each other or the dataset, e.g. a rate that does not divide the dataset's.
+            UsageError: the options conflict with each other or with the dataset, e.g. a rate that does not divide the
+                recorded rate.
         """
 
 
 class EpisodeFacts(Model):
-    """What `finish` must know of a piece without opening it; kept as JSON, so that a resumed export has it too."""
+    """Facts that `finish` needs about a piece. Stored as JSON, so that a resumed export can read them."""
 
     frames: int
-    """Frames written."""
+    """Number of frames written."""
 
 
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -51,81 +52,81 @@ FactsT = TypeVar("FactsT", bound=EpisodeFacts)
 
 @dataclass(frozen=True, slots=True)
 class ExportPiece(Generic[FactsT]):
-    """One exported episode, as `finish` sees it; cheap to hold by the hundred thousand."""
+    """One exported episode, as passed to `finish`. Small, because an export can have hundreds of thousands."""
 
     dataset: Dataset
     position: int
-    """Among the episodes of `dataset`."""
+    """Index of the episode in `dataset`."""
     episode_id: str
     split: str
     folder: Path
-    """What `write_episode` wrote, where the format assembles; otherwise those files lie below OUT already."""
+    """Folder of the files of `write_episode` if the exporter `assembles`; otherwise the files are in OUT already."""
     facts_path: Path
     facts_type: type[FactsT]
 
     @property
     def facts(self) -> FactsT:
-        """What `write_episode` returned; read from disk each time."""
+        """Facts that `write_episode` returned; read from disk on each access."""
         return self.facts_type.model_validate_json(self.facts_path.read_bytes())
 
     @property
     def episode(self) -> Episode:
-        """The episode itself, closed; its `summary` is its row of the metadata."""
+        """Episode, closed; its `summary` is its row of the metadata."""
         return self.dataset[self.position]
 
     @property
     def summary(self) -> EpisodeSummary:
-        """Its row of the metadata; parsed each time."""
+        """Row of the metadata; parsed on each access."""
         return self.episode.summary
 
 
 @dataclass(frozen=True)
 class Finish(Generic[OptionsT, FactsT]):
-    """All that `finish` works with."""
+    """Input of `finish`."""
 
     dataset: Dataset
-    """The episodes that were asked for; those that had to be skipped are among them, but not among the pieces."""
+    """Selected episodes, with skipped ones, which have no piece."""
     options: OptionsT
     pieces: Sequence[ExportPiece[FactsT]]
-    """At least one, in the order of the plan."""
+    """Pieces in the order of the plan; at least one."""
     out: Output
-    """The only door to the directory of the export."""
+    """Output directory; all writes go through it."""
 
 
 class Exporter(ABC, Generic[OptionsT, FactsT]):
-    """One format. Stateless; made anew in every process, by the name in the registry.
+    """Export format. Stateless; created in every process by its name in the registry.
 
-    A piece holds the tree as it shall lie below OUT, e.g. `episodes/ep_000001/meta.json`: its files are made durable
-    and then renamed there. Where pieces must first be joined to shards or numbered, `assembles` is true; pieces then
-    wait in a hidden folder until `finish` has put them together, and are deleted.
+    A piece has the directory tree of OUT, e.g. `episodes/ep_000001/meta.json`; its files are synced and renamed into
+    OUT. If pieces must be joined to shards or numbered, `assembles` is true; pieces are then stored in a hidden folder,
+    and deleted after `finish`.
     """
 
     name: ClassVar[str]
-    """As said after `--to`."""
+    """Name of the format, the value of `--to`."""
     about: ClassVar[str]
-    """One line for the help."""
+    """Description of the format for the help, one line."""
     version: ClassVar[int] = 1
-    """Of our writer; rises when its files change, so that an unfinished export of an older one is not continued."""
+    """Version of the writer; incremented when its files change. An unfinished export of another version is refused."""
     requires: ClassVar[tuple[str, ...]] = ()
-    """Top-level modules that write it; their versions are recorded in the manifest."""
+    """Top-level modules that the format needs; their versions are recorded in the manifest."""
     assembles: ClassVar[bool] = False
     options: type[OptionsT]
     facts: type[FactsT]
 
     @abstractmethod
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> FactsT:
-        """Writes one episode into an empty folder; memory does not grow with its length.
+        """Writes one episode into an empty folder. Memory use does not depend on its length.
 
-        Equal episodes and options give equal files. Syncing, renaming and cleaning up are the caller's.
+        Equal episodes and options give equal files. The caller syncs, renames and deletes files.
 
         Raises:
-            ArchiveCorrupt: the episode is damaged; it will be skipped and named.
+            ArchiveCorrupt: the episode is damaged; the export skips and reports it.
         """
 
     @abstractmethod
     def finish(self, export: Finish[OptionsT, FactsT]) -> None:
-        """Writes what belongs to no single episode, file by file through `export.out`.
+        """Writes the files of the whole export through `export.out`.
 
-        Called again when it was interrupted, or when an episode that was skipped has come in; `export.out.has` tells
-        which files an interrupted call has finished. Memory does not grow with the size of the episodes.
+        It is called again after an interruption, or when a skipped episode has become available; `export.out.has`
+        returns whether an interrupted call has finished a file. Memory use does not depend on the size of the episodes.
         """

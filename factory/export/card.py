@@ -1,4 +1,4 @@
-"""The dataset card (`README.md`) of an export, in the form of the hubs. Text only."""
+"""Builds the dataset card (`README.md`) of an export in the format of the Hugging Face Hub. Pure."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def export_card(
     configs: Configs | None = None,
     tags: Sequence[str] = (),
 ) -> str:
-    """Returns the card.
+    """Returns the text of the card.
 
     Args:
-        meta: of the dataset.
-        episodes: in the export.
+        meta: metadata of the dataset.
+        episodes: number of episodes in the export.
         text: Markdown below the title.
-        configs: name -> split -> path or pattern of its files, for the hub's viewer; the first is the default.
-        tags: besides the common ones.
+        configs: name -> split -> path or pattern of its files, for the dataset viewer; the first is the default.
+        tags: additional tags.
     """
     front = _FRONT.format(
         title=meta.run,

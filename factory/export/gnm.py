@@ -1,6 +1,6 @@
-"""`gnm`: the folders that GNM, ViNT and NoMaD train from: numbered JPEGs, positions and headings, lists of names.
+"""Format `gnm`: training data of GNM, ViNT and NoMaD: numbered JPEGs, positions and headings, lists of names.
 
-Layout and keys are those of robodhruv/visualnav-transformer; instruction, depth and ids have no place there.
+Layout and keys are those of robodhruv/visualnav-transformer. Does not contain instructions, depth or ids.
 """
 
 from __future__ import annotations
@@ -60,20 +60,20 @@ The loaders skip trajectories of no more than context_size + len_traj_pred frame
 
 
 class GnmOptions(Decimated):
-    """What can be chosen of the folders."""
+    """Options of format `gnm`."""
 
     jpeg_quality: int = Field(default=92, ge=1, le=100, description="JPEG quality, 1 to 100. Default: 92.")
 
 
 class GnmFacts(EpisodeFacts):
-    """What the average distance between waypoints is made from."""
+    """Facts for the mean distance between waypoints."""
 
     length_m: float
-    """Sum of distances between consecutive frames that were kept, metres."""
+    """Sum of the distances between consecutive exported frames, metres."""
 
 
 class GnmExporter(Exporter[GnmOptions, GnmFacts]):
-    """One folder an episode; numbers of frames count from 0 without gaps, whatever the rate."""
+    """Exporter of format `gnm`: one folder per episode; frames are numbered from 0 without gaps at every rate."""
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
@@ -111,7 +111,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
 
 def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
-    """Returns a JPEG; Pillow itself does not notice when a full disk takes only part of a file."""
+    """Returns an encoded JPEG; Pillow's own file writer does not detect partial writes to a full disk."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "JPEG", quality=quality)
     return buffer.getvalue()
@@ -130,7 +130,7 @@ def _loader_lists(by_split: dict[str, list[str]]) -> dict[str, list[str]]:
 
 
 def _spacing(pieces: Sequence[ExportPiece[GnmFacts]]) -> float:
-    """Returns the mean distance between consecutive frames, metres: what the loaders divide waypoints by."""
+    """Returns the mean distance between consecutive frames, metres; the loaders divide waypoints by it."""
     length, steps = 0.0, 0
     for piece in pieces:
         facts = piece.facts
@@ -163,7 +163,7 @@ def pickle_arrays(arrays: Mapping[str, NDArray[np.float64]]) -> bytes:
 class _PortablePickler(pickle.Pickler):
     """Pickles an array as a call of `numpy.array` on a list of floats.
 
-    numpy's own pickles name `numpy._core`, which numpy 1.x, as those projects pin it (Python 3.8), does not have.
+    numpy's own pickles refer to `numpy._core`, which numpy 1.x does not have; those projects pin it (Python 3.8).
     """
 
     def reducer_override(self, item: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Options that several formats share, and the arithmetic behind them. Pure."""
+"""Options that several formats share, and the computation of the frame stride. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Decimated", "stride_of"]
 
 
 class Decimated(Options):
-    """Options of a format that can hold fewer frames a second than were recorded."""
+    """Options of a format with a selectable frame rate."""
 
     fps: int | None = Field(
         default=None,
@@ -22,15 +22,15 @@ class Decimated(Options):
     )
 
     def check(self, meta: DatasetMeta) -> None:
-        """Refuses a rate that does not divide the dataset's."""
+        """Validates that the rate divides the recorded rate."""
         stride_of(self.fps, meta.plan.task.control_hz)
 
 
 def stride_of(fps: int | None, recorded_hz: int) -> int:
-    """Returns of how many recorded frames one is kept.
+    """Returns the stride n: every n-th recorded frame is exported.
 
     Raises:
-        UsageError: the wanted rate does not divide the recorded one.
+        UsageError: the requested rate does not divide the recorded rate.
     """
     wanted = recorded_hz if fps is None else fps
     if wanted < 1 or recorded_hz % wanted:

@@ -1,6 +1,6 @@
-"""The directory of an export: pieces and files arrive staged, synced and renamed, or not at all. Knows no format.
+"""Output directory of an export: stages, syncs and renames pieces and files atomically. Independent of the format.
 
-Every final name holds a whole file; what is unfinished lies in the hidden folder `.export`, which goes in the end.
+Every file under its final name is complete. Unfinished files are in the hidden folder `.export`, which is deleted last.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _FEW_FILES = 16
 
 
 class Output(Closing):
-    """An opened export directory; while it is open no other export can open it.
+    """Opened output directory, locked against other exports.
 
     Raises:
-        WorldError: the directory cannot be written, or another export works on it.
+        WorldError: the directory cannot be written, or another export has locked it.
     """
 
     def __init__(self, root: Path) -> None:
@@ -37,7 +37,7 @@ class Output(Closing):
         self._work = root / WORK_FOLDER
         self._done: set[str] = set()
         self.before_file: Callable[[], None] = lambda: None
-        """Called before each final file is begun; may raise to end the work there."""
+        """Callback before each final file is written; may raise to interrupt the export."""
         with translated("open", root):
             root.mkdir(parents=True, exist_ok=True)
             self._lock = _lock(root)
@@ -51,28 +51,28 @@ class Output(Closing):
             raise
 
     def staging_folder(self, name: str) -> Path:
-        """Returns where a piece may be made; nothing is there yet."""
+        """Returns the path of the staging folder of a piece; it does not exist yet."""
         return self._work / _STAGING / name
 
     def piece_folder(self, episode_id: str) -> Path:
-        """Returns where the piece of an episode waits to be assembled."""
+        """Returns the folder of the piece of an episode until it is assembled."""
         return self._work / _PIECES / episode_id
 
     def facts_path(self, episode_id: str) -> Path:
-        """Returns the file whose presence says that the piece of an episode is whole and in its place."""
+        """Returns the path of the facts of an episode; the file exists if the piece is complete."""
         return self._work / _FACTS / f"{episode_id}.json"
 
     def accept(self, episode_id: str, staged: Path, facts: str, assembles: bool) -> None:
-        """Takes a whole, synced piece: moves its files to their places, then writes its facts.
+        """Accepts a complete, synced piece: moves its files to their final paths, then writes its facts.
 
         Args:
-            episode_id: of the piece.
-            staged: the folder it was made in.
-            facts: to keep beside.
-            assembles: whether it waits for `finish`, or lies below the root from now on.
+            episode_id: id of the episode.
+            staged: staging folder of the piece.
+            facts: facts of the piece as JSON.
+            assembles: whether the piece is kept for `finish`, instead of moved into the output directory.
 
         Raises:
-            WorldError: the disk is full or gone; the piece will be made again.
+            WorldError: the disk is full or not available; the piece must be exported again.
         """
         with translated("write", self.root):
             if assembles:
@@ -88,7 +88,7 @@ class Output(Closing):
                 part.write_text(facts, encoding="utf-8")
 
     def begin_finish(self, pieces: Iterable[str]) -> None:
-        """Opens the journal of finished files for this set of pieces; deletes what another set had made."""
+        """Opens the journal of finished files for this set of pieces; deletes the files of any other set."""
         digest = hashlib.sha256("\n".join(pieces).encode()).hexdigest()
         lines = self._read_journal()
         if lines[:1] == [digest]:
@@ -101,18 +101,18 @@ class Output(Closing):
             part.write_text(f"{digest}\n", encoding="utf-8")
 
     def has(self, name: str) -> bool:
-        """Returns whether an interrupted `finish` has brought that file already, from the very same pieces."""
+        """Returns whether an interrupted `finish` with the same pieces has finished a file."""
         return name in self._done and (self.root / name).is_file()
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """Yields the path of a part file that becomes `name` below the root once the block is left without error.
+        """Yields the path of a temporary file that is renamed to `name` when the block ends without an error.
 
         Args:
-            name: with `/` between folders, which are made.
+            name: path relative to the root, with `/` as separator; folders are created.
 
         Raises:
-            WorldError: the disk is full or gone; nothing half written remains.
+            WorldError: the disk is full or not available; no partial file remains.
         """
         self.before_file()
         final = self.root / name
@@ -123,12 +123,12 @@ class Output(Closing):
         self._note(name)
 
     def write_text(self, name: str, text: str) -> None:
-        """Writes a small file below the root."""
+        """Writes a small text file."""
         with self.replacing(name) as part:
             part.write_text(text, encoding="utf-8")
 
     def link(self, source: Path, name: str) -> None:
-        """Gives a file of a piece its final name as well; copies where the file system has no hard links."""
+        """Creates a hard link of a file of a piece, or a copy if the file system has no hard links."""
         with self.replacing(name) as part:
             try:
                 os.link(source, part)
@@ -138,18 +138,18 @@ class Output(Closing):
                 shutil.copyfile(source, part)
 
     def size_bytes(self) -> int:
-        """Returns the bytes of all finished files."""
+        """Returns the total size of all finished files, bytes."""
         files = (Path(folder) / name for folder, _, names in self._walk() for name in names)
         return sum(file.stat().st_size for file in files)
 
     def drop_work(self) -> None:
-        """Deletes all that served the making; the export is done with this."""
+        """Deletes the working files; the export is then complete."""
         with translated("delete from", self.root):
             shutil.rmtree(self._work)
             sync_directory(self.root)
 
     def close(self) -> None:
-        """Deletes half-made pieces and lets another export open the directory."""
+        """Deletes partial pieces and unlocks the directory."""
         if self._lock is not None:
             with contextlib.suppress(OSError):
                 self._clear_staging()
@@ -193,11 +193,11 @@ class Output(Closing):
 
 
 def sync_tree(folder: Path) -> None:
-    """Makes all files and names below a folder durable."""
+    """Syncs all files and directory entries below a folder to disk."""
     found = [(Path(place), names) for place, _, names in os.walk(folder)]
     files = [place / name for place, names in found for name in names]
     if len(files) > _FEW_FILES:
-        os.sync()  # one wait instead of 7 ms a file
+        os.sync()  # one call instead of 7 ms per file
         return
     for file in files:
         sync_file(file)
@@ -206,7 +206,7 @@ def sync_tree(folder: Path) -> None:
 
 
 def _merge(source: Path, target: Path) -> None:
-    """Renames the entries of a folder into another; folders that are there already are entered."""
+    """Moves the entries of a folder into another by renaming; merges folders that exist in both."""
     for entry in sorted(source.iterdir()):
         place = target / entry.name
         if entry.is_dir() and place.is_dir():

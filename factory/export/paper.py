@@ -1,4 +1,4 @@
-"""`paper`: the directory tree of the paper (Table of episode files), every frame a file of its own; lossless."""
+"""Format `paper`: the directory tree of the paper (Table of episode files), one file per frame and sensor; lossless."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _CARD = """
 
 
 class PaperOptions(Options):
-    """What can be chosen of the paper's tree."""
+    """Options of format `paper`."""
 
     split_names: Literal["paper", "published"] = Field(
         default="paper",
@@ -49,7 +49,7 @@ class PaperOptions(Options):
 
 
 class PaperExporter(Exporter[PaperOptions, EpisodeFacts]):
-    """One folder an episode; bytes of images, arrays and metadata are those of the bundle, depth is decompressed."""
+    """Exporter of format `paper`: one folder per episode. Copies the bytes of the bundle; depth is decompressed."""
 
     name = "paper"
     about = "the paper's tree: a PNG, NPY and PNG a frame; lossless and large"
@@ -90,12 +90,12 @@ class PaperExporter(Exporter[PaperOptions, EpisodeFacts]):
 
 
 def published_split(name: str, options: PaperOptions) -> str:
-    """Returns what a split is called in the export."""
+    """Returns the name of a split in the export."""
     return PUBLISHED_SPLITS.get(name, name) if options.split_names == "published" else name
 
 
 def _meta(text: bytes, options: PaperOptions) -> bytes:
-    """Returns `meta.json`: the bundle's bytes, but for the name of a split that is called otherwise."""
+    """Returns `meta.json`: the bytes of the bundle, with the published name of the split."""
     values: dict[str, Any] = json.loads(text)
     split = values["job"]["split"]
     if published_split(split, options) == split:
@@ -105,7 +105,7 @@ def _meta(text: bytes, options: PaperOptions) -> bytes:
 
 
 def _metadata(table: pa.Table, positions: Sequence[int], options: PaperOptions) -> pa.Table:
-    """Returns the rows of those episodes: the published columns, then ours but for those about the bundle's file."""
+    """Returns the rows of the episodes: the published columns, then the others without those of the bundle file."""
     ours = [name for name in table.column_names if name not in PUBLISHED_COLUMNS and name not in _OF_THE_BUNDLE]
     rows = table.take(positions).select([*PUBLISHED_COLUMNS, *ours])
     splits = pa.array([published_split(name, options) for name in rows["split"].to_pylist()], pa.string())
@@ -113,7 +113,7 @@ def _metadata(table: pa.Table, positions: Sequence[int], options: PaperOptions) 
 
 
 def _part_of(dataset: Dataset, names: Sequence[str]) -> DatasetMeta:
-    """Returns the description of the dataset with what is true of the exported part."""
+    """Returns the metadata of the dataset, restricted to the exported episodes."""
     meta = dataset.meta
     complete = len(names) == meta.planned
     digest = dataset.filter(episode=names).digest if complete else None

@@ -1,4 +1,4 @@
-"""All formats by name, loaded when used. A new format is one file and one line here."""
+"""Registry of export formats; modules are imported on first use. A new format needs one module and one line here."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
         "vlnce": "factory.export.vlnce.exporter:VlnceExporter",
     }
 )
-"""Name -> module and class."""
+"""Name of the format -> module and class."""
 
 
-_MADE_ELSEWHERE: Mapping[str, str] = MappingProxyType(
+_EXTERNAL_FORMATS: Mapping[str, str] = MappingProxyType(
     {"rlds": "TFDS builds it from the dataset; builder and recipe are in docs/formats/rlds/README.md"}
 )
-"""Formats that other tools write, and how."""
+"""Formats that other tools write -> explanation for the error message."""
 
 
 def check_format(name: str) -> None:
-    """Makes sure that a format is called that, without loading it.
+    """Validates the name of a format without importing it.
 
     Raises:
-        UsageError: there is no such format.
+        UsageError: the format is unknown.
     """
     if name in EXPORTERS:
         return
-    if name.lower() in _MADE_ELSEWHERE:
-        raise UsageError(f"`factory export` does not write {name.lower()}: {_MADE_ELSEWHERE[name.lower()]}")
+    if name.lower() in _EXTERNAL_FORMATS:
+        raise UsageError(f"`factory export` does not write {name.lower()}: {_EXTERNAL_FORMATS[name.lower()]}")
     raise UsageError(f"unknown format {name!r}; valid formats: {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
 
 
 @cache
 def find_exporter(name: str) -> AnyExporter:
-    """Returns the exporter of a format; heavy packages are imported when it writes.
+    """Returns the exporter of a format. The exporter imports large packages when it writes.
 
     Raises:
-        UsageError: there is no such format.
+        UsageError: the format is unknown.
     """
     check_format(name)
     module, _, kind = EXPORTERS[name].partition(":")
@@ -64,10 +64,10 @@ def find_exporter(name: str) -> AnyExporter:
 
 
 def require_packages(exporter: AnyExporter) -> None:
-    """Makes sure that a format's packages are installed.
+    """Checks that the packages of a format are installed.
 
     Raises:
-        UsageError: one is not; the message names the command that installs it.
+        UsageError: a package is missing; the message contains the command that installs it.
     """
     for module in exporter.requires:
         require_package(module, f"format {exporter.name}")

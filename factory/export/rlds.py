@@ -1,6 +1,6 @@
-"""The steps of an episode as RLDS has them (OpenVLA, Octo, Open X-Embodiment). Pure but for reading the episode.
+"""Converts an episode to RLDS steps (OpenVLA, Octo, Open X-Embodiment). Reads the episode only.
 
-No exporter: TFDS writes the files, in an environment with TensorFlow; `docs/formats/rlds` has the builder.
+Does not write files: TFDS writes them in an environment with TensorFlow; the builder is in `docs/formats/rlds`.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ __all__ = ["RldsObservation", "Step", "rlds_metadata", "rlds_steps"]
 
 
 class RldsObservation(TypedDict):
-    """What the robot knows at a step."""
+    """Observation of a step."""
 
     image: NDArray[np.uint8]
     """(image_px, image_px, 3) sRGB."""
     depth: NDArray[np.float32]
-    """(image_px, image_px, 1) metres along the optical axis; 0 where nothing was hit; nearest pixels, never mixed."""
+    """(image_px, image_px, 1) depth along the optical axis, metres; 0 without a hit; nearest-neighbour resampling."""
     state: NDArray[np.float32]
     """(5,) wheel odometry: x, y, yaw since the first frame in its frame (m, rad), v and w (m/s, rad/s)."""
 
 
 class Step(TypedDict):
-    """One step."""
+    """RLDS step."""
 
     observation: RldsObservation
     action: NDArray[np.float32]
-    """(2,) mean command until the next step: v in m/s, w in rad/s."""
+    """(2,) mean command until the next step: v (m/s), w (rad/s)."""
     action_tokens: NDArray[np.int32]
-    """(2,) the same on the 7 x 7 grid."""
+    """(2,) tokens of the action on the 7 x 7 grid."""
     discount: float
     reward: float
-    """1 at the last step; every archived episode is a success."""
+    """1 at the last step, else 0; every archived episode is successful."""
     is_first: bool
     is_last: bool
     is_terminal: bool
@@ -48,15 +48,15 @@ class Step(TypedDict):
 
 
 def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) -> Iterator[Step]:
-    """Yields the steps of an episode, one frame in memory at a time.
+    """Yields the steps of an episode, with one frame in memory at a time.
 
     Args:
-        episode: the episode.
-        fps: steps a second, a divisor of the dataset's rate; `None` keeps all.
-        image_px: side of the images; 640 keeps them as they are.
+        episode: episode to convert.
+        fps: steps per second, a divisor of the recorded rate; `None` for all frames.
+        image_px: side of the images, pixels; 640 is the recorded size.
 
     Raises:
-        UsageError: the rate does not divide the dataset's.
+        UsageError: the rate does not divide the recorded rate.
         ArchiveCorrupt: the episode is damaged.
     """
     hz = episode.meta.job.task.control_hz

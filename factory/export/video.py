@@ -1,6 +1,6 @@
-"""The door to PyAV: writes, joins and reads MP4 files of one stream. Knows neither episodes nor formats.
+"""Writes, joins and reads MP4 files with one video stream. The only module of the export that imports PyAV.
 
-Its errors become `OSError`, with the number of the system's error where there is one.
+Converts errors of PyAV to `OSError`, with the errno of the system if there is one.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from schemas.support.extras import pip_install
 
 __all__ = ["DEPTH_CODEC", "RGB_CODEC", "Codec", "VideoWriter", "join_videos", "read_video"]
 
-_ONE_THREAD = 1  # a process encodes one episode; and the bytes do not depend on the number of cores
+_ONE_THREAD = 1  # each process encodes one episode, and the bytes must not depend on the number of cores
 
 
 @dataclass(frozen=True)
 class Codec:
-    """How frames become video."""
+    """Video codec with its encoder settings."""
 
     encoder: str
     """Name of the encoder in FFmpeg."""
     name: str
-    """Name of the codec, as readers see it."""
+    """Name of the codec in the file."""
     frames: str
-    """Pixel format of the frames handed in."""
+    """Pixel format of the input frames."""
     pixels: str
     """Pixel format of the video."""
     options: Mapping[str, str] = field(default_factory=dict)
@@ -68,11 +68,11 @@ DEPTH_CODEC = Codec(
 
 
 class VideoWriter:
-    """An MP4 file being written, frame by frame; begins with a key frame, has no B-frames, and starts at time 0.
+    """Writer of an MP4 file. The video starts with a key frame at time 0 and has no B-frames.
 
     Raises:
-        WorldError: the installed PyAV has not got the encoder.
-        OSError: the disk is full or gone; the file is to be deleted.
+        WorldError: the installed PyAV does not have the encoder.
+        OSError: the disk is full or not available; the caller must delete the file.
     """
 
     def __init__(self, path: Path, codec: Codec, fps: int, width: int, height: int) -> None:
@@ -106,7 +106,7 @@ class VideoWriter:
             self._container.mux(self._stream.encode(picture))
 
     def close(self) -> None:
-        """Writes what the encoder held back and the index."""
+        """Flushes the encoder and writes the index."""
         with _as_os_errors():
             try:
                 if self._count:
@@ -128,16 +128,16 @@ class VideoWriter:
 
 
 def join_videos(sources: Iterable[Path], target: Path, fps: int) -> int:
-    """Writes the videos one behind the other without encoding anew; each must be of the same codec and settings.
+    """Concatenates videos of equal codec and settings without re-encoding.
 
-    Frame n of the whole is shown at n / fps seconds. The index stands in front, so that a file can be streamed.
+    Frame n of the result is shown at n / fps seconds. The index is at the start of the file, for streaming.
 
     Returns:
         The number of frames.
 
     Raises:
-        OSError: the disk is full or gone; the target is to be deleted.
-        ArchiveCorrupt: a source is damaged or of other settings.
+        OSError: the disk is full or not available; the caller must delete the target.
+        ArchiveCorrupt: a source is damaged or has other settings.
     """
     import av
 
@@ -169,7 +169,7 @@ def join_videos(sources: Iterable[Path], target: Path, fps: int) -> int:
 
 
 def read_video(path: Path, pixels: str = "rgb24") -> Iterator[tuple[float, bool, NDArray[np.generic]]]:
-    """Yields time in seconds, whether it is a key frame, and the frame; for checks."""
+    """Yields the time in seconds, whether the frame is a key frame, and the frame. Used by tests."""
     import av
 
     with av.open(str(path)) as container:

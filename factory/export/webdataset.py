@@ -1,6 +1,6 @@
-"""`webdataset`: tar shards of frames that stream from disk, HTTP or the Hub; a sample a frame, a set of shards a split.
+"""Format `webdataset`: tar shards for streaming from disk, HTTP or the Hub; one sample per frame, shards per split.
 
-Members are the bundle's own bytes where a reader knows their kind. Read with `webdataset` or `datasets`.
+Members are copies of the bundle's bytes if readers support their type. Readers: `webdataset` and `datasets`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ for sample in webdataset.WebDataset("train_id-{000000..000009}.tar", shardshuffl
 
 
 class WebdatasetOptions(Decimated):
-    """What can be chosen of the shards."""
+    """Options of format `webdataset`."""
 
     shard_mb: int = Field(
         default=500, ge=1, le=8000, description="Size of a shard, MB; the last episode may exceed it. Default: 500."
@@ -62,24 +62,24 @@ class WebdatasetOptions(Decimated):
 
 
 class WebdatasetFacts(EpisodeFacts):
-    """What the division into shards must know."""
+    """Facts for the division into shards."""
 
     member_bytes: int
-    """Size of the members of the piece."""
+    """Size of the members of the piece, bytes."""
 
 
 class Shard(NamedTuple):
-    """A file to be, with the pieces that go into it."""
+    """Shard with its pieces."""
 
     name: str
     pieces: tuple[ExportPiece[WebdatasetFacts], ...]
     samples: int
     size: int
-    """Bytes of the members."""
+    """Size of the members, bytes."""
 
 
 class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
-    """A piece is the members of its episode, without the end of an archive; a shard is pieces in a row."""
+    """Exporter of format `webdataset`. A piece contains tar members without end of archive; a shard joins pieces."""
 
     name = "webdataset"
     about = "tar shards, one sample a frame, for webdataset and datasets streaming; lossless"
@@ -88,7 +88,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     facts = WebdatasetFacts
 
     def write_episode(self, episode: Episode, options: WebdatasetOptions, folder: Path) -> WebdatasetFacts:
-        """Writes the members of every kept frame, in order."""
+        """Writes the members of every exported frame, in order."""
         hz = episode.meta.job.task.control_hz
         stride = stride_of(options.fps, hz)
         steps = kept_frames(len(episode), stride)
@@ -102,7 +102,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         return WebdatasetFacts(frames=len(steps), member_bytes=size)
 
     def finish(self, export: Finish[WebdatasetOptions, WebdatasetFacts]) -> None:
-        """Joins pieces to shards, split by split; writes the list of shards and the card."""
+        """Joins the pieces of each split to shards; writes the list of shards and the card."""
         listed: list[dict[str, Any]] = []
         splits = dict.fromkeys(piece.split for piece in export.pieces)
         for split in splits:
@@ -120,9 +120,9 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
 
 
 def shards_of(split: str, pieces: Sequence[ExportPiece[WebdatasetFacts]], limit_bytes: int) -> Iterator[Shard]:
-    """Yields the shards of a split: pieces in a random but fixed order, a new shard when one has reached its size.
+    """Yields the shards of a split: pieces in a fixed pseudo-random order; a full shard starts a new one.
 
-    The plan's order goes scene by scene; a shard should hold a bit of everything.
+    The order of the plan groups episodes by scene; shuffling mixes scenes within a shard.
     """
     chosen: list[ExportPiece[WebdatasetFacts]] = []
     samples = size = number = 0
@@ -146,10 +146,10 @@ def _contents(shard: Shard) -> dict[str, Any]:
 
 
 def _sample(episode: Episode, t: int, action: list[float], tokens: list[int]) -> Iterator[tuple[str, bytes]]:
-    """Yields suffix and bytes of the members of one frame; all frames have the same suffixes."""
+    """Yields suffix and bytes of the members of a frame; all frames have the same suffixes."""
     yield "rgb.png", episode.stored(f"rgb_front/{t:06d}.png")
     yield "depth.npy.gz", igzip.compress(encode_npy(episode.depth(t)), _GZIP_LEVEL, mtime=0)
-    # no PNG: webdataset's `decode("rgb")` would make 8-bit colours of 16-bit ids and clip them at 255
+    # not PNG: webdataset's `decode("rgb")` would convert 16-bit ids to 8 bits and clip them at 255
     yield "seg.npy.gz", igzip.compress(encode_npy(episode.ids(t)), _GZIP_LEVEL, mtime=0)
     (v, w), (v_token, w_token) = action, tokens
     yield "action.json", _json({"v_mps": v, "w_rps": w, "v_token": v_token, "w_token": w_token})
@@ -181,7 +181,7 @@ def _json(values: dict[str, Any]) -> bytes:
 
 
 def write_member(file: BinaryIO, name: str, data: bytes) -> None:
-    """Appends one member, without owner and time; the end of the archive is left to `join_members`."""
+    """Appends one member without owner and time; `join_members` writes the end of the archive."""
     info = tarfile.TarInfo(name)
     info.size, info.mode = len(data), _MEMBER_MODE
     file.write(info.tobuf(tarfile.USTAR_FORMAT))
@@ -190,12 +190,12 @@ def write_member(file: BinaryIO, name: str, data: bytes) -> None:
 
 
 def member_bytes(size: int) -> int:
-    """Returns what a member of that size takes in an archive."""
+    """Returns the size of a member in an archive, bytes."""
     return tarfile.BLOCKSIZE + size + -size % tarfile.BLOCKSIZE
 
 
 def join_members(pieces: Iterable[Path], shard: Path) -> None:
-    """Writes an archive from files of members, one after the other, in bounded memory."""
+    """Concatenates files of members to an archive, in bounded memory."""
     with shard.open("wb") as out:
         for piece in pieces:
             with piece.open("rb") as members:

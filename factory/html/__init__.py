@@ -1,6 +1,6 @@
-"""HTML pages of reports and evaluations: one stylesheet, one base template, one palette.
+"""Renders the HTML pages of reports and evaluations, with one stylesheet, one base template and one palette.
 
-Knows neither datasets nor policies. Importing this does not import Jinja2; `render` does.
+Does not read datasets or evaluations. Importing this package does not import Jinja2; `render` does.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The colours and markers of every figure and page, light and dark. Data and text replacement only.
+"""Colours and markers of all figures and pages, for the light and the dark theme. Pure.
 
-Chosen after Okabe and Ito so that people who see fewer colours tell them apart; a marker or a dash says the same again.
+The palette follows Okabe and Ito for colour-blind readers; markers and dashes repeat the information.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "other": ("#858f9c", "#8b96a5"),
     }
 )
-"""Name -> colour on light and on dark ground; no two names share a colour, so that one can be told from the other."""
+"""Name -> colour of the light and of the dark theme; all colours of a theme are different."""
 
 TIER_COLOURS = MappingProxyType({tier: str(tier) for tier in Tier})
 TIER_MARKERS = MappingProxyType({Tier.NEAR: "o", Tier.MID: "^", Tier.FAR: "s"})
@@ -80,29 +80,29 @@ REASON_COLOURS = MappingProxyType(
     }
 )
 DASHES = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
-"""Line styles by scene, repeating."""
+"""Line styles by scene, cyclic."""
 _SCENE_COLOURS = tuple(name for name in COLOURS if name.startswith("scene"))
 _BY_LIGHT = {light: name for name, (light, _) in COLOURS.items()}
 _HEX = re.compile(r"#[0-9a-f]{6}\b")
 
 
 def colour(name: str) -> str:
-    """Returns the colour of that name on light ground, as `#rrggbb`."""
+    """Returns the colour of the light theme as `#rrggbb`."""
     return COLOURS[name][0]
 
 
 def scene_colours(scenes: Sequence[str]) -> dict[str, str]:
-    """Returns the colour of each scene, by its place in the plan; the ninth scene begins anew."""
+    """Returns the colour of each scene by its index in the plan; colours repeat from the ninth scene."""
     return {scene: colour(_SCENE_COLOURS[place % len(_SCENE_COLOURS)]) for place, scene in enumerate(scenes)}
 
 
 def css_variables(dark: bool) -> str:
-    """Returns CSS declarations of all colours on light or dark ground."""
+    """Returns the CSS variables of all colours of the light or dark theme."""
     return " ".join(f"--{name}: {pair[dark]};" for name, pair in COLOURS.items())
 
 
 def with_variables(svg: str) -> str:
-    """Returns a drawing whose colours follow the page: each colour of ours becomes its CSS variable."""
+    """Replaces the colours of the palette in an SVG by CSS variables, so that it follows the theme of the page."""
 
     def spell(match: re.Match[str]) -> str:
         name = _BY_LIGHT.get(match.group())

@@ -1,4 +1,4 @@
-"""Renders templates to self-contained pages. Escapes every value; an undefined name is an error. Touches no path."""
+"""Renders templates to self-contained pages. Escapes all values; undefined names are errors. Writes no files."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ _UNIT = re.compile(r"(\d) (?=(?:m|mm|m²|%|pp|Hz)\b|%)")
 
 
 def render(template: str, **values: object) -> str:
-    """Returns a page.
+    """Renders a page.
 
     Args:
         template: file name in `factory/html/templates`.
-        values: by name; every text is escaped unless the template says `safe`.
+        values: values by name; text is escaped unless the template marks it as `safe`.
 
     Raises:
-        jinja2.UndefinedError: the template uses a name that `values` lacks.
+        jinja2.UndefinedError: the template uses a name that is not in `values`.
     """
     return _environment().get_template(template).render(values)
 
 
 def data_uri(media_type: str, data: bytes) -> str:
-    """Returns bytes as a URI, so that a page needs no second file."""
+    """Returns bytes as a data URI, so that the page is self-contained."""
     return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def join_units(text: str) -> str:
-    """Returns text whose numbers stay on one line with their units."""
+    """Replaces the spaces between numbers and units by no-break spaces."""
     return _UNIT.sub("\\1\u00a0", text)
 
 

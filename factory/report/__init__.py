@@ -1,6 +1,6 @@
-"""The report: the paper's figures of any dataset as SVG and PNG, and one HTML page that opens offline.
+"""Report of a dataset: the figures of the paper as SVG and PNG, and a self-contained HTML page.
 
-Importing this needs matplotlib (`minivla-factory[report]`); only `factory report` does.
+Importing this package needs matplotlib (`minivla-factory[report]`); only `factory report` imports it.
 """
 
 from __future__ import annotations

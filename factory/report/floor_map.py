@@ -1,4 +1,4 @@
-"""A compiled scene as a map for figures: outlines of floor and obstacles, targets, surveyed points. Pure."""
+"""Converts a compiled scene to a floor map: outlines of floor and obstacles, targets, spawn points. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.report.material import FloorMap, Outlines
+from factory.report.data import FloorMap, Outlines
 from schemas.scene import CompiledScene
 
 __all__ = ["map_of", "trace_outlines"]
@@ -18,7 +18,7 @@ _MARGIN_M = 0.3
 
 
 def map_of(scene: CompiledScene) -> FloorMap:
-    """Returns the map of a scene."""
+    """Returns the floor map of a scene."""
     return FloorMap(
         bounds_m=_bounds(scene),
         floor=_outlines(scene, scene.reachable > 0),
@@ -36,7 +36,7 @@ def _outlines(scene: CompiledScene, mask: NDArray[np.bool_]) -> Outlines:
 
 
 def _bounds(scene: CompiledScene) -> tuple[float, float, float, float]:
-    """West, east, south, north end of what is neither outside nor empty."""
+    """Returns the west, east, south and north bound of the cells that are not outside and not empty, metres."""
     (west, south), edge = scene.info.grid_origin_m, scene.info.grid_resolution_m
     rows, columns = np.nonzero((scene.occupancy > 0) | (scene.reachable > 0))
     if not len(rows):
@@ -50,14 +50,14 @@ def _bounds(scene: CompiledScene) -> tuple[float, float, float, float]:
 
 
 def trace_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
-    """Returns closed loops around all regions of True cells, holes as loops of the other direction.
+    """Returns closed loops around all regions of True cells; loops of holes have the opposite direction.
 
     Args:
-        mask: (H, W).
+        mask: (H, W) cells.
 
     Returns:
-        Loops of (K, 2) corners as column, row in cells; the last corner is joined to the first; straight runs have no
-        corner inside.
+        Loops of corners (K, 2) as column, row in cells; the last corner connects to the first; collinear corners are
+        removed.
     """
     following = _directed_edges(mask)
     loops = []
@@ -72,7 +72,7 @@ def trace_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
 
 
 def _directed_edges(mask: NDArray[np.bool_]) -> dict[Corner, list[Corner]]:
-    """Returns corner -> next corners, with the region to the left of the way (rows up)."""
+    """Returns corner -> next corners; the region is to the left of each edge (rows up)."""
     padded = np.pad(mask, 1)
     following: dict[Corner, list[Corner]] = defaultdict(list)
     below, here = padded[:-1, 1:-1], padded[1:, 1:-1]

@@ -1,6 +1,6 @@
-"""The folder a report is written to: ours or empty, else refused; a new report replaces an old one file by file.
+"""Writes the files of a report to a folder that is empty or contains an earlier report, which it replaces.
 
-Deletes nothing that an earlier report did not write.
+Does not delete files that no report wrote.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import ValidationError
 
-from factory.report.comparison import PaperComparison
+from factory.report.comparison.model import PaperComparison
 from factory.stats.model import Remark
 from schemas.base import Model
 from schemas.dataset_files import META_FILE
@@ -23,7 +23,7 @@ _FORMAT = 1
 
 
 class Summary(Model):
-    """`report.json`: what a report says, for programs; that it is there makes the folder a report's."""
+    """Content of `report.json`, the machine-readable report. The file marks the folder of a report."""
 
     report_format: int = _FORMAT
     run: str
@@ -35,14 +35,14 @@ class Summary(Model):
     remarks: tuple[Remark, ...]
     comparisons: tuple[PaperComparison, ...]
     files: tuple[str, ...]
-    """All files of the report but this, below its folder."""
+    """Relative paths of all other files of the report."""
 
 
 def require_usable(out: Path, force: bool) -> None:
-    """Checks that a report may be written to `out`.
+    """Checks that a report can be written to `out`.
 
     Raises:
-        UsageError: it is a file, lies in the dataset, or holds what no report wrote and `force` is off.
+        UsageError: `out` is a file, is in a dataset, or contains other files and `force` is false.
     """
     if out.exists() and not out.is_dir():
         raise UsageError(f"{out} is a file; give a folder with -o")
@@ -56,10 +56,10 @@ def require_usable(out: Path, force: bool) -> None:
 
 
 def write_files(out: Path, files: Mapping[str, bytes], summary: Summary) -> None:
-    """Replaces the report in a folder: every file as a whole, what only the earlier report had is removed.
+    """Replaces the report in a folder atomically per file; deletes files that only the earlier report had.
 
     Raises:
-        WorldError: the disk is full or not ours to write to.
+        WorldError: the disk is full or not writable.
     """
     try:
         earlier = _read_marker(out)
@@ -89,6 +89,6 @@ def _read_marker(out: Path) -> Summary | None:
 
 
 def _is_ours(name: str) -> bool:
-    """Whether a name of a marker, which anybody may have edited, is one that a report gives."""
+    """Returns whether a file name of `report.json`, which can be edited, is a valid name of a report file."""
     path = PurePosixPath(name)
     return name == PAGE_FILE or (path.parts[:-1] == (FIGURES,) and path.suffix in {".svg", ".png"})

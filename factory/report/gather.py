@@ -1,4 +1,4 @@
-"""Reads all that a report shows from a dataset; what cannot be read is left out and said. Reads only, draws nothing."""
+"""Reads the input of a report from a dataset. Omits unreadable episodes and scenes with a remark. Draws nothing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
+from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.floor_map import map_of
-from factory.report.material import Drives, FloorMap, FrameSample, ReportInput
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows
@@ -24,12 +24,12 @@ __all__ = ["choose_samples", "gather", "spread_evenly"]
 
 ProgressCallback = Callable[[int, int], None]
 _MOST_DRIVES = 2000
-"""Episodes that are opened for their tracks and actions; the statistics rest on all rows."""
+"""Maximum number of episodes opened for tracks and actions; the statistics use all rows."""
 _TRACK_POINTS = 48
-"""Of a thinned track; a bend of the robot spans several."""
+"""Number of points of a thinned track; it resolves the turns of the robot."""
 _FRAMES_TRIED = 6
 _SHARE_WANTED = 0.08
-"""Share of the picture that the target of a good sample covers."""
+"""Preferred share of the frame that the target covers, 0..1."""
 
 
 def gather(
@@ -38,17 +38,17 @@ def gather(
     samples: int = 8,
     compare_paper: bool | None = None,
 ) -> ReportInput:
-    """Returns all that a report of the dataset shows.
+    """Reads the input of the report of a dataset.
 
     Args:
-        root: of the dataset.
-        on_progress: called with the number of episodes read and their total.
-        samples: frames of the panel.
+        root: root of the dataset.
+        on_progress: callback with the number of episodes read and the total.
+        samples: number of sample frames.
         compare_paper: see `measure_dataset`.
 
     Raises:
-        WorldError: there is no dataset, or it is of a newer format.
-        ArchiveCorrupt: its description or its table of episodes cannot be read at all.
+        WorldError: the dataset does not exist or has a newer format.
+        ArchiveCorrupt: the metadata or the table of episodes cannot be read.
     """
     rows = read_rows(root)
     maps = _read_maps(root, rows)
@@ -70,7 +70,7 @@ def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drive
         try:
             tokens, track = episode.tokens, _thin(episode.poses[:, :2])
         except ArchiveCorrupt as error:
-            rows.add_damage(name, f"skipped in trajectories, actions and frames: {_said(error, root)}")
+            rows.add_damage(name, f"skipped in trajectories, actions and frames: {_format_error(error, root)}")
             return
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
@@ -82,7 +82,7 @@ def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: 
     try:
         drives.samples.append(_best_frame(episode))
     except ArchiveCorrupt as error:
-        rows.add_damage(name, f"skipped in the sample frames: {_said(error, root)}")
+        rows.add_damage(name, f"skipped in the sample frames: {_format_error(error, root)}")
 
 
 def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -92,7 +92,7 @@ def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _best_frame(episode: Episode) -> FrameSample:
-    """Returns the frame, of some spread over the episode, whose target is large enough to know and not too close."""
+    """Returns the frame, among several spread over the episode, whose target size is nearest to the preferred share."""
     target = episode.meta.target_instance_id
     steps = np.unique(np.linspace(0, len(episode) - 1, _FRAMES_TRIED).round().astype(int))
     masks = {int(t): episode.ids(int(t)) == target for t in steps}
@@ -107,19 +107,19 @@ def _read_maps(root: Place, rows: Rows) -> dict[str, FloorMap]:
             with find_package(root, name, sha256).path.open("rb") as file:
                 found[name] = map_of(decode_scene(file))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
-            rows.add_damage(SCENES, f"the map of {name} is missing: {_said(error, root)}")
+            rows.add_damage(SCENES, f"the map of {name} is missing: {_format_error(error, root)}")
     return found
 
 
-def _said(error: Exception, root: Place) -> str:
-    """Returns what an error says on one line, without where the dataset happens to lie: the page does not know."""
+def _format_error(error: Exception, root: Place) -> str:
+    """Returns an error message on one line with paths relative to the dataset, so that pages are reproducible."""
     return " ".join(str(error).replace(f"{root}/", "").split())
 
 
 def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
-    """Returns up to `count` episodes, the scenes taking turns, each with its categories in turn.
+    """Returns up to `count` episodes, alternating between scenes, and within a scene between categories.
 
-    Of a category, the episode is taken in which the target was seen for the largest share of the steps; on a tie the
+    Within a category, it chooses the episode whose target is visible for the largest share of the steps, then the
     first. The result depends on the rows only.
     """
     scenes = dict.fromkeys(row.scene for row in episodes)
@@ -129,7 +129,7 @@ def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[Episo
 
 
 def spread_evenly(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
-    """Returns all episodes, or `count` of them evenly spread from the first to the last."""
+    """Returns all episodes, or `count` of them evenly spaced from the first to the last."""
     if len(episodes) <= count:
         return list(episodes)
     return [episodes[place * (len(episodes) - 1) // max(count - 1, 1)] for place in range(count)]

@@ -1,17 +1,17 @@
-"""Makes a report: gathers, draws, compares, writes. The one module that knows all others of the report."""
+"""Makes a report: reads the input, draws the figures, compares with the paper and writes the files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from factory.report.compare import compare
-from factory.report.drawers import DRAWERS
-from factory.report.exhibit import Drawer, Exhibit
+from factory.report.comparison.rows import compare
+from factory.report.data import ReportInput
+from factory.report.drawing.figure import DrawFunction, Figure
+from factory.report.figures.registry import DRAW_FUNCTIONS
 from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, write_files
 from factory.report.gather import gather
-from factory.report.material import ReportInput
-from factory.report.page import write_page
+from factory.report.page.document import write_page
 from schemas.storage.place import Place
 
 __all__ = ["make_report", "render_report"]
@@ -29,16 +29,16 @@ def make_report(
     """Writes the report of a dataset: `report.html`, `figures/*.svg`, `figures/*.png` and `report.json`.
 
     Args:
-        root: of the dataset; only read.
-        out: a folder that is empty, absent or holds an earlier report.
-        force: whether to write into a folder that holds something else; nothing of it is deleted.
-        on_progress: called with what is being done, how many are done and their total.
+        root: root of the dataset; read only.
+        out: folder that is empty, does not exist or contains an earlier report.
+        force: whether to write into a folder with other files, which are kept.
+        on_progress: callback with the stage, the number of finished items and the total.
         compare_paper: see `measure_dataset`.
 
     Raises:
-        UsageError: `out` is no place for a report.
-        WorldError: there is no dataset, or the disk is full.
-        ArchiveCorrupt: the dataset's description or table of episodes cannot be read at all.
+        UsageError: a report cannot be written to `out`.
+        WorldError: the dataset does not exist, or the disk is full.
+        ArchiveCorrupt: the metadata or the table of episodes cannot be read.
     """
     require_usable(out, force)
     material = gather(root, lambda done, total: on_progress("episodes", done, total), compare_paper=compare_paper)
@@ -50,23 +50,23 @@ def make_report(
 def render_report(
     material: ReportInput,
     on_progress: Callable[[int, int], None] = lambda _done, _all: None,
-    drawers: Sequence[Drawer] = DRAWERS,
+    draw_functions: Sequence[DrawFunction] = DRAW_FUNCTIONS,
 ) -> tuple[dict[str, bytes], Summary]:
-    """Returns the files of a report by name, and its summary; the same material gives the same bytes.
+    """Returns the files of a report by name, and its summary. Equal input gives equal bytes.
 
     Args:
-        material: what the dataset holds.
-        on_progress: called with the number of figures drawn and their total.
-        drawers: which figures, in the order of the page.
+        material: input of the report.
+        on_progress: callback with the number of figures drawn and the total.
+        draw_functions: functions of the figures, in the order of the page.
     """
-    exhibits: list[Exhibit] = []
-    for done, drawer in enumerate(drawers, 1):
-        exhibits.append(drawer(material))
-        on_progress(done, len(drawers))
+    figures: list[Figure] = []
+    for done, draw in enumerate(draw_functions, 1):
+        figures.append(draw(material))
+        on_progress(done, len(draw_functions))
     comparisons = compare(material)
-    files = {PAGE_FILE: write_page(material, exhibits, comparisons).encode()}
-    for exhibit in exhibits:
-        for panel in exhibit.panels:
+    files = {PAGE_FILE: write_page(material, figures, comparisons).encode()}
+    for figure in figures:
+        for panel in figure.panels:
             files[f"{FIGURES}/{panel.name}.svg"] = panel.svg.encode()
             files[f"{FIGURES}/{panel.name}.png"] = panel.png
     found, meta = material.statistics, material.meta

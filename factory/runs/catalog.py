@@ -18,7 +18,7 @@ from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
-from factory.scenes.targets.target_list import TargetList, list_file_name, spell_target_list
+from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
 from schemas.dataset_files import SCENES, STAGING
 from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
 from schemas.plan import Plan, ScenePlan
@@ -99,7 +99,7 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
         path = root / SCENES / list_file_name(name)
         if path.exists():
             continue
-        text = spell_target_list(entry.info)
+        text = format_target_list(entry.info)
         if isinstance(path, ObjectPath):
             path.objects.put(path.key, text.encode())
             continue

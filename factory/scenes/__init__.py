@@ -1,6 +1,6 @@
-"""Scenes: authored or imported as USD, compiled once into packages that workers need nothing else for.
+"""Builds scene packages from built-in layouts and from the user's USD stages. Workers read the packages only.
 
-Importing this package does not load USD; `factory.scenes.compile` and what stands below it do.
+Importing this package does not load USD; `factory.scenes.compile.compiler` loads it.
 """
 
 from factory.scenes.build import build_scene, import_scene, package_path

@@ -1,6 +1,6 @@
-"""Makes compiled scene packages on disk: the built-in scenes by name and seed, a user's USD by path.
+"""Writes compiled scene packages to the cache: built-in scenes by name and seed, a user's USD stage by path.
 
-Caches packages by what they are made from; a package appears whole or not at all.
+The cache key is the digest of all inputs. Packages are written atomically. Does not compile; see `scenes.compile`.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 def package_path(
     name: str, seed: int, cache: Path, rules: RuleBook | None = None, targets: TargetList | None = None
 ) -> Path:
-    """Returns where the package of a built-in scene lies in a cache, whether it is there yet or not.
+    """Returns the cache path of the package of a built-in scene. The file may not exist yet.
 
     Raises:
-        UsageError: no built-in scene has that name.
+        UsageError: `name` is not a built-in scene.
     """
     if name not in BUILTIN_SCENES:
         known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a USD"
@@ -58,27 +58,27 @@ def build_scene(
     targets: TargetList | None = None,
     tell: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Authors and compiles a built-in scene unless the cache has it already.
+    """Authors and compiles a built-in scene unless the cache contains its package.
 
     Args:
         name: one of `BUILTIN_SCENES`.
-        seed: of the layout.
-        cache: directory of packages; made when missing.
-        rules: what is called how; the built-in table when `None`.
-        targets: an edited list of targets; all that the rules find when `None`.
-        tell: called before something is built.
+        seed: random seed of the layout.
+        cache: directory of packages; created if missing.
+        rules: category rules; the built-in table when `None`.
+        targets: edited target list; all targets that the rules find when `None`.
+        tell: progress callback, called before a scene is built.
 
     Returns:
         The path of the package.
 
     Raises:
-        UsageError: no built-in scene has that name, or the list names prims that it lacks.
+        UsageError: `name` is not a built-in scene, or `targets` names prims that the scene does not have.
         WorldError: the cache cannot be written.
     """
     path = package_path(name, seed, cache, rules, targets)
     if not path.is_file():
         _require_usd()
-        from factory.scenes.compile import compile_stage  # only now: most runs find their scenes in the cache
+        from factory.scenes.compile.compiler import compile_stage  # only now: most runs find their scenes in the cache
 
         tell()
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
@@ -97,24 +97,24 @@ def import_scene(
     limits: StageLimits = USUAL_LIMITS,
     tell: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Compiles a user's USD stage into the cache, unless it was compiled from the same before.
+    """Compiles a user's USD stage unless the cache contains a package of the same inputs.
 
     Args:
-        path: the stage's root layer.
-        name: what the scene is to be called; lower case, and not the name of a built-in scene.
-        cache: directory of packages; made when missing.
-        rules: what is called how; the built-in table when `None`.
-        targets: an edited list of targets; all that the rules find when `None`.
-        limits: what is refused.
-        tell: called before something is compiled.
+        path: root layer of the stage.
+        name: name of the scene; lower case, different from the built-in scenes.
+        cache: directory of packages; created if missing.
+        rules: category rules; the built-in table when `None`.
+        targets: edited target list; all targets that the rules find when `None`.
+        limits: limits of the import.
+        tell: progress callback, called before the stage is compiled.
 
     Returns:
-        The path of the package; its name carries the first digits of its content's SHA-256.
+        The path of the package; its name contains the first digits of the SHA-256 of its content.
 
     Raises:
-        UsageError: no such file, another format than USD, a name that cannot be used, or a list that names prims the
-            stage lacks.
-        WorldError: the stage cannot become a scene; the message says why.
+        UsageError: the file does not exist or is not USD, the name is not valid, or `targets` names prims that the
+            stage does not have.
+        WorldError: the stage cannot be compiled; the message states the reason.
     """
     require_stage(path)
     if not _NAME.fullmatch(name):
@@ -128,7 +128,7 @@ def import_scene(
     if known is not None:
         mark_as_last(known)
         return known
-    from factory.scenes.compile import compile_extraction  # only now: most runs find their scenes in the cache
+    from factory.scenes.compile.compiler import compile_extraction  # only now: most runs find their scenes in the cache
 
     tell()
     data = encode_scene(compile_extraction(path.name, extraction, name, path.name, rules, targets))
@@ -146,7 +146,7 @@ def find_import(
     targets: TargetList | None = None,
     limits: StageLimits = USUAL_LIMITS,
 ) -> Path | None:
-    """Returns the package that `import_scene` would return without compiling, or `None`; arguments as there."""
+    """Returns the cached package of an import, or `None` if it must be compiled. Arguments as for `import_scene`."""
     if not any(cache.glob(f"{name}-*.scene.zip")):
         return None
     _, made_from = _read_stage(path, rules, targets, limits)
@@ -156,7 +156,7 @@ def find_import(
 def _read_stage(
     path: Path, rules: RuleBook | None, targets: TargetList | None, limits: StageLimits
 ) -> tuple[Extraction, str]:
-    """Returns what a stage shows, and the SHA-256 of all that makes a package of it what it is."""
+    """Returns the extracted stage, and the SHA-256 of all inputs of its package."""
     _require_usd()
     from factory.scenes.importer import extract_stage
 
@@ -170,15 +170,15 @@ def _read_stage(
 def load_edits(
     rules: Path | None, targets: Path | None, scene: str = "SCENE"
 ) -> tuple[RuleBook | None, TargetList | None]:
-    """Reads a user's own table of rules and edited list of targets, where given.
+    """Reads the user's category rules and edited target list.
 
     Args:
-        rules: the table, if any.
-        targets: the list, if any.
-        scene: what the scene is called, for the command that writes such a list.
+        rules: path of the rules, if given.
+        targets: path of the target list, if given.
+        scene: name of the scene, used in the command that an error message suggests.
 
     Raises:
-        UsageError: a file is not there or makes no sense.
+        UsageError: a file does not exist or is not valid.
     """
     book = None if rules is None else load_rules(rules)
     return book, None if targets is None else load_target_list(targets, scene)

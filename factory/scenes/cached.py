@@ -1,6 +1,6 @@
-"""Files of a scene cache: written whole or not at all; what a stage was compiled to is remembered beside the package.
+"""Reads and writes the files of a scene cache atomically, with a marker file for the inputs of each imported package.
 
-Knows no stage: it is told the digest of all that goes into a package.
+Does not read stages; callers pass the digest of all inputs of a package.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ _DIGITS = 12
 
 
 def package_name(scene: str, digest: str) -> str:
-    """Returns the name of a package's file."""
+    """Returns the file name of a package."""
     return f"{scene}-{digest[:_DIGITS]}.scene.zip"
 
 
 def recall_package(cache: Path, scene: str, made_from: str) -> Path | None:
-    """Returns the package that was compiled from the same before.
+    """Returns the cached package that was compiled from the same inputs.
 
     Args:
         cache: directory of packages.
         scene: name of the scene.
-        made_from: SHA-256 of all that goes in.
+        made_from: SHA-256 of all inputs.
 
     Returns:
-        Its path, or `None` when there is none or its bytes are not those that its name says.
+        Its path, or `None` when it does not exist or its digest differs from the one in its name.
     """
     try:
         package = cache / _mark(cache, scene, made_from).read_text(encoding="utf-8")
@@ -44,13 +44,13 @@ def recall_package(cache: Path, scene: str, made_from: str) -> Path | None:
 
 
 def mark_as_last(package: Path) -> None:
-    """Makes a package the one that was imported last under its name."""
-    with suppress(PermissionError):  # a cache that is shared read-only may be used all the same
+    """Updates the modification time of a package, so that it is the latest import of its name."""
+    with suppress(PermissionError):  # a shared read-only cache is allowed
         os.utime(package)
 
 
 def remember_package(cache: Path, scene: str, made_from: str, package: Path) -> None:
-    """Notes what a package was compiled from.
+    """Writes the marker file that maps inputs to a package.
 
     Raises:
         WorldError: the cache cannot be written.
@@ -63,7 +63,7 @@ def _mark(cache: Path, scene: str, made_from: str) -> Path:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Writes beside, syncs, renames.
+    """Writes a file atomically: temporary file, fsync, rename.
 
     Raises:
         WorldError: the cache cannot be written.

@@ -1,6 +1,6 @@
-"""What a compiled scene holds, as plain data: categories, targets, units, extents, floor, notes.
+"""Describes a compiled scene as plain data: categories, targets, units, extents, floor, notes.
 
-Pure; judges nothing and opens nothing.
+Pure. Does not validate the scene and reads no file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["describe_scene", "describe_target", "list_other_things"]
 
 
 def describe_scene(scene: CompiledScene) -> dict[str, Any]:
-    """Returns the facts of a scene, lengths in metres, fit for JSON."""
+    """Returns the description of a scene as JSON-compatible data, lengths in metres."""
     info = scene.info
     (west, south, bottom), (east, north, top) = info.bounds_m
     return {
@@ -39,7 +39,7 @@ def describe_scene(scene: CompiledScene) -> dict[str, Any]:
 
 
 def list_other_things(info: SceneInfo) -> list[dict[str, str | None]]:
-    """Returns the instances of a scene that are no target: walls, floor, and what could not be reached or named."""
+    """Returns the instances of a scene that are not targets: walls, floor, unreachable and uncategorised objects."""
     targets = {target.instance_id for target in info.targets}
     return [
         {"prim_path": instance.prim_path, "category": instance.category}
@@ -49,7 +49,7 @@ def list_other_things(info: SceneInfo) -> list[dict[str, str | None]]:
 
 
 def describe_target(target: Target) -> dict[str, Any]:
-    """Returns the facts of a target."""
+    """Returns the description of a target as JSON-compatible data."""
     return {
         "id": target.target_id,
         "category": target.category,

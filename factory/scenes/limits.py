@@ -1,6 +1,6 @@
-"""What an import refuses: stages too large to be a robot's room, and files from elsewhere on the disk.
+"""Limits of a scene import: number of triangles, and files outside the folder of the stage.
 
-Data only; the importer enforces it.
+Data only; the importer enforces the limits.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ MAX_TRIANGLES = 10_000_000
 
 @dataclass(frozen=True)
 class StageLimits:
-    """The limits of one import."""
+    """Limits of one import."""
 
     max_triangles: int = MAX_TRIANGLES
-    """Triangles placed in the world, all copies counted, above which a stage is refused."""
+    """Maximum number of triangles in the world; every instance counts."""
     allow_outside: bool = False
-    """Whether textures may lie outside of the folder of the stage's root layer."""
+    """Whether textures outside the folder of the root layer are read."""
 
 
 USUAL_LIMITS = StageLimits()

@@ -1,6 +1,6 @@
-"""The category rules as data: which names mean which category, and how large such a thing can be.
+"""Category rules: a YAML table that maps prim names to categories, with plausible sizes.
 
-Reads one YAML table; never looks at a stage.
+Reads the table. Does not read stages.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ Pattern = Annotated[str, AfterValidator(_compiles)]
 
 
 class CategoryRule(Model):
-    """When a prim is of a category."""
+    """Rule that assigns a category to prims by name and size."""
 
     category: Name
     include: tuple[Pattern, ...]
-    """Regular expressions of which one must be found in the split name."""
+    """Regular expressions; at least one must match within the split name."""
     exclude: tuple[Pattern, ...] = ()
-    """Regular expressions of which none may be found."""
+    """Regular expressions; none may match within the split name."""
     smallest_m: NonNegative = 0.05
-    """Shortest plausible longest side, metres."""
+    """Minimum plausible length of the longest side, metres."""
     largest_m: Positive = 40.0
-    """Longest plausible longest side, metres."""
+    """Maximum plausible length of the longest side, metres."""
     has_colour: bool = True
-    """Whether it is called after its colour; a rack shows that of its load, a monitor that of its picture."""
+    """Whether instructions may name the colour. False for racks and monitors: their content has the colour."""
 
 
 class RuleBook(Model):
-    """The rules in order; the first that fits a name wins."""
+    """Ordered category rules; the first match applies."""
 
     rules: tuple[CategoryRule, ...]
 
     @property
     def uncoloured(self) -> frozenset[str]:
-        """The categories that are never called after a colour."""
+        """Categories whose colour is never named."""
         return frozenset(rule.category for rule in self.rules if not rule.has_colour)
 
     @cached_property
@@ -68,7 +68,7 @@ class RuleBook(Model):
         )
 
     def match(self, name: str) -> CategoryRule | None:
-        """Returns the rule of a prim name or label, or `None` when it is of no category."""
+        """Returns the first rule that matches a prim name or label, or `None`."""
         words = split_name(name)
         for rule, include, exclude in self._patterns:
             if include.search(words) and not (exclude and exclude.search(words)):
@@ -77,7 +77,7 @@ class RuleBook(Model):
 
 
 def split_name(name: str) -> str:
-    """Returns the words of a name: `SM_BarelPlastic_A01` becomes `sm_barel_plastic_a_01`."""
+    """Splits a name at case changes and digits: `SM_BarelPlastic_A01` becomes `sm_barel_plastic_a_01`."""
     spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", name)
     spaced = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1_\2", spaced)
     spaced = re.sub(r"([A-Za-z])(\d)", r"\1_\2", spaced)
@@ -88,7 +88,7 @@ def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
     """Reads a table of category rules.
 
     Raises:
-        UsageError: the file is not there or is no such table.
+        UsageError: the file does not exist or is not a valid table of rules.
     """
     try:
         table = read_yaml(path.read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
-"""Tells a USD stage from other 3D files by its first bytes, and names the tool that converts the others.
+"""Detects the format of 3D files by their first bytes, and suggests a converter for formats other than USD.
 
-Reads the beginning of one file. Opens no stage and needs no USD.
+Reads the beginning of one file. Does not open stages and does not need USD.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _USD: Mapping[str, tuple[bytes, tuple[str, ...]]] = MappingProxyType(
         "a zip archive": (b"PK\x03\x04", (".usdz",)),
     }
 )
-"""Kind of content -> its first bytes, and the suffixes under which USD opens it, the usual one last."""
+"""Format -> its magic bytes, and the suffixes that USD accepts for it; the preferred suffix is last."""
 _MAGIC: Mapping[bytes, str] = MappingProxyType(
     {
         b"glTF": "glTF",
@@ -67,7 +67,7 @@ _BLENDER_READS: Mapping[str, str] = MappingProxyType(
         "STL": "wm.stl_import",
     }
 )
-"""Kind -> operator of Blender that reads it; `wm.collada_import` is in Blender up to 4.5."""
+"""Format -> Blender operator that imports it; `wm.collada_import` is in Blender up to 4.5."""
 _CONVERTERS: Mapping[str, str] = MappingProxyType(
     {
         "SDF": "convert it with sdf2usd of gz-usd (Gazebo)",
@@ -80,10 +80,10 @@ _ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
 
 
 def require_stage(path: Path) -> None:
-    """Makes sure that a file can be a USD stage.
+    """Checks that a file can be a USD stage.
 
     Raises:
-        UsageError: it is absent, a directory, or another format; the message says how to convert it.
+        UsageError: the file does not exist, is a directory or has another format; the message names a converter.
     """
     fault = find_fault(path)
     if fault:
@@ -91,10 +91,10 @@ def require_stage(path: Path) -> None:
 
 
 def find_fault(path: Path) -> str:
-    """Returns why a file is not a USD stage and what to do, or an empty text if it can be one.
+    """Returns the reason why a file is not a USD stage, with a remedy, or an empty string if it can be one.
 
     Args:
-        path: as the user gave it.
+        path: path as given by the user; messages quote it.
     """
     if path.is_dir():
         return f"{path} is a directory; give the stage's root layer, a file in it ({_SUPPORTED})"
@@ -118,14 +118,14 @@ def _judge(path: Path, head: bytes) -> str:
     if foreign and suffix in STAGE_SUFFIXES:
         return f"{path} holds {foreign} under the name of a USD stage; {_SUPPORTED}; {_remedy(path, foreign)}"
     if suffix in STAGE_SUFFIXES:
-        return ""  # USD says what is wrong with it
+        return ""  # USD reports the error itself
     kind = foreign or _SUFFIXES.get(suffix, "")
     what = f"is {kind}, not a USD stage" if kind else "is not a USD stage"
     return f"{path} {what}; {_SUPPORTED}; {_remedy(path, kind)}"
 
 
 def _kind_of(head: bytes) -> str:
-    """Returns the format that the first bytes prove, or an empty text."""
+    """Returns the format detected from the first bytes, or an empty string."""
     for magic, kind in _MAGIC.items():
         if head.startswith(magic):
             return kind
@@ -137,7 +137,7 @@ def _kind_of(head: bytes) -> str:
 
 
 def _names_gltf(text: str) -> bool:
-    """A glTF document has an `asset` with a `version`; a long one is cut off here and matched as text."""
+    """Returns whether a text is glTF (an `asset` with a `version`). A truncated document is matched as text."""
     try:
         document = json.loads(text)
     except ValueError:

@@ -1,6 +1,6 @@
-"""A scene seen from above as a picture: walls, connected floor, targets by category, spawn points.
+"""Draws a top-down map of a scene: walls, connected floor, targets by category, spawn points.
 
-For people; never read back by a program.
+The image is for viewing only; no program reads it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _SPAWN = (40, 140, 60)
 
 
 def draw_topdown(scene: CompiledScene, pixels_per_cell: int = 4) -> NDArray[np.uint8]:
-    """Returns an RGB picture (rows, columns, 3); north (y) is up.
+    """Returns an RGB image (rows, columns, 3); north (y) is up.
 
     Args:
-        scene: the compiled scene.
-        pixels_per_cell: how large one grid cell is drawn.
+        scene: compiled scene.
+        pixels_per_cell: side of one grid cell, pixels.
     """
     picture = np.full((*scene.occupancy.shape, 3), _FREE, np.uint8)
     picture[scene.reachable > 0] = _REACHABLE
@@ -46,7 +46,7 @@ def draw_topdown(scene: CompiledScene, pixels_per_cell: int = 4) -> NDArray[np.u
 
 
 def category_colour(category: str, categories: list[str]) -> tuple[int, int, int]:
-    """Returns the colour of a category among all of a scene."""
+    """Returns the colour of a category on the map of a scene."""
     hue = categories.index(category) / max(len(categories), 1)
     red, green, blue = colorsys.hsv_to_rgb(hue, 0.85, 0.9)
     return round(red * 255), round(green * 255), round(blue * 255)
@@ -67,7 +67,7 @@ def _draw_targets(pen: ImageDraw.ImageDraw, scene: CompiledScene, origin: NDArra
 
 
 def _draw_legend(image: Image.Image, scene: CompiledScene) -> None:
-    """Turns the picture north up, then writes the names on it."""
+    """Flips the image to north up, then draws the category names."""
     image.paste(image.transpose(Image.Transpose.FLIP_TOP_BOTTOM))
     pen = ImageDraw.Draw(image)
     categories = _categories(scene)
@@ -77,7 +77,7 @@ def _draw_legend(image: Image.Image, scene: CompiledScene) -> None:
 
 
 def encode_topdown(scene: CompiledScene) -> bytes:
-    """Returns the picture as a PNG file."""
+    """Returns the map encoded as PNG."""
     buffer = io.BytesIO()
     Image.fromarray(draw_topdown(scene)).save(buffer, "PNG")
     return buffer.getvalue()

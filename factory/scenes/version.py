@@ -1,6 +1,6 @@
-"""The version of the scene compiler, apart from the compiler so that a cache can be searched without loading USD."""
+"""Version of the scene compiler, in a separate module so that cache look-ups do not load USD."""
 
 __all__ = ["COMPILER_VERSION"]
 
 COMPILER_VERSION = 9
-"""Rises whenever the same stage compiles to other bytes."""
+"""Incremented when the same stage compiles to different bytes."""

@@ -1,4 +1,4 @@
-"""Reads what users write as YAML; refuses what YAML would take in silence. Knows no file's meaning."""
+"""Reads YAML files of users; rejects duplicate keys and aliases. Does not validate the content."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _MOST_CHARS = 4 << 20
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses a key that stands twice in one mapping: the last would win, and a lost line would join two rows.
+    """YAML loader that rejects duplicate keys, which a missing line between two rows causes.
 
-    Refuses aliases as well: a few lines of them stand for more values than a computer has memory.
+    It also rejects aliases, because a few lines of nested aliases expand to more values than memory can hold.
     """
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -37,10 +37,10 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(text: str) -> Any:
-    """Returns what a YAML text says, plain data only.
+    """Parses a YAML text into plain data.
 
     Raises:
-        YAMLError: it is no YAML, is too large or nested too deeply, has aliases, or a key stands twice.
+        YAMLError: the text is not valid YAML, is too large or too deeply nested, or has aliases or duplicate keys.
     """
     if len(text) > _MOST_CHARS:
         raise yaml.YAMLError(f"it has {len(text)} characters; at most {_MOST_CHARS} are read")
@@ -53,5 +53,5 @@ def read_yaml(text: str) -> Any:
 
 
 def say_absence(error: OSError) -> str:
-    """Returns why a file could not be read, without the number of the error."""
+    """Returns the reason of an OS error in lower case, without its number."""
     return (error.strerror or "it cannot be read").lower()

@@ -15,7 +15,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.export import EXPORTERS, ExportOrder, ExportProgress, estimate_export, find_exporter, run_export
-from factory.export.manifest import MANIFEST_FILE, read_manifest
+from factory.export.execution.manifest import MANIFEST_FILE, read_manifest
 from factory.export.output import WORK_FOLDER
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import EXTRA_OF, install_command
@@ -257,10 +257,12 @@ def test_missing_package_is_named_with_its_extra(
 ) -> None:
     required = find_exporter(name).requires
     for module in required:
-        monkeypatch.setitem(sys.modules, module, None)
         remedy = re.escape(install_command(EXTRA_OF.get(module)))
-        with pytest.raises(UsageError, match=rf"needs the package {module}, which is not installed; .*{remedy}"):
-            run_export(order(dataset, tmp_path / "out", name))
+        message = rf"needs the package {module}, which is not installed; .*{remedy}"
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, module, None)
+            with pytest.raises(UsageError, match=message):
+                run_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
 
 

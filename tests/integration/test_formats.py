@@ -24,8 +24,8 @@ from PIL import Image
 from coordinator.archive.opening import open_archive
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
+from factory.export.execution.run import ExportOrder, run_export
 from factory.export.registry import find_exporter
-from factory.export.run import ExportOrder, run_export
 from factory.export.vlnce.episode import from_habitat
 from schemas.scene import decode_scene
 from schemas.terms import Split

@@ -16,7 +16,7 @@ from factory.eval.results.page import FailureExample, write_page
 from factory.eval.results.score import score_policy
 from factory.eval.results.video import draw_poster
 from factory.report import render_report
-from factory.report.exhibits import attempts, categories, samples
+from factory.report.figures import attempts, categories, samples
 from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
 from factory.visualize.film import write_mp4
@@ -66,7 +66,7 @@ def write_evaluation(folder: Path) -> str:
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     make_dataset(folder / "data", 3, planned=4)
-    files, _ = render_report(gather(folder / "data"), drawers=(samples.draw, categories.draw, attempts.draw))
+    files, _ = render_report(gather(folder / "data"), draw_functions=(samples.draw, categories.draw, attempts.draw))
     texts = {"report": files[PAGE_FILE].decode(), "evaluation": write_evaluation(folder)}
     found = {name: folder / f"{name}.html" for name in NAMES}
     for name, text in texts.items():

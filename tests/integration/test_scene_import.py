@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
-from factory.scenes.compile import compile_stage
+from factory.scenes.compile.compiler import compile_stage
 from schemas.scene import CompiledScene, decode_scene, encode_scene
 from workers.geometry.grid import Grid
 

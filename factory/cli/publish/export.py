@@ -16,11 +16,11 @@ from factory.cli.common.options import former_option, place_argument, workers_op
 from factory.cli.common.output import json_option, print_json, say_duration, stderr
 from factory.cli.publish.export_options import format_options
 from factory.export.base import Options
-from factory.export.estimate import ExportEstimate, estimate_export
+from factory.export.execution.estimate import ExportEstimate, estimate_export
+from factory.export.execution.report import ExportReport
+from factory.export.execution.run import ExportOrder, ExportProgress, run_export
+from factory.export.execution.selection import parse_episodes
 from factory.export.registry import EXPORTERS, check_format, find_exporter
-from factory.export.report import ExportReport
-from factory.export.run import ExportOrder, ExportProgress, run_export
-from factory.export.selection import parse_episodes
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
 from schemas.storage.place import Place

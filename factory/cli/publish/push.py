@@ -10,7 +10,7 @@ from rich.progress import DownloadColumn, TimeRemainingColumn
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import dataset_argument
 from factory.cli.common.output import json_option, print_json, print_table
-from factory.export.manifest import MANIFEST_FILE
+from factory.export.execution.manifest import MANIFEST_FILE
 from factory.push import PushPlan, plan_push, push
 from factory.push.files import batches_of, require_repository
 

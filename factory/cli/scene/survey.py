@@ -13,7 +13,7 @@ from factory.cli.common.output import json_option, print_json, print_table, prin
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 
 if TYPE_CHECKING:
-    from factory.scenes.survey_report import SpawnSight, SurveyReport
+    from factory.scenes.survey.report import SpawnSight, SurveyReport
 
 __all__ = ["command", "say_survey"]
 
@@ -36,7 +36,7 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
     SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
     Exits with 1 if there are too few start points.
     """
-    from factory.scenes.survey_report import report_survey
+    from factory.scenes.survey.report import report_survey
 
     report = report_survey(chosen_scene(scene, seed), within)
     if as_json:

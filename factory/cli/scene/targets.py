@@ -31,19 +31,19 @@ def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool)
     SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
     Pass the edited file to `factory scene build` or `factory scene import` with --targets FILE.
     """
-    from factory.scenes.targets.target_list import list_file_name, spell_target_list
+    from factory.scenes.targets.target_list import format_target_list, list_file_name
 
     info = chosen_scene(scene, seed).info
     path = out or Path(list_file_name(info.name))
     if str(path) == "-":
         if as_json:
             raise UsageError("-o - and --json cannot be combined: remove --json, or give a file with -o")
-        click.echo(spell_target_list(info), nl=False)
+        click.echo(format_target_list(info), nl=False)
         return
     if path.exists() and not force:
         raise UsageError(f"{path} exists and may contain your edits; replace it with --force")
     try:
-        path.write_text(spell_target_list(info), encoding="utf-8")
+        path.write_text(format_target_list(info), encoding="utf-8")
     except OSError as error:
         raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
     if as_json:

@@ -1,5 +1,5 @@
-"""LeRobot datasets, version 3.0 and 2.1, written with pyarrow and PyAV; lerobot itself is not needed.
+"""Formats `lerobot` and `lerobot-v2.1`: LeRobot datasets of version 3.0 and 2.1. Does not need the package lerobot.
 
-Both versions have the same columns, statistics and videos, made episode by episode in `piece`; they differ in how
-`v30` and `v21` lay them out.
+Both versions have the same columns, statistics and videos, which `piece` writes per episode; `v30` and `v21` write
+their file layouts.
 """

@@ -1,4 +1,4 @@
-"""What the card of a LeRobot export says of its columns. Text only."""
+"""Text of the dataset card of a LeRobot export. Pure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _IMAGES = {
 
 
 def card_text(version: str, options: LeRobotOptions, fps: int, stride: int, splits: dict[str, str]) -> str:
-    """Returns the text below the title."""
+    """Returns the text of the card below the title."""
     chosen = [key for key, there in ((DEPTH, options.depth), (IDS, options.ids)) if there]
     hub = (
         f"\nOn the Hub the repository needs a tag equal to the version, or LeRobot will not load it: "

@@ -1,7 +1,7 @@
-"""The numbers of an episode as columns of LeRobot: state, action, tokens, pose, time. Pure.
+"""Computes the numeric columns of LeRobot from an episode: state, action, tokens, pose, time. Pure.
 
-Under decimation to every n-th frame an action is the mean of the n commands from its frame to the next one kept: held
-for one step of the slower clock it covers the same way and angle. Tokens are the grid points nearest to that mean.
+With a stride of n, an action is the mean of the n commands from its frame to the next exported frame; applied for one
+step of the lower rate, it covers the same distance and angle. Tokens are the grid points nearest to the mean.
 State and pose are those of the frame itself.
 """
 
@@ -25,25 +25,25 @@ POSE_NAMES = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 @dataclass(frozen=True)
 class FrameColumns:
-    """One row a kept frame."""
+    """Columns with one row per exported frame."""
 
     state: NDArray[np.float32]
-    """(N, 5) what wheel odometry would tell: x, y and yaw since the first frame, in its frame (x forward, y left, yaw
-    unwrapped), and the measured twist over the recorded step before the frame, 0 at the first."""
+    """(N, 5) wheel odometry: x, y and yaw in the frame of the first pose (x forward, y left, yaw unwrapped), and the
+    measured twist over the recorded step before the frame, 0 at the first."""
     action: NDArray[np.float32]
-    """(N, 2) commanded v in m/s and w in rad/s; the mean of the commands until the next kept frame."""
+    """(N, 2) commanded v (m/s) and w (rad/s); mean of the commands until the next exported frame."""
     tokens: NDArray[np.int64]
-    """(N, 2) nearest points of the 7 x 7 grid."""
+    """(N, 2) nearest points of the 7 x 7 action grid."""
     pose: NDArray[np.float32]
     """(N, 7) x, y, z, qw, qx, qy, qz of base_link in the world frame."""
     timestamp: NDArray[np.float32]
-    """(N,) seconds since the first frame."""
+    """(N,) time since the first frame, seconds."""
     frame_index: NDArray[np.int64]
-    """(N,) 0 to N - 1."""
+    """(N,) index of the frame, 0 to N - 1."""
 
 
 def kept_frames(steps: int, stride: int) -> range:
-    """Returns which of the recorded frames are kept."""
+    """Returns the indices of the exported frames."""
     return range(0, steps, stride)
 
 
@@ -53,10 +53,10 @@ def frame_columns(
     """Returns the columns of an episode.
 
     Args:
-        actions: (T, 2) as recorded.
-        poses: (T, 7) as recorded.
-        recorded_hz: frames a second in the recording.
-        stride: which frames are kept, every n-th; `recorded_hz` is a multiple of it.
+        actions: (T, 2) recorded actions.
+        poses: (T, 7) recorded poses.
+        recorded_hz: recorded frames per second.
+        stride: stride n of the exported frames; a divisor of `recorded_hz`.
     """
     kept = np.asarray(kept_frames(len(actions), stride))
     action = _mean_of_windows(actions, stride) if stride > 1 else actions
@@ -78,7 +78,7 @@ def _mean_of_windows(actions: NDArray[np.float32], stride: int) -> NDArray[np.fl
 
 
 def _odometry(poses: NDArray[np.float32], hz: int) -> NDArray[np.float32]:
-    """Returns (T, 5) planar pose in the frame of the first one, and twist by backward differences."""
+    """Returns (T, 5) planar poses in the frame of the first pose, and twists by backward differences."""
     yaw = np.unwrap(yaw_of(poses))
     offset = poses[:, :2].astype(np.float64) - poses[0, :2].astype(np.float64)
     cos, sin = np.cos(yaw[0]), np.sin(yaw[0])

@@ -1,4 +1,4 @@
-"""What the exporters of both LeRobot versions share: the piece of an episode, and what is known of the whole."""
+"""Base class of the exporters of both LeRobot versions, and the description of the exported dataset."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from factory.export.options import Decimated, stride_of
 from factory.export.output import Output
 from schemas.dataset_meta import DatasetMeta
 
-__all__ = ["ROBOT", "LeRobotBase", "Whole", "survey"]
+__all__ = ["ROBOT", "LeRobotBase", "LeRobotExport", "describe_dataset"]
 
 ROBOT = "nova_carter"
 OptionsT = TypeVar("OptionsT", bound=Decimated)
 
 
 class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
-    """Videos and columns of an episode are a piece; a version says how pieces are laid out."""
+    """Base class: writes videos and columns of an episode as a piece. Subclasses write the layout of a version."""
 
     requires = ("av",)
     assembles = True
@@ -39,22 +39,22 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
 
 
 @dataclass(frozen=True)
-class Whole:
-    """A dataset that is about to be laid out."""
+class LeRobotExport:
+    """Description of the exported dataset, with its output directory."""
 
     out: Output
     meta: DatasetMeta
     options: LeRobotOptions
     stride: int
-    """Of how many recorded frames one is kept."""
+    """Stride of the exported frames."""
     fps: int
-    """Of the export."""
+    """Frames per second of the export."""
     far_m: float
-    """What the camera sees, for the codes of depth."""
+    """Far plane of the camera, metres; range of the depth codes."""
     numbering: Numbering
 
     def write_card(self, version: str, configs: Configs) -> None:
-        """Writes the card; `configs` are the tables that `datasets` shall open, by name."""
+        """Writes the card; `configs` maps names to the tables that `datasets` opens."""
         text = card_text(version, self.options, self.fps, self.stride, self.numbering.splits)
         self.out.write_text(CARD_FILE, export_card(self.meta, len(self.numbering), text, configs, ["LeRobot"]))
 
@@ -63,7 +63,7 @@ class Whole:
         self._write_json("meta/stats.json", stats)
 
     def write_info(self, version: str, **values: Any) -> None:
-        """Writes `info.json`, the last file: what the version adds stands between version and features."""
+        """Writes `info.json`, the last file; `values` are inserted between version and features."""
         known = {
             "total_episodes": len(self.numbering),
             "total_frames": self.numbering.frames,
@@ -81,11 +81,11 @@ class Whole:
         self.out.write_text(name, json.dumps(values, indent=4) + "\n")
 
 
-def survey(export: Finish[Any, LeRobotFacts]) -> Whole:
-    """Numbers the pieces of an export, and returns what is known of all of them."""
+def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
+    """Numbers the pieces of an export and returns the description of the dataset."""
     plan, options = export.dataset.meta.plan, _widened(export.options)
     stride = stride_of(options.fps, plan.task.control_hz)
-    return Whole(
+    return LeRobotExport(
         out=export.out,
         meta=export.dataset.meta,
         options=options,
@@ -97,5 +97,5 @@ def survey(export: Finish[Any, LeRobotFacts]) -> Whole:
 
 
 def _widened(options: Decimated) -> LeRobotOptions:
-    """Returns the options of a version as those of the version that has them all."""
+    """Converts the options of a version to `LeRobotOptions`."""
     return LeRobotOptions.model_validate(options.model_dump())

@@ -1,4 +1,4 @@
-"""The features of a LeRobot dataset as `info.json` and the parquet files describe them. Pure; computes no values."""
+"""Describes the features of a LeRobot dataset for `info.json` and the parquet schemas. Pure. Computes no values."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
 
 RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
 FILES = {RGB: "front.mp4", DEPTH: "depth.mp4"}
-"""Video feature -> name of its file in a piece."""
+"""Video feature -> file name in a piece."""
 _IMAGE_NAMES = ["height", "width", "channels"]
 
 VECTORS: dict[str, tuple[str, tuple[str, ...] | None]] = {
@@ -42,21 +42,21 @@ VECTORS: dict[str, tuple[str, tuple[str, ...] | None]] = {
     "index": ("int64", None),
     "task_index": ("int64", None),
 }
-"""Column of numbers -> dtype and names; those without names are single numbers. Policies of LeRobot take every column
-that begins with `observation` or `action` as input or output, so tokens and the world pose are called otherwise."""
+"""Numeric column -> dtype and names; columns without names are scalars. LeRobot policies use every column whose name
+begins with `observation` or `action`; therefore tokens and the world pose have other names."""
 _TYPES = {"float32": pa.float32(), "int64": pa.int64()}
 _IMAGE_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 
 class LeRobotOptions(Decimated):
-    """What can be chosen of both versions."""
+    """Options of both LeRobot versions."""
 
     depth: bool = Field(default=False, description="Also write metric depth, as lossless 12-bit video. Default: no.")
     ids: bool = Field(default=False, description="Also write instance ids, as 16-bit PNG images. Default: no.")
 
 
 def video_keys(options: LeRobotOptions) -> tuple[str, ...]:
-    """Returns the features that are videos."""
+    """Returns the names of the video features."""
     return (RGB, DEPTH) if options.depth else (RGB,)
 
 
@@ -77,11 +77,11 @@ def features_of(options: LeRobotOptions, fps: int, far_m: float) -> dict[str, An
 
 
 def data_schema(options: LeRobotOptions, list_type: Literal["List", "Sequence"] = "List") -> pa.Schema:
-    """Returns the columns of the data files, with the description that `datasets` reads.
+    """Returns the schema of the data files, with the feature description for `datasets`.
 
     Args:
-        options: which columns.
-        list_type: what the description calls lists: `Sequence` before version 4 of `datasets`, which knows no `List`.
+        options: options of the export, which select columns.
+        list_type: name of list features: `Sequence` before version 4 of `datasets`, which does not support `List`.
     """
     fields: list[pa.Field] = [pa.field(IDS, _IMAGE_TYPE)] if options.ids else []
     described: dict[str, Any] = {IDS: {"_type": "Image"}} if options.ids else {}

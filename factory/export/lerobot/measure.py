@@ -1,4 +1,4 @@
-"""Statistics of exported episodes, one at a time and over all. Reads pieces; memory does not grow with them."""
+"""Computes statistics per episode and over all episodes from pieces, in bounded memory."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Stats = dict[str, dict[str, Any]]
 
 
 def episode_stats(numbered: Numbered, options: LeRobotOptions, far_m: float) -> Stats:
-    """Returns feature -> statistic -> values of one episode."""
+    """Returns the statistics of one episode: feature -> statistic -> values."""
     table = _vectors(numbered, options)
     images = stats_of_images(numbered.piece.facts.images, far_m)
     return images | {name: vector_stats(_matrix(table[name])) for name in VECTORS}
 
 
 class DatasetStats:
-    """Statistics over all episodes: `merge` each one's, and take the `result` when all have passed by."""
+    """Accumulator of statistics over all episodes: `merge` each episode, then call `result`."""
 
     def __init__(self, far_m: float) -> None:
         self._far_m = far_m
@@ -33,14 +33,14 @@ class DatasetStats:
         self._vectors: dict[str, RunningStats] = {}
 
     def merge(self, numbered: Numbered, stats: Stats) -> None:
-        """Takes the statistics of an episode."""
+        """Adds the statistics of an episode."""
         for key, counts in numbered.piece.facts.images.items():
             self._images.setdefault(key, empty_tally(key)).merge(counts)
         for name in VECTORS:
             self._vectors.setdefault(name, RunningStats()).merge(stats[name])
 
     def result(self, numbering: Numbering, options: LeRobotOptions) -> Stats:
-        """Reads the columns once more for the quantiles, and returns the statistics of all."""
+        """Reads the columns again for the quantiles and returns the statistics over all episodes."""
         for numbered in numbering:
             table = _vectors(numbered, options)
             for name, running in self._vectors.items():

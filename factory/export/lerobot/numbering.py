@@ -1,6 +1,6 @@
-"""Which number each exported episode has in a LeRobot dataset: sorted by split, so that splits are ranges. Pure.
+"""Numbers the episodes of a LeRobot dataset, sorted by split, so that splits are ranges. Pure.
 
-Tasks are the instructions, numbered as they first appear.
+Tasks are the instructions, numbered in order of first occurrence.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ ABOUT = (
 
 @dataclass(frozen=True, slots=True)
 class Numbered:
-    """A piece with its place in the dataset."""
+    """Piece with its indices in the dataset."""
 
     piece: ExportPiece[LeRobotFacts]
     episode_index: int
     task_index: int
     task: str
     first: int
-    """Number of its first frame among all."""
+    """Index of its first frame in the dataset."""
     frames: int
 
     def numbers(self) -> dict[str, NDArray[np.int64]]:
-        """Returns the columns that number its frames among all."""
+        """Returns the index columns of its frames."""
         return {
             "episode_index": np.full(self.frames, self.episode_index, np.int64),
             "index": np.arange(self.first, self.first + self.frames, dtype=np.int64),
@@ -63,14 +63,14 @@ class Numbered:
         }
 
     def about(self) -> dict[str, Any]:
-        """Returns what the dataset says of the episode, for columns beside LeRobot's own."""
+        """Returns the metadata of the episode for additional columns."""
         summary = self.piece.summary
         return {name: getattr(summary, name) for name in ABOUT}
 
 
 @dataclass(frozen=True)
 class Numbering:
-    """All pieces in their new order."""
+    """Pieces in the order of their numbers."""
 
     episodes: Sequence[Numbered]
     tasks: tuple[str, ...]
@@ -86,11 +86,11 @@ class Numbering:
 
 
 def number_pieces(pieces: Sequence[ExportPiece[LeRobotFacts]], stride: int) -> Numbering:
-    """Returns the pieces by split, within a split in the order of the plan.
+    """Numbers the pieces by split, within a split in the order of the plan.
 
     Args:
         pieces: in the order of the plan.
-        stride: of how many recorded frames one is kept.
+        stride: stride of the exported frames.
     """
     ordered = sorted(pieces, key=lambda piece: (_SPLIT_ORDER.get(piece.split, len(_SPLIT_ORDER)), piece.split))
     tasks: dict[str, int] = {}

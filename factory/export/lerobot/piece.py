@@ -1,4 +1,4 @@
-"""One episode for LeRobot: its videos and a parquet file of its columns, whatever version they end up in."""
+"""Writes and reads the piece of one episode for LeRobot: videos and a parquet file of columns, for both versions."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ __all__ = ["FRAMES_FILE", "LeRobotFacts", "empty_tally", "read_columns", "stats_
 FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _NUMBERED_LATER = ("episode_index", "index", "task_index")
-_EVERY_PX = 4  # LeRobot's own statistics look at every fourth row and column of images of this size
+_EVERY_PX = 4  # LeRobot computes statistics from every fourth row and column of images of this size
 _CODECS = {RGB: RGB_CODEC, DEPTH: DEPTH_CODEC}
 _LARGEST = {RGB: 255, DEPTH: LARGEST_CODE, IDS: 65535}
 
 
 class LeRobotFacts(EpisodeFacts):
-    """What both versions must know of a piece."""
+    """Facts of a piece for both versions."""
 
     images: dict[str, ImageCounts]
-    """Image feature -> counts of its codes."""
+    """Image feature -> histogram of its codes."""
 
 
 def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRobotFacts:
-    """Writes `front.mp4`, `depth.mp4` where asked for, and `frames.parquet`."""
+    """Writes `front.mp4`, optionally `depth.mp4`, and `frames.parquet`."""
     meta = episode.meta
     hz = meta.job.task.control_hz
     stride = stride_of(options.fps, hz)
@@ -71,7 +71,7 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
 
 
 def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], options: LeRobotOptions) -> pa.Table:
-    """Returns the rows of a piece with the columns that number them among all episodes, in their final order."""
+    """Returns the rows of a piece with index columns, in the final column order."""
     schema = data_schema(options)
     table = pq.read_table(folder / FRAMES_FILE, columns=[name for name in schema.names if name not in _NUMBERED_LATER])
     for name in _NUMBERED_LATER:
@@ -80,12 +80,12 @@ def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], options: L
 
 
 def empty_tally(key: str) -> ImageTally:
-    """Returns a tally for the codes of an image feature."""
+    """Returns an empty histogram for the codes of an image feature."""
     return ImageTally(3 if key == RGB else 1, _LARGEST[key])
 
 
 def stats_of_images(images: dict[str, ImageCounts], far_m: float) -> dict[str, Any]:
-    """Returns the statistics of image features: RGB in 0..1, depth in metres, ids as they are."""
+    """Returns the statistics of image features: RGB in 0..1, depth in metres, ids unscaled."""
     code = DepthCode(far_m)
     decoders = {
         RGB: lambda values: values / 255.0,

@@ -1,7 +1,7 @@
-"""Statistics of features as LeRobot stores them: of one episode, and of all. Pure.
+"""Computes statistics of features in the format of LeRobot, per episode and over all episodes. Pure.
 
-Quantiles of images come from counts per value, and those of the whole dataset from all values, not as means of the
-episodes' quantiles as LeRobot's own aggregation takes them.
+Quantiles of images are computed from histograms. Quantiles of the dataset are computed from all values; LeRobot
+averages the quantiles of the episodes instead.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _FEWEST, _MOST, _POWER = 100, 10_000, 0.75
 
 
 def sampled_frames(frames: int) -> frozenset[int]:
-    """Returns which frames of an episode image statistics look at: about N^0.75, at least 100, evenly spread."""
+    """Returns the frames that image statistics sample: about N^0.75, at least 100, evenly spaced."""
     wanted = max(min(frames, _FEWEST), min(int(frames**_POWER), _MOST))
     return frozenset(np.round(np.linspace(0, frames - 1, wanted)).astype(int).tolist())
 
 
 def vector_stats(values: NDArray[np.generic]) -> Stats:
-    """Returns the statistics of (N,) or (N, D) numbers, per column, as lists."""
+    """Returns the statistics of numbers (N,) or (N, D) per column, as lists."""
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     stats: Stats = {
         "min": table.min(axis=0).tolist(),
@@ -45,23 +45,23 @@ def vector_stats(values: NDArray[np.generic]) -> Stats:
 
 
 class ImageCounts(Model):
-    """How often each value was seen in sampled frames, per channel: what statistics can be made and added up from."""
+    """Histogram of sampled frames per channel, from which statistics are computed."""
 
     samples: int
-    """Frames looked at."""
+    """Number of sampled frames."""
     values: tuple[int, ...]
-    """Codes that were seen at least once, ascending."""
+    """Codes that occur, ascending."""
     counts: tuple[tuple[int, ...], ...]
-    """For each channel, how often each of the values was seen."""
+    """Per channel, the number of occurrences of each value."""
 
 
 @dataclass
 class ImageTally:
-    """Counts the values of images while they pass by, or those of many episodes."""
+    """Accumulator of image histograms, over frames or episodes."""
 
     channels: int
     largest: int
-    """Of all codes."""
+    """Maximum code."""
     samples: int = 0
     counts: NDArray[np.int64] = field(init=False)
 
@@ -69,30 +69,30 @@ class ImageTally:
         self.counts = np.zeros((self.channels, self.largest + 1), np.int64)
 
     def add(self, image: NDArray[np.generic]) -> None:
-        """Counts an image of (H, W) or (H, W, C) unsigned codes."""
+        """Adds an image (H, W) or (H, W, C) of unsigned codes."""
         planes = image.reshape(-1, self.channels)
         for channel in range(self.channels):
             self.counts[channel] += np.bincount(planes[:, channel], minlength=self.largest + 1)
         self.samples += 1
 
     def merge(self, other: ImageCounts) -> None:
-        """Adds the counts of an episode."""
+        """Adds the histogram of an episode."""
         self.counts[:, list(other.values)] += np.asarray(other.counts, np.int64)
         self.samples += other.samples
 
     def result(self) -> ImageCounts:
-        """Returns what was counted."""
+        """Returns the histogram."""
         seen = np.flatnonzero(self.counts.any(axis=0))
         counts = tuple(tuple(row[seen].tolist()) for row in self.counts)
         return ImageCounts(samples=self.samples, values=tuple(seen.tolist()), counts=counts)
 
 
 def image_stats(counts: ImageCounts, decode: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Stats:
-    """Returns the statistics of an image feature, each but `count` of shape (C, 1, 1), as lists.
+    """Returns the statistics of an image feature as lists of shape (C, 1, 1), except `count`.
 
     Args:
-        counts: of its codes.
-        decode: from codes to the feature's unit, rising.
+        counts: histogram of the codes.
+        decode: monotonic function from codes to the unit of the feature.
     """
     values = decode(np.asarray(counts.values, np.float64))
     columns = [_weighted_stats(values, np.asarray(row, np.float64)) for row in counts.counts]
@@ -116,9 +116,9 @@ def _weighted_stats(values: NDArray[np.float64], counts: NDArray[np.float64]) ->
 
 
 class RunningStats:
-    """Statistics of a column of all episodes, in two passes: `merge` every episode's, then `add` every one's values.
+    """Accumulator of the statistics of a column in two passes: `merge` all episodes, then `add` the values of all.
 
-    Memory does not grow with the rows. Quantiles are exact to the width of a bin, 1/4096 of the range.
+    Memory is bounded. Quantiles are exact to the width of a bin, 1/4096 of the range.
     """
 
     def __init__(self) -> None:
@@ -126,7 +126,7 @@ class RunningStats:
         self._bins: NDArray[np.int64] | None = None
 
     def merge(self, stats: Mapping[str, Any]) -> None:
-        """Takes minimum, maximum, mean and deviation of an episode (Chan's parallel formula)."""
+        """Adds minimum, maximum, mean and deviation of an episode (Chan's parallel formula)."""
         low, high = np.asarray(stats["min"], np.float64), np.asarray(stats["max"], np.float64)
         mean, count = np.asarray(stats["mean"], np.float64), int(stats["count"][0])
         spread = np.asarray(stats["std"], np.float64) ** 2 * count
@@ -140,7 +140,7 @@ class RunningStats:
         self._low, self._high, self._count = np.minimum(self._low, low), np.maximum(self._high, high), total
 
     def add(self, values: NDArray[np.generic]) -> None:
-        """Counts the (N,) or (N, D) values of an episode for the quantiles; after all have been merged."""
+        """Adds the values (N,) or (N, D) of an episode to the histogram of the quantiles; call after all merges."""
         table = np.asarray(values, np.float64).reshape(len(values), -1)
         assert self._low is not None, "nothing merged yet"
         if self._bins is None:

@@ -1,6 +1,6 @@
-"""`lerobot-v2.1`: LeRobotDataset v2.1, one data file and one video an episode; for GR00T, openpi and older LeRobots.
+"""Format `lerobot-v2.1`: LeRobotDataset v2.1 with one data file and one video per episode, for GR00T and openpi.
 
-`meta/modality.json` is what Isaac-GR00T asks for beside it (its guide "data preparation").
+Isaac-GR00T also requires `meta/modality.json` (its guide "data preparation").
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from factory.export.base import Finish
 from factory.export.lerobot.columns import STATE_NAMES
-from factory.export.lerobot.common import LeRobotBase, Whole, survey
+from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import FILES, RGB, data_schema
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import Numbered
@@ -38,16 +38,16 @@ MODALITY: dict[str, dict[str, dict[str, Any]]] = {
     "video": {"front": {"original_key": RGB}},
     "annotation": {"human.task_description": {"original_key": "task_index"}},
 }
-"""The parts of state and action by name, and where camera and instruction are. An action that is not `absolute` is
-padded with zeros behind the last frame, where the robot stands; others with the last one."""
+"""Names of the parts of state and action, and the columns of camera and instruction. GR00T pads an action after the
+last frame with zeros, which stop the robot, if it is not `absolute`, else with its last value."""
 
 
 class LeRobotV21Options(Decimated):
-    """What can be chosen of version 2.1, which knows neither depth video nor 16-bit images."""
+    """Options of version 2.1, which does not support depth video and 16-bit images."""
 
 
 class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
-    """Pieces get their number, and are otherwise as they were made."""
+    """Exporter of format `lerobot-v2.1`: one data file and one video per piece."""
 
     name = "lerobot-v2.1"
     version = 2
@@ -56,18 +56,18 @@ class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
 
     def finish(self, export: Finish[LeRobotV21Options, LeRobotFacts]) -> None:
         """Numbers the episodes and writes `meta/`."""
-        whole = survey(export)
-        for numbered in whole.numbering:
-            _place(whole, numbered)
-        stats = DatasetStats(whole.far_m)
-        _write_lists(whole, stats)
-        whole.write_stats(_without_counts(stats.result(whole.numbering, whole.options)))
+        dataset = describe_dataset(export)
+        for numbered in dataset.numbering:
+            _place(dataset, numbered)
+        stats = DatasetStats(dataset.far_m)
+        _write_lists(dataset, stats)
+        dataset.write_stats(_without_counts(stats.result(dataset.numbering, dataset.options)))
         export.out.write_text("meta/modality.json", json.dumps(MODALITY, indent=4) + "\n")
-        whole.write_card(VERSION, {"frames": {"train": "data/*/*.parquet"}})
-        whole.write_info(
+        dataset.write_card(VERSION, {"frames": {"train": "data/*/*.parquet"}})
+        dataset.write_info(
             VERSION,
-            total_videos=len(whole.numbering),
-            total_chunks=-(-len(whole.numbering) // _CHUNK),
+            total_videos=len(dataset.numbering),
+            total_chunks=-(-len(dataset.numbering) // _CHUNK),
             chunks_size=_CHUNK,
             data_path=_DATA_PATH,
             video_path=_VIDEO_PATH,
@@ -79,34 +79,34 @@ def _path(template: str, numbered: Numbered) -> str:
     return template.format(episode_chunk=index // _CHUNK, episode_index=index, video_key=RGB)
 
 
-def _place(whole: Whole, numbered: Numbered) -> None:
+def _place(dataset: LeRobotExport, numbered: Numbered) -> None:
     data, video = _path(_DATA_PATH, numbered), _path(_VIDEO_PATH, numbered)
-    if not whole.out.has(data):
-        with whole.out.replacing(data) as part:
-            table = read_columns(numbered.piece.folder, numbered.numbers(), whole.options)
-            table = table.cast(data_schema(whole.options, "Sequence"))  # LeRobot 0.3 has version 3 of `datasets`
+    if not dataset.out.has(data):
+        with dataset.out.replacing(data) as part:
+            table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.options)
+            table = table.cast(data_schema(dataset.options, "Sequence"))  # LeRobot 0.3 uses version 3 of `datasets`
             pq.write_table(table, part, compression="snappy")
-    if not whole.out.has(video):
-        whole.out.link(numbered.piece.folder / FILES[RGB], video)
+    if not dataset.out.has(video):
+        dataset.out.link(numbered.piece.folder / FILES[RGB], video)
 
 
-def _write_lists(whole: Whole, stats: DatasetStats) -> None:
-    """Writes the lists of episodes, of their statistics and of tasks, a line each."""
-    with whole.out.replacing("meta/episodes.jsonl") as part, part.open("w", encoding="utf-8") as episodes:
-        for numbered in whole.numbering:
+def _write_lists(dataset: LeRobotExport, stats: DatasetStats) -> None:
+    """Writes the JSON lines files of episodes, episode statistics and tasks."""
+    with dataset.out.replacing("meta/episodes.jsonl") as part, part.open("w", encoding="utf-8") as episodes:
+        for numbered in dataset.numbering:
             row = {"episode_index": numbered.episode_index, "tasks": [numbered.task], "length": numbered.frames}
             episodes.write(_line(row | numbered.about()))
-    with whole.out.replacing("meta/episodes_stats.jsonl") as part, part.open("w", encoding="utf-8") as lines:
-        for numbered in whole.numbering:
-            found = episode_stats(numbered, whole.options, whole.far_m)
+    with dataset.out.replacing("meta/episodes_stats.jsonl") as part, part.open("w", encoding="utf-8") as lines:
+        for numbered in dataset.numbering:
+            found = episode_stats(numbered, dataset.options, dataset.far_m)
             stats.merge(numbered, found)
             lines.write(_line({"episode_index": numbered.episode_index, "stats": found}))
-    tasks = [{"task_index": number, "task": task} for number, task in enumerate(whole.numbering.tasks)]
-    whole.out.write_text("meta/tasks.jsonl", "".join(map(_line, tasks)))
+    tasks = [{"task_index": number, "task": task} for number, task in enumerate(dataset.numbering.tasks)]
+    dataset.out.write_text("meta/tasks.jsonl", "".join(map(_line, tasks)))
 
 
 def _without_counts(stats: Stats) -> Stats:
-    """Returns what GR00T reads, which cuts its parts of state and action out of every statistic that is there."""
+    """Returns the statistics without `count`, because GR00T slices every statistic by the parts of state and action."""
     return {key: {name: value for name, value in found.items() if name != "count"} for key, found in stats.items()}
 
 

@@ -1,6 +1,6 @@
-"""`lerobot`: LeRobotDataset v3.0; many episodes share a data file and a video file.
+"""Format `lerobot`: LeRobotDataset v3.0, in which many episodes share a data file and a video file.
 
-Layout and limits are those of LeRobot 0.6 (datasets/utils.py); a test compares the schemas with its own writer's.
+Layout and limits are those of LeRobot 0.6 (datasets/utils.py); a test compares the schemas with those of its writer.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from coordinator.tables.write import parquet_schema
 from factory.export.base import Finish
-from factory.export.lerobot.common import LeRobotBase, Whole, survey
+from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, video_keys
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import ABOUT, Numbered, Numbering
@@ -31,22 +31,22 @@ _FILE = "chunk-{:03d}/file-{:03d}"
 _TEMPLATE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _SCALAR, _NESTED = pa.list_(pa.float64()), pa.list_(pa.list_(pa.list_(pa.float64())))
 Places = dict[int, tuple[int, int, float]]
-"""Episode -> chunk, file, and seconds from the file's beginning."""
+"""Episode -> chunk, file, and offset in the file, seconds."""
 
 
 class FileLimits(NamedTuple):
-    """How full files and folders become; LeRobot's own limits."""
+    """Maximum sizes of files and folders; the defaults are those of LeRobot."""
 
     chunk_files: int = 1000
-    """Files in a folder."""
+    """Maximum number of files in a folder."""
     data_mib: int = 100
     video_mib: int = 200
     episodes: int = 10_000
-    """Rows in a file of `meta/episodes`."""
+    """Maximum number of rows in a file of `meta/episodes`."""
 
 
 class LeRobotExporter(LeRobotBase[LeRobotOptions]):
-    """Pieces are joined to files of at most 100 MiB of rows and 200 MiB of video."""
+    """Exporter of format `lerobot`: joins pieces to files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
@@ -58,19 +58,19 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
 
 
 def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimits) -> None:
-    """Joins pieces to files within limits, and describes them in `meta/`."""
-    whole = survey(export)
-    data = _write_data(whole, limits)
-    videos = {key: _write_videos(whole, key, limits) for key in video_keys(whole.options)}
-    stats = DatasetStats(whole.far_m)
-    _write_episodes(whole, data, videos, stats, limits)
-    whole.write_stats(stats.result(whole.numbering, whole.options))
-    with whole.out.replacing("meta/tasks.parquet") as part:
-        pq.write_table(tasks_table(whole.numbering.tasks), part, compression="snappy")
-    whole.write_card(
+    """Joins pieces to files within limits and writes their description to `meta/`."""
+    dataset = describe_dataset(export)
+    data = _write_data(dataset, limits)
+    videos = {key: _write_videos(dataset, key, limits) for key in video_keys(dataset.options)}
+    stats = DatasetStats(dataset.far_m)
+    _write_episodes(dataset, data, videos, stats, limits)
+    dataset.write_stats(stats.result(dataset.numbering, dataset.options))
+    with dataset.out.replacing("meta/tasks.parquet") as part:
+        pq.write_table(tasks_table(dataset.numbering.tasks), part, compression="snappy")
+    dataset.write_card(
         VERSION, {"frames": {"train": "data/*/*.parquet"}, "episodes": {"train": "meta/episodes/*/*.parquet"}}
     )
-    whole.write_info(
+    dataset.write_info(
         VERSION,
         chunks_size=limits.chunk_files,
         data_files_size_in_mb=limits.data_mib,
@@ -81,7 +81,7 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
 
 
 def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema:
-    """Returns the columns of `meta/episodes`: LeRobot's own in its order, then ours."""
+    """Returns the schema of `meta/episodes`: the columns of LeRobot in its order, then additional columns."""
     fields = [("episode_index", pa.int64()), ("tasks", pa.list_(pa.string())), ("length", pa.int64())]
     fields += [(name, pa.int64()) for name in ("data/chunk_index", "data/file_index")]
     fields += [(name, pa.int64()) for name in ("dataset_from_index", "dataset_to_index")]
@@ -98,7 +98,7 @@ def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema
 
 
 def tasks_table(tasks: Sequence[str]) -> pa.Table:
-    """Returns `meta/tasks.parquet`: a pandas frame whose index is the instruction."""
+    """Returns the table of `meta/tasks.parquet`: a pandas frame with the instruction as index."""
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
         for name, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
@@ -115,58 +115,58 @@ def tasks_table(tasks: Sequence[str]) -> pa.Table:
     return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
 
 
-def _write_data(whole: Whole, limits: FileLimits) -> Places:
-    """Writes the data files, one row group an episode, and returns where each episode is."""
+def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
+    """Writes the data files with one row group per episode and returns the position of each episode."""
     places: Places = {}
-    schema = data_schema(whole.options)
-    for number, group in enumerate(_grouped(whole.numbering, FRAMES_FILE, limits.data_mib)):
+    schema = data_schema(dataset.options)
+    for number, group in enumerate(_grouped(dataset.numbering, FRAMES_FILE, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
         name = f"data/{_FILE.format(chunk, file)}.parquet"
-        if whole.out.has(name):
+        if dataset.out.has(name):
             continue
         with (
-            whole.out.replacing(name) as part,
+            dataset.out.replacing(name) as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for numbered in group:
-                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), whole.options))
+                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), dataset.options))
     return places
 
 
-def _write_videos(whole: Whole, key: str, limits: FileLimits) -> Places:
-    """Writes the video files of a feature and returns where each episode is."""
+def _write_videos(dataset: LeRobotExport, key: str, limits: FileLimits) -> Places:
+    """Writes the video files of a feature and returns the position of each episode."""
     places: Places = {}
-    for number, group in enumerate(_grouped(whole.numbering, FILES[key], limits.video_mib)):
+    for number, group in enumerate(_grouped(dataset.numbering, FILES[key], limits.video_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         begun = group[0].first
-        places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / whole.fps) for numbered in group}
+        places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / dataset.fps) for numbered in group}
         name = f"videos/{key}/{_FILE.format(chunk, file)}.mp4"
-        if not whole.out.has(name):
-            with whole.out.replacing(name) as part:
-                join_videos((numbered.piece.folder / FILES[key] for numbered in group), part, whole.fps)
+        if not dataset.out.has(name):
+            with dataset.out.replacing(name) as part:
+                join_videos((numbered.piece.folder / FILES[key] for numbered in group), part, dataset.fps)
     return places
 
 
 def _write_episodes(
-    whole: Whole, data: Places, videos: dict[str, Places], stats: DatasetStats, limits: FileLimits
+    dataset: LeRobotExport, data: Places, videos: dict[str, Places], stats: DatasetStats, limits: FileLimits
 ) -> None:
-    """Writes `meta/episodes`, and takes the statistics of every episode on the way."""
-    numbering = whole.numbering
-    schema = episodes_schema(whole.options, tuple(numbering.episodes[0].piece.facts.images))
+    """Writes `meta/episodes` and merges the statistics of every episode."""
+    numbering = dataset.numbering
+    schema = episodes_schema(dataset.options, tuple(numbering.episodes[0].piece.facts.images))
     for number, begin in enumerate(range(0, len(numbering), limits.episodes)):
         place = divmod(number, limits.chunk_files)
         some = numbering.episodes[begin : begin + limits.episodes]
         with (
-            whole.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
+            dataset.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for first in range(0, len(some), _EPISODES_A_BATCH):
                 rows = []
                 for numbered in some[first : first + _EPISODES_A_BATCH]:
-                    found = episode_stats(numbered, whole.options, whole.far_m)
+                    found = episode_stats(numbered, dataset.options, dataset.far_m)
                     stats.merge(numbered, found)
-                    where = _placed(numbered, whole.fps, data, videos, place)
+                    where = _placed(numbered, dataset.fps, data, videos, place)
                     rows.append(where | _flat(found) | numbered.about())
                 writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
@@ -197,7 +197,7 @@ def _flat(stats: Stats) -> dict[str, Any]:
 
 
 def _grouped(numbering: Numbering, file: str, limit_mib: int) -> Iterator[list[Numbered]]:
-    """Yields episodes whose pieces fill one file; an episode is never divided."""
+    """Yields groups of episodes whose pieces fill one file; an episode is not split."""
     group: list[Numbered] = []
     size = 0
     for numbered in numbering:

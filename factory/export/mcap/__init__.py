@@ -1,1 +1,1 @@
-"""Exporter to MCAP, with Foxglove or ROS 2 messages."""
+"""Format `mcap`: messages and schemas of Foxglove and ROS 2, and the exporter."""

@@ -1,6 +1,7 @@
-"""`mcap`: one chunked, indexed MCAP file an episode, for Foxglove and Rerun, or with `--ros2` for tools of ROS 2.
+"""Exporter of format `mcap`: one chunked, indexed MCAP file per episode, for Foxglove and Rerun, or for ROS 2 tools.
 
-The door to the `mcap` library. Frames, transforms, odometry, actions, map, target, paths and instruction; lossless.
+Contains frames, transforms, odometry, actions, map, target, paths and instruction; lossless. The only module that
+imports `mcap`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
-from factory.export.mcap.messages import Said, measured_twists, stamp_of
+from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
 from factory.export.options import Decimated, stride_of
 from factory.runs.catalog import find_package
@@ -27,11 +28,11 @@ from schemas.support.extras import require_package
 __all__ = ["START_TIME_S", "McapExporter", "McapOptions"]
 
 START_TIME_S = 1_767_225_600
-"""2026-01-01 00:00 UTC: where the times of ROS 2 begin unless told."""
+"""Default start time of ROS 2 stamps, 2026-01-01 00:00 UTC, seconds since 1970."""
 _SPACING_S = 60
-"""From the start of an episode to that of the next in the plan; an episode of 1000 frames at 60 Hz takes 17 s."""
+"""Interval between the starts of consecutive episodes, seconds; an episode of 1000 frames at 60 Hz takes 17 s."""
 _LATEST_S = 2**31 - 1
-"""The seconds of a ROS time are 32 bits."""
+"""Maximum of the 32-bit seconds of a ROS time."""
 _NANOSECONDS = 1_000_000_000
 _CHUNK_BYTES = 4 << 20
 _LIBRARY = "minivla-factory"
@@ -70,7 +71,7 @@ One MCAP file an episode, `episodes/ep_000001.mcap`, of profile `ros2` (CDR), ch
 
 
 class McapOptions(Decimated):
-    """What can be chosen; the rate is that of the images, all else keeps the dataset's."""
+    """Options of format `mcap`. The rate applies to images; all other topics keep the recorded rate."""
 
     ros2: bool = Field(default=False, description="Write ROS 2 messages (extra `ros2`). Default: Foxglove messages.")
     start_time: int | None = Field(
@@ -82,12 +83,12 @@ class McapOptions(Decimated):
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Keeps the manifest of an export that does not use them as it was before they were added."""
+        """Omits unused options, so that the manifests of exports without them do not change."""
         data: dict[str, object] = spell(self)
         return {key: value for key, value in data.items() if value or key not in ("ros2", "start_time")}
 
     def check(self, meta: DatasetMeta) -> None:
-        """Refuses a wrong rate, a start time without ROS 2 or past its clock, and ROS 2 without its package."""
+        """Validates the rate, the start time (ROS 2 only, 32 bits) and the package for ROS 2."""
         super().check(meta)
         if self.start_time is not None and not self.ros2:
             raise UsageError("--start-time requires --ros2: the times of Foxglove messages start at 0")
@@ -107,7 +108,7 @@ class McapOptions(Decimated):
 
 
 class McapExporter(Exporter[McapOptions, EpisodeFacts]):
-    """Writes message by message; memory is one chunk and one frame."""
+    """Exporter of format `mcap`. Memory use is one chunk and one frame."""
 
     name = "mcap"
     about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
@@ -127,13 +128,13 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         path.parent.mkdir()
         with path.open("wb") as file:
             out = _Recording(file, episode, profile, start_ns)
-            for said in profile.still(episode, scene, start_ns):
-                out.add(start_ns, said)
+            for message in profile.static_messages(episode, scene, start_ns):
+                out.add(start_ns, message)
             twists = measured_twists(episode.poses, job.task.control_hz)
             for t in range(len(episode)):
                 stamp_ns = start_ns + stamp_of(t, job.task.control_hz)
-                for said in profile.at(episode, t, stamp_ns, twists[t], t % stride == 0):
-                    out.add(stamp_ns, said)
+                for message in profile.frame_messages(episode, t, stamp_ns, twists[t], t % stride == 0):
+                    out.add(stamp_ns, message)
             out.finish()
         return EpisodeFacts(frames=-(-len(episode) // stride))
 
@@ -149,7 +150,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
 
 
 class _Recording:
-    """An MCAP file being written: channels are registered as topics come up."""
+    """Writer of an MCAP file; registers channels when their topic first occurs."""
 
     def __init__(self, file: IO[bytes], episode: Episode, profile: Profile, start_ns: int) -> None:
         from mcap.writer import CompressionType, Writer
@@ -175,22 +176,24 @@ class _Recording:
         self._out.add_metadata("episode", {name: str(value) for name, value in facts.items()})
         self._out.add_attachment(start_ns, start_ns, "meta.json", "application/json", episode.stored("meta.json"))
 
-    def add(self, stamp_ns: int, said: Said) -> None:
+    def add(self, stamp_ns: int, message: TopicMessage) -> None:
         """Appends a message."""
         profile = self._profile
-        schema = profile.topics[said.topic]
-        if said.topic not in self._channels:
+        schema = profile.topics[message.topic]
+        if message.topic not in self._channels:
             if schema not in self._schemas:
                 data = profile.schema_of(schema)
                 self._schemas[schema] = self._out.register_schema(schema, profile.schema_encoding, data)
-            number, facts = self._schemas[schema], profile.facts_of_topic(said.topic)
-            self._channels[said.topic] = self._out.register_channel(said.topic, profile.message_encoding, number, facts)
-        number = self._counts[said.topic] = self._counts.get(said.topic, -1) + 1
-        data = profile.encode(schema, said.values)
-        self._out.add_message(self._channels[said.topic], stamp_ns, data, stamp_ns, number)
+            number, facts = self._schemas[schema], profile.facts_of_topic(message.topic)
+            self._channels[message.topic] = self._out.register_channel(
+                message.topic, profile.message_encoding, number, facts
+            )
+        number = self._counts[message.topic] = self._counts.get(message.topic, -1) + 1
+        data = profile.encode(schema, message.values)
+        self._out.add_message(self._channels[message.topic], stamp_ns, data, stamp_ns, number)
 
     def finish(self) -> None:
-        """Writes indexes and the end; the file stays open."""
+        """Writes the indexes and the footer; the file stays open."""
         self._out.finish()
 
 

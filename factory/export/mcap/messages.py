@@ -1,4 +1,4 @@
-"""The messages of an episode for Foxglove and ROS people: topics, frames and values. Pure; encodes nothing.
+"""Converts an episode to messages of Foxglove: topics, frames and values. Pure. Does not encode messages.
 
 Frames: `world` (REP 103, z up), `base_link`, `front_optical` (z forward, x right, y down). Times count from frame 0.
 """
@@ -22,12 +22,12 @@ from schemas.scene import CompiledScene, Target
 __all__ = [
     "OPTICAL_FROM_BASE",
     "TOPICS",
-    "Said",
+    "TopicMessage",
     "calibration",
     "measured_twists",
-    "say_motion",
-    "say_still",
+    "motion_messages",
     "stamp_of",
+    "static_messages",
 ]
 
 WORLD, BASE, OPTICAL = "world", "base_link", "front_optical"
@@ -55,37 +55,39 @@ TOPICS: Mapping[str, str] = MappingProxyType(
         "/map": "foxglove.Grid",
     }
 )
-"""Topic -> message; the planned path is there for experts that plan."""
+"""Topic -> message type; `/path/planned` exists for experts that plan."""
 
 
-class Said(NamedTuple):
-    """A message before it is encoded."""
+class TopicMessage(NamedTuple):
+    """Message of a topic before it is encoded."""
 
     topic: str
     values: Mapping[str, Any]
 
 
 def stamp_of(t: int, hz: int) -> int:
-    """Returns the time of frame t in nanoseconds since frame 0."""
+    """Returns the time of frame t since frame 0, nanoseconds."""
     return t * _NANOSECONDS // hz
 
 
-def say_still(meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene) -> Iterator[Said]:
-    """Yields what stands from the first frame on: instruction, map, target, calibration, paths."""
+def static_messages(meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene) -> Iterator[TopicMessage]:
+    """Yields the messages that are published once, at frame 0: instruction, map, target, calibration, paths."""
     stamp = _timestamp(0)
-    yield Said(
+    yield TopicMessage(
         "/instruction", {"timestamp": stamp, "level": _INFO, "message": meta.job.instruction, "name": meta.episode_id}
     )
-    yield Said("/map", _say_map(scene, stamp))
-    yield Said("/target", {"entities": [_say_target(scene.info.target(meta.job.target_id), stamp)]})
-    yield Said("/path/driven", {"timestamp": stamp, "frame_id": WORLD, "poses": [_pose(row) for row in poses.tolist()]})
+    yield TopicMessage("/map", _map_message(scene, stamp))
+    yield TopicMessage("/target", {"entities": [_target_message(scene.info.target(meta.job.target_id), stamp)]})
+    yield TopicMessage(
+        "/path/driven", {"timestamp": stamp, "frame_id": WORLD, "poses": [_pose(row) for row in poses.tolist()]}
+    )
     if meta.route.planned:
         z = scene.info.floor_height_m
         planned = [_pose((x, y, z, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))) for x, y, yaw in meta.route.planned]
-        yield Said("/path/planned", {"timestamp": stamp, "frame_id": WORLD, "poses": planned})
+        yield TopicMessage("/path/planned", {"timestamp": stamp, "frame_id": WORLD, "poses": planned})
 
 
-def say_motion(
+def motion_messages(
     t: int,
     camera: CameraConfig,
     stamp_ns: int,
@@ -93,24 +95,24 @@ def say_motion(
     twist: NDArray[np.float64],
     action: NDArray[np.float32],
     tokens: NDArray[np.int16],
-) -> Iterator[Said]:
-    """Yields where the robot is at frame t, how it moves, and what it is told to do next.
+) -> Iterator[TopicMessage]:
+    """Yields the transforms, odometry and action of frame t.
 
     Args:
-        t: the frame.
-        camera: where it sits on the robot.
-        stamp_ns: since frame 0.
-        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world.
-        twist: (2,) measured v in m/s and w in rad/s.
-        action: (2,) commanded v in m/s and w in rad/s.
-        tokens: (2,) the action on the grid.
+        t: index of the frame.
+        camera: camera with its mounting pose.
+        stamp_ns: time since frame 0, nanoseconds.
+        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world frame.
+        twist: (2,) measured v (m/s) and w (rad/s).
+        action: (2,) commanded v (m/s) and w (rad/s).
+        tokens: (2,) tokens of the action.
     """
     stamp = _timestamp(stamp_ns)
     body = _pose(pose.tolist())
-    yield Said("/tf", {"transforms": [_transform(BASE, WORLD, body, stamp), _camera_transform(camera, stamp)]})
-    yield Said("/camera/calibration", {"timestamp": stamp, **calibration(camera)})
+    yield TopicMessage("/tf", {"transforms": [_transform(BASE, WORLD, body, stamp), _camera_transform(camera, stamp)]})
+    yield TopicMessage("/camera/calibration", {"timestamp": stamp, **calibration(camera)})
     v, w = (float(value) for value in twist)
-    yield Said(
+    yield TopicMessage(
         "/odom",
         {
             "timestamp": stamp,
@@ -122,7 +124,7 @@ def say_motion(
             "metadata": [{"key": "frame", "value": str(t)}],
         },
     )
-    yield Said(
+    yield TopicMessage(
         "/action",
         {
             "timestamp": stamp,
@@ -134,26 +136,26 @@ def say_motion(
     )
 
 
-def say_rgb(stamp_ns: int, png: bytes) -> Said:
-    """Returns a frame in colour, as PNG."""
+def rgb_message(stamp_ns: int, png: bytes) -> TopicMessage:
+    """Returns the message of an RGB frame, as PNG."""
     values = {"timestamp": _timestamp(stamp_ns), "frame_id": OPTICAL, "data": png, "format": "png"}
-    return Said("/camera/rgb", values)
+    return TopicMessage("/camera/rgb", values)
 
 
-def say_depth(stamp_ns: int, depth: NDArray[np.float32]) -> Said:
-    """Returns (H, W) metres along the optical axis as 32FC1; 0 where nothing was hit."""
-    return Said("/camera/depth", _raw_image(stamp_ns, "32FC1", depth.astype("<f4", copy=False)))
+def depth_message(stamp_ns: int, depth: NDArray[np.float32]) -> TopicMessage:
+    """Returns the message of a depth frame (H, W), metres along the optical axis, as 32FC1; 0 without a hit."""
+    return TopicMessage("/camera/depth", _raw_image(stamp_ns, "32FC1", depth.astype("<f4", copy=False)))
 
 
-def say_ids(stamp_ns: int, ids: NDArray[np.uint16]) -> Said:
-    """Returns (H, W) instance ids as 16UC1."""
-    return Said("/camera/ids", _raw_image(stamp_ns, "16UC1", ids.astype("<u2", copy=False)))
+def ids_message(stamp_ns: int, ids: NDArray[np.uint16]) -> TopicMessage:
+    """Returns the message of an instance id frame (H, W), as 16UC1."""
+    return TopicMessage("/camera/ids", _raw_image(stamp_ns, "16UC1", ids.astype("<u2", copy=False)))
 
 
 def calibration(camera: CameraConfig) -> dict[str, Any]:
-    """Returns the pinhole as foxglove.CameraCalibration has it, without a time.
+    """Returns the pinhole model as foxglove.CameraCalibration, without a timestamp.
 
-    The centre of the first pixel is at (0, 0) there, as in ROS and OpenCV, hence the half pixel.
+    In that message, as in ROS and OpenCV, the centre of the first pixel is at (0, 0); this requires the half pixel.
     """
     focal = FRAME_SIZE_PX / 2 / math.tan(math.radians(camera.fov_deg) / 2)
     centre = FRAME_SIZE_PX / 2 - 0.5
@@ -168,9 +170,9 @@ def calibration(camera: CameraConfig) -> dict[str, Any]:
 
 
 def measured_twists(poses: NDArray[np.float32], hz: int) -> NDArray[np.float64]:
-    """Returns (T, 2) speeds along the robot's x in m/s and yaw rates in rad/s, from each pose and the one before.
+    """Returns twists (T, 2), v along x (m/s) and yaw rate (rad/s), by backward differences of the poses.
 
-    The robot starts at rest, so that the first is zero.
+    The first twist is zero, because the robot starts at rest.
     """
     yaw = yaw_of(poses)
     steps = np.diff(poses[:, :2].astype(np.float64), axis=0)
@@ -218,7 +220,7 @@ def _raw_image(stamp_ns: int, encoding: str, image: NDArray[Any]) -> dict[str, A
     }
 
 
-def _say_map(scene: CompiledScene, stamp: dict[str, int]) -> dict[str, Any]:
+def _map_message(scene: CompiledScene, stamp: dict[str, int]) -> dict[str, Any]:
     info = scene.info
     columns = scene.occupancy.shape[1]
     x, y = info.grid_origin_m
@@ -235,7 +237,7 @@ def _say_map(scene: CompiledScene, stamp: dict[str, int]) -> dict[str, Any]:
     }
 
 
-def _say_target(target: Target, stamp: dict[str, int]) -> dict[str, Any]:
+def _target_message(target: Target, stamp: dict[str, int]) -> dict[str, Any]:
     x, y, z = target.centroid_m
     width, depth, height = target.size_m
     pose = _pose((x, y, z, 1.0, 0.0, 0.0, 0.0))

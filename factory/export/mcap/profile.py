@@ -1,4 +1,4 @@
-"""The two kinds of MCAP file: Foxglove's messages in Protobuf, or those of ROS 2 in CDR. Knows no file."""
+"""Profiles of MCAP files: messages of Foxglove in Protobuf, or of ROS 2 in CDR. Does not write files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from factory.dataset.episode import Episode
 from factory.export.mcap import messages as foxglove
 from factory.export.mcap import ros2_messages as ros2
-from factory.export.mcap.messages import Said
+from factory.export.mcap.messages import TopicMessage
 from factory.export.mcap.protobuf import descriptor_set
 from factory.export.mcap.protobuf import encode as encode_protobuf
 from factory.export.mcap.ros2_cdr import definition_of
@@ -21,7 +21,7 @@ from schemas.scene import CompiledScene
 
 __all__ = ["FOXGLOVE", "ROS2", "Profile"]
 
-_KEPT = """\
+_LATCHED_QOS = """\
 - history: 1
   depth: 1
   reliability: 1
@@ -37,55 +37,59 @@ _KEPT = """\
     sec: 9223372036
     nsec: 854775807
   avoid_ros_namespace_conventions: false"""
-"""Quality of service of a latched topic as rosbag2 records it: reliable, transient local, the last message."""
+"""Quality of service of a latched topic in the format of rosbag2: reliable, transient local, depth 1."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """How a kind of file is written."""
+    """Profile of an MCAP file: topics, schemas, encoding and messages."""
 
     name: str
-    """Of the file's header; readers of ROS 2 demand `ros2`."""
+    """Profile in the header of the file; ROS 2 readers require `ros2`."""
     schema_encoding: str
     message_encoding: str
     topics: Mapping[str, str]
-    """Topic -> name of the message."""
+    """Topic -> message type."""
     schema_of: Callable[[str], bytes]
-    """Message -> what its schema record holds."""
+    """Message type -> data of its schema record."""
     encode: Callable[[str, Mapping[str, Any]], bytes]
-    """Message and values -> bytes."""
-    still: Callable[[Episode, CompiledScene, int], Iterator[Said]]
-    """Episode, scene and time of frame 0 in nanoseconds -> messages that stand from the first frame on."""
-    at: Callable[[Episode, int, int, NDArray[np.float64], bool], Iterator[Said]]
-    """Episode, frame, its time, (2,) measured twist and whether to show images -> messages of the frame."""
+    """Message type and values -> bytes."""
+    static_messages: Callable[[Episode, CompiledScene, int], Iterator[TopicMessage]]
+    """Episode, scene and time of frame 0 (nanoseconds) -> messages that are published once."""
+    frame_messages: Callable[[Episode, int, int, NDArray[np.float64], bool], Iterator[TopicMessage]]
+    """Episode, frame, time of the frame, measured twist (2,) and whether to add images -> messages of the frame."""
     facts_of_topic: Callable[[str], dict[str, str]] = lambda _topic: {}
     """Topic -> metadata of its channel."""
 
 
-def _foxglove_still(episode: Episode, scene: CompiledScene, _stamp_ns: int) -> Iterator[Said]:
-    return foxglove.say_still(episode.meta, episode.poses, scene)
+def _foxglove_static(episode: Episode, scene: CompiledScene, _stamp_ns: int) -> Iterator[TopicMessage]:
+    return foxglove.static_messages(episode.meta, episode.poses, scene)
 
 
 def _foxglove_at(
     episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool
-) -> Iterator[Said]:
+) -> Iterator[TopicMessage]:
     camera = episode.meta.job.camera
-    yield from foxglove.say_motion(t, camera, stamp_ns, episode.poses[t], twist, episode.actions[t], episode.tokens[t])
+    yield from foxglove.motion_messages(
+        t, camera, stamp_ns, episode.poses[t], twist, episode.actions[t], episode.tokens[t]
+    )
     if with_images:
-        yield foxglove.say_rgb(stamp_ns, episode.stored(f"rgb_front/{t:06d}.png"))
-        yield foxglove.say_depth(stamp_ns, episode.depth(t))
-        yield foxglove.say_ids(stamp_ns, episode.ids(t))
+        yield foxglove.rgb_message(stamp_ns, episode.stored(f"rgb_front/{t:06d}.png"))
+        yield foxglove.depth_message(stamp_ns, episode.depth(t))
+        yield foxglove.ids_message(stamp_ns, episode.ids(t))
 
 
-def _ros2_still(episode: Episode, scene: CompiledScene, stamp_ns: int) -> Iterator[Said]:
-    return ros2.say_still(episode.meta, episode.poses, scene, stamp_ns)
+def _ros2_static(episode: Episode, scene: CompiledScene, stamp_ns: int) -> Iterator[TopicMessage]:
+    return ros2.static_messages(episode.meta, episode.poses, scene, stamp_ns)
 
 
-def _ros2_at(episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool) -> Iterator[Said]:
-    yield from ros2.say_motion(stamp_ns, episode.poses[t], twist, episode.actions[t], episode.tokens[t])
+def _ros2_at(
+    episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool
+) -> Iterator[TopicMessage]:
+    yield from ros2.motion_messages(stamp_ns, episode.poses[t], twist, episode.actions[t], episode.tokens[t])
     if with_images:
         png = episode.stored(f"rgb_front/{t:06d}.png")
-        yield from ros2.say_images(stamp_ns, episode.meta.job.camera, png, episode.depth(t), episode.ids(t))
+        yield from ros2.image_messages(stamp_ns, episode.meta.job.camera, png, episode.depth(t), episode.ids(t))
 
 
 FOXGLOVE = Profile(
@@ -95,8 +99,8 @@ FOXGLOVE = Profile(
     topics=foxglove.TOPICS,
     schema_of=descriptor_set,
     encode=encode_protobuf,
-    still=_foxglove_still,
-    at=_foxglove_at,
+    static_messages=_foxglove_static,
+    frame_messages=_foxglove_at,
 )
 ROS2 = Profile(
     name="ros2",
@@ -105,7 +109,7 @@ ROS2 = Profile(
     topics=ros2.ROS2_TOPICS,
     schema_of=definition_of,
     encode=encode_cdr,
-    still=_ros2_still,
-    at=_ros2_at,
-    facts_of_topic=lambda topic: {"offered_qos_profiles": _KEPT if topic in ros2.LATCHED else ""},
+    static_messages=_ros2_static,
+    frame_messages=_ros2_at,
+    facts_of_topic=lambda topic: {"offered_qos_profiles": _LATCHED_QOS if topic in ros2.LATCHED else ""},
 )

@@ -1,6 +1,6 @@
-"""Foxglove's published messages and `minivla.Action` as Protobuf bytes, and the descriptors that readers need.
+"""Encodes messages of Foxglove and `minivla.Action` as Protobuf, and returns the descriptors that readers need.
 
-The only module that imports `protobuf` and Foxglove's generated classes. It writes messages and reads none.
+The only module that imports `protobuf` and the generated classes of Foxglove. Does not decode messages.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 __all__ = ["ACTION", "descriptor_set", "encode"]
 
 ACTION = "minivla.Action"
-"""The one message that Foxglove does not publish."""
+"""Message type that is not part of Foxglove's schemas."""
 _FIELDS = (
     ("timestamp", "TYPE_MESSAGE"),
     ("v_mps", "TYPE_DOUBLE"),
@@ -28,12 +28,12 @@ def encode(message: str, values: Mapping[str, Any]) -> bytes:
     """Returns the bytes of a message; equal values give equal bytes.
 
     Args:
-        message: its full name, e.g. `foxglove.Odometry`.
-        values: field -> value; messages as mappings, repeated fields as sequences. Fields may be left out.
+        message: full name of the message type, e.g. `foxglove.Odometry`.
+        values: field -> value; messages as mappings, repeated fields as sequences. Fields can be omitted.
 
     Raises:
-        ValueError: the message has no such field.
-        ModuleNotFoundError: Foxglove publishes no such message.
+        ValueError: the message does not have a field.
+        ModuleNotFoundError: the message type is unknown.
     """
     data: bytes = _class_of(message)(**values).SerializeToString(deterministic=True)
     return data
@@ -41,7 +41,7 @@ def encode(message: str, values: Mapping[str, Any]) -> bytes:
 
 @functools.cache
 def descriptor_set(message: str) -> bytes:
-    """Returns the FileDescriptorSet with which a reader decodes a message: its file and all files that it imports."""
+    """Returns the FileDescriptorSet of a message type: its file and all imported files."""
     from mcap_protobuf.schema import build_file_descriptor_set
 
     data: bytes = build_file_descriptor_set(_class_of(message)).SerializeToString(deterministic=True)

@@ -1,4 +1,4 @@
-"""ROS 2 messages as CDR bytes, and their definitions as text. The door to `rosbags`; knows no episode."""
+"""Encodes ROS 2 messages as CDR and returns their definitions. The only module that imports `rosbags`."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["definition_of", "encode"]
 
 _DTYPES = {"octet": "uint8", "char": "uint8", "byte": "uint8"}
 _BASE, _NAME = 1, 2
-"""`rosbags.interfaces.Nodetype`; 3 is an array, 4 a sequence."""
+"""Values of `rosbags.interfaces.Nodetype`; 3 is an array, 4 a sequence."""
 
 
 def encode(kind: str, values: Mapping[str, Any]) -> bytes:
     """Returns the bytes of a message; equal values give equal bytes.
 
     Args:
-        kind: of the message, e.g. `nav_msgs/msg/Odometry`.
-        values: field -> value; messages as mappings, arrays as sequences. Fields that are left out are zero or empty.
+        kind: message type, e.g. `nav_msgs/msg/Odometry`.
+        values: field -> value; messages as mappings, arrays as sequences. Omitted fields are zero or empty.
 
     Raises:
-        KeyError: the message or a field does not exist.
+        KeyError: the message type or a field is unknown.
     """
     store = _store()
     return bytes(store.serialize_cdr(_message(store, kind, values), kind))
@@ -31,7 +31,7 @@ def encode(kind: str, values: Mapping[str, Any]) -> bytes:
 
 @functools.cache
 def definition_of(kind: str) -> bytes:
-    """Returns the definition of a message and of all that it holds, as `ros2msg` schemas have it."""
+    """Returns the definition of a message type and of its nested types, in the format of `ros2msg` schemas."""
     text, _ = _store().generate_msgdef(kind, ros_version=2)
     return str(text).encode()
 
@@ -40,7 +40,7 @@ def definition_of(kind: str) -> bytes:
 def _store() -> Any:
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)  # the definitions in use here are those of Jazzy as well
+    return get_typestore(Stores.ROS2_HUMBLE)  # the definitions used here are equal in Jazzy
 
 
 def _message(store: Any, kind: str, values: Mapping[str, Any]) -> Any:
@@ -65,7 +65,7 @@ def _value(store: Any, field: tuple[int, Any], value: Any) -> Any:
 
 
 def _numbers(kind: str, value: Sequence[float] | bytes | None, length: int) -> Any:
-    """Returns an array of numbers, which is of zeros when nothing is given."""
+    """Returns an array of numbers; zeros by default."""
     dtype = np.dtype(_DTYPES.get(kind, kind))
     if isinstance(value, bytes):
         return np.frombuffer(value, dtype)

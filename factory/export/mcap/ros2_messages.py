@@ -1,7 +1,7 @@
-"""The messages of an episode for ROS 2: topics, frames (REP 105, 103) and values. Pure; encodes nothing.
+"""Converts an episode to messages of ROS 2: topics, frames (REP 105, 103) and values. Pure. Does not encode messages.
 
-Frames: map -> odom -> base_link -> front_camera_link -> front_camera_optical_frame. `map` is the scene's world frame,
-and as odometry is exact, `odom` coincides with it.
+Frames: map -> odom -> base_link -> front_camera_link -> front_camera_optical_frame. `map` is the world frame of the
+scene; `odom` is equal to it, because odometry is exact.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.export.mcap.messages import OPTICAL_FROM_BASE, Said, calibration
+from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibration
 from schemas.config import CameraConfig
 from schemas.episode import EpisodeMeta
 from schemas.scene import CompiledScene, Target
 
-__all__ = ["LATCHED", "ROS2_TOPICS", "say_images", "say_motion", "say_still"]
+__all__ = ["LATCHED", "ROS2_TOPICS", "image_messages", "motion_messages", "static_messages"]
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
 CAMERA, OPTICAL = "front_camera_link", "front_camera_optical_frame"
@@ -48,77 +48,81 @@ ROS2_TOPICS: Mapping[str, str] = MappingProxyType(
         "/path/planned": "nav_msgs/msg/Path",
     }
 )
-"""Topic -> message; the planned path is there for experts that plan."""
+"""Topic -> message type; `/path/planned` exists for experts that plan."""
 LATCHED = frozenset({"/tf_static", "/instruction", "/target", "/map", "/path/driven", "/path/planned"})
-"""Topics that are published once, for whoever subscribes later."""
+"""Topics that are published once, with transient-local durability."""
 
 
-def say_still(meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene, stamp_ns: int) -> Iterator[Said]:
-    """Yields what is published once, at frame 0.
+def static_messages(
+    meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene, stamp_ns: int
+) -> Iterator[TopicMessage]:
+    """Yields the messages that are published once, at frame 0.
 
     Args:
-        meta: of the episode.
-        poses: (T, 7) x, y, z, qw, qx, qy, qz of base_link in the world.
-        scene: in which it was driven.
-        stamp_ns: of frame 0.
+        meta: metadata of the episode.
+        poses: (T, 7) x, y, z, qw, qx, qy, qz of base_link in the world frame.
+        scene: scene of the episode.
+        stamp_ns: time of frame 0, nanoseconds.
     """
-    yield Said("/tf_static", {"transforms": list(_static_transforms(meta.job.camera, stamp_ns))})
-    yield Said("/instruction", {"data": meta.job.instruction})
-    yield Said("/target", {"markers": _markers(scene.info.target(meta.job.target_id), stamp_ns)})
-    yield Said("/map", _map(scene, stamp_ns))
-    yield Said("/path/driven", _path([_pose(row) for row in poses.tolist()], stamp_ns))
+    yield TopicMessage("/tf_static", {"transforms": list(_static_transforms(meta.job.camera, stamp_ns))})
+    yield TopicMessage("/instruction", {"data": meta.job.instruction})
+    yield TopicMessage("/target", {"markers": _markers(scene.info.target(meta.job.target_id), stamp_ns)})
+    yield TopicMessage("/map", _map(scene, stamp_ns))
+    yield TopicMessage("/path/driven", _path([_pose(row) for row in poses.tolist()], stamp_ns))
     if meta.route.planned:
         z = scene.info.floor_height_m
         planned = [_pose((x, y, z, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))) for x, y, yaw in meta.route.planned]
-        yield Said("/path/planned", _path(planned, stamp_ns))
+        yield TopicMessage("/path/planned", _path(planned, stamp_ns))
 
 
-def say_motion(
+def motion_messages(
     stamp_ns: int,
     pose: NDArray[np.float32],
     twist: NDArray[np.float64],
     action: NDArray[np.float32],
     tokens: NDArray[np.int16],
-) -> Iterator[Said]:
-    """Yields where the robot is at a frame, how it moves, and what it is told to do next.
+) -> Iterator[TopicMessage]:
+    """Yields the transforms, odometry and command of a frame.
 
     Args:
-        stamp_ns: of the frame.
-        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world.
-        twist: (2,) measured v in m/s and w in rad/s.
-        action: (2,) commanded v in m/s and w in rad/s.
-        tokens: (2,) the action on the grid.
+        stamp_ns: time of the frame, nanoseconds.
+        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world frame.
+        twist: (2,) measured v (m/s) and w (rad/s).
+        action: (2,) commanded v (m/s) and w (rad/s).
+        tokens: (2,) tokens of the action.
     """
     body = _pose(pose.tolist())
-    yield Said("/tf", {"transforms": [_transform(ODOM, BASE, body, stamp_ns)]})
+    yield TopicMessage("/tf", {"transforms": [_transform(ODOM, BASE, body, stamp_ns)]})
     moving = {"linear": {"x": float(twist[0])}, "angular": {"z": float(twist[1])}}
     header = _header(ODOM, stamp_ns)
-    yield Said("/odom", {"header": header, "child_frame_id": BASE, "pose": {"pose": body}, "twist": {"twist": moving}})
-    yield Said("/cmd_vel", {"linear": {"x": float(action[0])}, "angular": {"z": float(action[1])}})
-    yield Said("/action_tokens", {"data": tokens.astype(np.uint8)})
+    yield TopicMessage(
+        "/odom", {"header": header, "child_frame_id": BASE, "pose": {"pose": body}, "twist": {"twist": moving}}
+    )
+    yield TopicMessage("/cmd_vel", {"linear": {"x": float(action[0])}, "angular": {"z": float(action[1])}})
+    yield TopicMessage("/action_tokens", {"data": tokens.astype(np.uint8)})
 
 
-def say_images(
+def image_messages(
     stamp_ns: int, camera: CameraConfig, png: bytes, depth: NDArray[np.float32], ids: NDArray[np.uint16]
-) -> Iterator[Said]:
+) -> Iterator[TopicMessage]:
     """Yields the images of a frame with their calibration.
 
     Args:
-        stamp_ns: of the frame.
-        camera: as a pinhole.
+        stamp_ns: time of the frame, nanoseconds.
+        camera: pinhole camera.
         png: (640, 640, 3) sRGB as PNG.
-        depth: (640, 640) metres along the optical axis, 0 where nothing was hit, which REP 117 has as +Inf.
+        depth: (640, 640) metres along the optical axis; 0 without a hit, which becomes +Inf (REP 117).
         ids: (640, 640) instance ids.
     """
     header = _header(OPTICAL, stamp_ns)
     info = _camera_info(camera, header)
     colour = {"header": header, "format": "rgb8; png compressed bgr8", "data": png}
-    yield Said("/camera/rgb/image_raw/compressed", colour)
-    yield Said("/camera/rgb/camera_info", info)
+    yield TopicMessage("/camera/rgb/image_raw/compressed", colour)
+    yield TopicMessage("/camera/rgb/camera_info", info)
     metres = np.where(depth > 0, depth, np.float32(np.inf)).astype("<f4")
-    yield Said("/camera/depth/image_raw", _image(header, "32FC1", metres))
-    yield Said("/camera/depth/camera_info", info)
-    yield Said("/camera/ids/image_raw", _image(header, "mono16", ids.astype("<u2")))
+    yield TopicMessage("/camera/depth/image_raw", _image(header, "32FC1", metres))
+    yield TopicMessage("/camera/depth/camera_info", info)
+    yield TopicMessage("/camera/ids/image_raw", _image(header, "mono16", ids.astype("<u2")))
 
 
 def _header(frame: str, stamp_ns: int) -> dict[str, Any]:

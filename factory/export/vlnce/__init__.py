@@ -1,1 +1,1 @@
-"""Exporter to VLN-CE episodes and scenes."""
+"""Format `vlnce`: episodes in the conventions of VLN-CE and Habitat, scene meshes as glTF, and the exporter."""

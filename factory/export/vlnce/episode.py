@@ -1,7 +1,7 @@
-"""One episode in the words of VLN-CE and Habitat: axes turned, path thinned, instruction as tokens. Pure.
+"""Converts one episode to the conventions of VLN-CE and Habitat: axes, reference path, instruction tokens. Pure.
 
-Habitat's world is x right, y up, z backward (towards the viewer), and an agent looks along its own -z. Ours is x
-forward, y left, z up (REP 103), and the robot looks along +x. One rotation takes a point over: (x, y, z) -> (x, z, -y).
+The world of Habitat is x right, y up, z backward (towards the viewer); an agent faces its local -z. The world of this
+project is x forward, y left, z up (REP 103); the robot faces +x. The rotation is (x, y, z) -> (x, z, -y).
 """
 
 from __future__ import annotations
@@ -33,72 +33,72 @@ __all__ = [
 PAD, UNKNOWN = "<pad>", "<unk>"
 _WORD = re.compile(r"[a-z0-9]+|[^\sa-z0-9]")
 _SPACING_M = 0.25
-"""Distance between points of the reference path; VLN-CE's agents step so far."""
+"""Distance between points of the reference path, metres; equal to the step of VLN-CE agents."""
 
 Vector = tuple[float, float, float]
 
 
 def to_habitat(point: Sequence[float]) -> Vector:
-    """Returns a point of our world frame in Habitat's: (x, y, z) -> (x, z, -y), metres."""
+    """Converts a point from the REP 103 world frame to Habitat's: (x, y, z) -> (x, z, -y), metres."""
     x, y, z = (float(value) for value in point)
     return (x, z, -y + 0.0)
 
 
 def from_habitat(point: Sequence[float]) -> Vector:
-    """Returns a point of Habitat's world frame in ours; undoes `to_habitat`."""
+    """Converts a point from Habitat's world frame to the REP 103 world frame; inverse of `to_habitat`."""
     x, y, z = (float(value) for value in point)
     return (x, -z + 0.0, y)
 
 
 def rotation_of(yaw_rad: float) -> tuple[float, float, float, float]:
-    """Returns the quaternion (x, y, z, w) of a Habitat agent that looks along our heading `yaw_rad`.
+    """Returns the quaternion (x, y, z, w) of a Habitat agent with the REP 103 heading `yaw_rad`.
 
-    At heading 90 degrees, along our +y, the agent looks along Habitat's -z and its rotation is none.
+    At heading 90 degrees, along +y, the agent faces Habitat's -z and the rotation is the identity.
     """
     half = (yaw_rad - math.pi / 2) / 2
     return (0.0, math.sin(half), 0.0, math.cos(half))
 
 
 def thin_track(points: NDArray[np.float64], spacing_m: float = _SPACING_M) -> NDArray[np.float64]:
-    """Returns the points of a (T, 3) track that lie at least `spacing_m` apart along it, first and last included."""
+    """Returns points of a track (T, 3) with a spacing of at least `spacing_m`, with the first and the last point."""
     steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     marks = np.arange(0.0, along[-1], spacing_m)
     chosen = [int(index) for index in np.searchsorted(along, marks)]
     if len(chosen) > 1 and along[-1] - along[chosen[-1]] < spacing_m / 2:
-        chosen.pop()  # the last point takes its place
+        chosen.pop()  # replaced by the last point
     return points[list(dict.fromkeys([*chosen, len(points) - 1]))]
 
 
 def words_of(text: str) -> list[str]:
-    """Returns the lower-case words and marks of an instruction."""
+    """Returns the lower-case words and punctuation marks of an instruction."""
     return _WORD.findall(text.lower())
 
 
 def vocabulary_of(texts: Iterable[str]) -> list[str]:
-    """Returns the word list of some instructions: padding, unknown, then every word in alphabetical order."""
+    """Returns the vocabulary of instructions: padding, unknown, then all words in alphabetical order."""
     words = {word for text in texts for word in words_of(text)}
     return [PAD, UNKNOWN, *sorted(words)]
 
 
 def tokens_of_text(text: str, index: dict[str, int], length: int) -> list[int]:
-    """Returns the numbers of the words of an instruction, padded with 0 to a fixed length."""
+    """Returns the token ids of an instruction, padded with 0 to a fixed length."""
     tokens = [index.get(word, index[UNKNOWN]) for word in words_of(text)][:length]
     return tokens + [0] * (length - len(tokens))
 
 
 def scene_file(scene: str) -> str:
-    """Returns where an episode expects the mesh of its scene, below Habitat's folder of scenes."""
+    """Returns the path of the mesh of a scene, relative to Habitat's folder of scenes."""
     return f"minivla/{scene}/{scene}.glb"
 
 
 def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float32], floor_height_m: float) -> dict[str, Any]:
-    """Returns an entry of `episodes` without its tokens, which need the words of all.
+    """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
     Args:
-        meta: of the episode.
-        poses: (T, 7) of base_link in our world frame.
-        floor_height_m: of the scene; goals lie on the floor, as a navigation mesh has no other place.
+        meta: metadata of the episode.
+        poses: (T, 7) poses of base_link in the REP 103 world frame.
+        floor_height_m: height of the floor, metres; goals are on the floor, because a navigation mesh covers only it.
     """
     job, rollout = meta.job, meta.rollout
     goal_x, goal_y, _ = meta.target_centroid_m

@@ -1,6 +1,6 @@
-"""`vlnce`: evaluation episodes of VLN-CE and Habitat, `<split>/<split>.json.gz`, with the driven paths beside them.
+"""Exporter of format `vlnce`: evaluation episodes of VLN-CE and Habitat, `<split>/<split>.json.gz`, with driven paths.
 
-No frames: a simulator makes them from the scene's mesh. `factory.export.vlnce.episode` says how axes are turned.
+Writes no frames: a simulator renders them from the scene mesh. `vlnce.episode` documents the axes.
 """
 
 from __future__ import annotations
@@ -16,14 +16,7 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from factory.export.output import Output
-from factory.export.vlnce.episode import (
-    scene_file,
-    to_habitat,
-    tokens_of_text,
-    vlnce_episode,
-    vocabulary_of,
-    words_of,
-)
+from factory.export.vlnce.episode import scene_file, to_habitat, tokens_of_text, vlnce_episode, vocabulary_of, words_of
 from factory.export.vlnce.glb import encode_glb
 from factory.runs.catalog import find_package
 from schemas.scene import SceneInfo, decode_scene
@@ -48,7 +41,7 @@ _CARD = """
 
 
 class VlnceExporter(Exporter[Options, EpisodeFacts]):
-    """A piece is the entry of its episode as JSON; a split's file is written entry by entry."""
+    """Exporter of format `vlnce`. A piece is the JSON entry of its episode; split files are written entry by entry."""
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
@@ -68,7 +61,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
         return EpisodeFacts(frames=len(episode))
 
     def finish(self, export: Finish[Options, EpisodeFacts]) -> None:
-        """Writes the files of every split, the scenes' meshes and the card."""
+        """Writes the files of every split, the scene meshes and the card."""
         texts = export.dataset.metadata["instruction"].unique().to_pylist()
         words = vocabulary_of(texts)
         length = max(len(words_of(text)) for text in texts)
@@ -89,7 +82,7 @@ def _write_once(out: Output, name: str, parts: Iterator[str]) -> None:
     with (
         out.replacing(name) as part,
         part.open("wb") as file,
-        # neither name nor time in the header, so that equal episodes give equal files
+        # no name and time in the header, so that equal episodes give equal files
         gzip.GzipFile(filename="", mode="wb", fileobj=file, compresslevel=_GZIP_LEVEL, mtime=0) as packed,
     ):
         for text in parts:
@@ -97,7 +90,7 @@ def _write_once(out: Output, name: str, parts: Iterator[str]) -> None:
 
 
 def _episodes_json(pieces: Sequence[ExportPiece[EpisodeFacts]], words: list[str], length: int) -> Iterator[str]:
-    """Yields the JSON of a split in parts, so that it is never held whole."""
+    """Yields the JSON of a split in parts, in bounded memory."""
     index = {word: number for number, word in enumerate(words)}
     yield '{"episodes": ['
     for number, piece in enumerate(pieces):

@@ -1,7 +1,7 @@
-"""A compiled scene as binary glTF 2.0, for simulators that render it themselves. Only this module imports `trimesh`.
+"""Encodes a compiled scene as binary glTF 2.0 for simulators that render it. Only this module imports `trimesh`.
 
-Axes are glTF's and Habitat's: x right, y up, z backward. Colours and textures, unlit; the baked light stays out, as
-glTF has no light maps.
+Axes are those of glTF and Habitat: x right, y up, z backward. Contains unlit colours and textures, without the baked
+light, because glTF has no light maps.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _COLOUR = "COLOR_0"
 
 
 def encode_glb(scene: CompiledScene) -> bytes:
-    """Returns the visible triangles of a scene: a mesh for each texture and one for plain colours."""
+    """Returns the visible triangles of a scene as .glb: one mesh per texture and one for plain colours."""
     from trimesh import Scene
     from trimesh.exchange.gltf import export_glb
 
@@ -52,9 +52,9 @@ def _mesh_of(scene: CompiledScene, layer: int, name: str) -> Any:
 
 
 def _complete(tree: dict[str, Any]) -> None:
-    """Adds what trimesh does not write: unlit materials, and vertex colours of 16 bits (its own have 8).
+    """Adds unlit materials and 16-bit vertex colours, which trimesh does not write.
 
-    trimesh writes the attribute `COLOR_0` as one of an application's, with an underscore and not normalized.
+    trimesh writes the attribute `COLOR_0` as application-specific, with an underscore and not normalized.
     """
     tree["extensionsUsed"] = [_UNLIT]
     for material in tree["materials"]:
@@ -78,7 +78,7 @@ def _colours_of(scene: CompiledScene, vertices: NDArray[np.int64]) -> NDArray[np
 
 
 def _linear(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Returns sRGB as linear 0..1; vertex colours of glTF are linear, its textures are not."""
+    """Converts sRGB to linear 0..1; glTF vertex colours are linear, glTF textures are sRGB."""
     values = colours / 255.0
     curve: NDArray[np.float64] = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
     return curve

@@ -1,6 +1,6 @@
 """Authors the four built-in scenes as USD from a seed: office, hospital and two warehouses.
 
-Never imports USD back, compiles or simulates; a user's own USD takes the same road from the importer on.
+Does not compile or simulate. The importer reads the result like any USD stage of a user.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from types import MappingProxyType
 
 import numpy as np
 
-from factory.scenes.author.layout_hospital import lay_out_hospital
-from factory.scenes.author.layout_office import lay_out_office
-from factory.scenes.author.layout_warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
+from factory.scenes.author.layouts.hospital import lay_out_hospital
+from factory.scenes.author.layouts.office import lay_out_office
+from factory.scenes.author.layouts.warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
 from factory.scenes.author.placement import FloorPlan
 from schemas.errors import UsageError
 
 __all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_scene"]
 
 AUTHOR_VERSION = "17"
-"""Changes whenever the same (name, seed) would give another scene; part of the compiled scenes' cache key."""
+"""Version of the authoring; incremented when the same (name, seed) gives another scene. Part of the cache key."""
 
 
 @dataclass(frozen=True)
 class BuiltinScene:
-    """One scene that ships with the factory.
+    """Built-in scene of the factory.
 
     Attributes:
-        name: as used in plans and on the command line.
+        name: name in plans and on the command line.
         summary: one line for listings.
         metres_per_unit: length of a unit in the written stage, metres.
-        lay_out: fills a plan.
+        lay_out: function that fills a floor plan.
     """
 
     name: str
@@ -75,7 +75,7 @@ def author_scene(name: str, seed: int, directory: Path) -> Path:
         Path of the root layer.
 
     Raises:
-        UsageError: no built-in scene has that name.
+        UsageError: `name` is not a built-in scene.
     """
     scene = BUILTIN_SCENES.get(name)
     if scene is None:
@@ -87,7 +87,7 @@ def author_scene(name: str, seed: int, directory: Path) -> Path:
 
 
 def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:
-    """The laid-out plan of a scene, before it is written."""
+    """Returns the floor plan of a scene without writing it."""
     plan = FloorPlan(seed, np.random.default_rng([seed, zlib.crc32(scene.name.encode())]))
     scene.lay_out(plan)
     return plan

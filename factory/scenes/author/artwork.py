@@ -1,6 +1,6 @@
-"""Drawn textures: monitor screens, posters, signs, marker scribbles, book spines, window views, hazard stripes.
+"""Recipes of drawn textures: monitor screens, posters, signs, scribbles, book spines, window views, hazard stripes.
 
-Each recipe turns a generator into 512 px square sRGB pixels; never reads or writes a file.
+Each recipe draws a square sRGB image of 512 px from a random generator. Does not read or write files.
 """
 
 from __future__ import annotations

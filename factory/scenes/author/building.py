@@ -1,6 +1,6 @@
-"""A building with one straight corridor and rooms on both sides: the shell of the office and of the hospital.
+"""Builds a building with one straight corridor and rooms on both sides, for the office and the hospital.
 
-Builds floors, walls, doors, windows and ceilings from a list of cells; never furnishes a room.
+Builds floors, walls, doors, windows and ceilings from a list of cells. Does not place furniture.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GRIP = painted("Steel", 0.35, 1.0)
 
 @dataclass(frozen=True)
 class Style:
-    """How a kind of room looks: floor, wall paint, whether it has windows, what runs along its walls."""
+    """Style of a kind of room: floor, wall paint, windows and trim."""
 
     floor: SurfaceMaterial
     paint: SurfaceMaterial
@@ -35,7 +35,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Cell:
-    """One room still to be built: kind, least width in metres and clear door width in metres."""
+    """Specification of a room: kind, minimum width and clear door width, metres."""
 
     kind: str
     width: float
@@ -44,14 +44,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Room:
-    """One built room.
+    """Room of the building.
 
     Attributes:
-        kind: what it is for.
+        kind: use of the room.
         area: floor between the wall faces, metres.
-        door: its door in the corridor wall.
-        outer: wall letter away from the corridor, N or S.
-        inner: wall letter towards the corridor.
+        door: door in the corridor wall.
+        outer: side of the outer wall, N or S.
+        inner: side of the corridor wall.
     """
 
     kind: str
@@ -62,7 +62,7 @@ class Room:
 
 
 def divide(rng: Generator, cells: Sequence[Cell], length: float) -> list[tuple[Cell, float, float]]:
-    """Stretches the cells' widths, each by its own random share, until they fill `length` metres."""
+    """Increases the widths of the cells by random shares until they fill `length` metres."""
     weights = [cell.width * float(rng.uniform(0.95, 1.1)) for cell in cells]
     spans: list[tuple[Cell, float, float]] = []
     x = 0.0
@@ -88,8 +88,8 @@ def build_wings(
         size: outer width (x) and depth (y), metres.
         corridor: lower and upper y of the corridor, metres.
         wings: cells with their x span, for "S" and "N".
-        styles: looks by room kind, "corridor" included.
-        height: of all walls, metres.
+        styles: style by room kind, with "corridor".
+        height: height of all walls, metres.
 
     Returns:
         The rooms, south wing first.
@@ -116,7 +116,7 @@ def _build_wing(
     styles: dict[str, Style],
     height: float,
 ) -> list[Room]:
-    """One row of rooms between the outer wall and the corridor."""
+    """Builds one row of rooms between the outer wall and the corridor."""
     is_south = side == "S"
     outer_y, inner_y = depth if is_south else depth[::-1]
     hall_paint, rooms = styles["corridor"].paint, []
@@ -147,7 +147,7 @@ def _build_wing(
 
 
 def _facing(is_south: bool, first: Trim | None, second: Trim | None) -> tuple[Trim | None, Trim | None]:
-    """The two trims of a wall along x in the order of its faces, for the south wing or turned for the north."""
+    """Returns the two trims of a wall along x in the order of its faces; swapped for the north wing."""
     return (first, second) if is_south else (second, first)
 
 
@@ -157,7 +157,7 @@ def _draw_door(rng: Generator, cell: Cell, x0: float, x1: float) -> Doorway:
 
 
 def _hang_leaves(plan: FloorPlan, room: Room) -> None:
-    """Door leaves folded open against the corridor wall, on each side of the door where they fit."""
+    """Adds open door leaves against the corridor wall, on each side of the door where they fit."""
     width = room.door.width if room.door.width <= 1.3 else room.door.width / 2
     face, into = (room.area.y1, -1.0) if room.inner == "N" else (room.area.y0, 1.0)
     sides = (1.0, -1.0) if width < room.door.width else (1.0 if plan.rng.random() < 0.5 else -1.0,)
@@ -178,9 +178,9 @@ def _hang_leaves(plan: FloorPlan, room: Room) -> None:
 
 
 def _hang_windows(plan: FloorPlan, room: Room) -> None:
-    """As many windows as the outer wall holds at a pitch of about 2.2 m."""
+    """Adds windows to the outer wall at a pitch of about 2.2 m."""
     count = max(1, int(room.area.width // 2.3))
-    model = plan.workshop.model("SM_Window", 0)
+    model = plan.props.model("SM_Window", 0)
     for index in range(count):
         x = room.area.x0 + (index + 0.5) * room.area.width / count
         y = room.area.y0 if room.outer == "S" else room.area.y1

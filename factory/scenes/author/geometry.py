@@ -1,7 +1,7 @@
-"""Solid building blocks of the authored scenes: boxes, cushions, lathes, rods, cards, as polygon meshes in metres.
+"""Builds the basic polygon meshes of the built-in scenes: boxes, cushions, lathes, rods, cards, in metres.
 
-All are wound counter-clockwise seen from outside; solids are closed, unless a name says what is left out. Never draws
-a random number, never knows a material.
+All faces are counter-clockwise seen from outside; solids are closed unless their name states otherwise. Does not use
+random numbers or materials.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class AuthoredMesh:
-    """Polygons over shared points; `st` is None where texture coordinates come from box projection.
+    """Polygon mesh with shared points.
 
     Attributes:
         points: (n, 3) float64, metres, z up.
         counts: (m,) corners per polygon.
         indices: (k,) point of each corner.
-        st: (k, 2) texture coordinates in [0, 1] per corner, or None for metres by projection.
+        st: (k, 2) texture coordinates in [0, 1] per corner, or None for box projection in metres.
     """
 
     points: Floats
@@ -65,7 +65,7 @@ def _mesh(points: Floats, faces: Sequence[Sequence[int]], st: Floats | None = No
 
 
 def loft(rings: Floats) -> AuthoredMesh:
-    """Skins a stack of rings and closes both ends.
+    """Builds a loft through a stack of rings, with both ends closed.
 
     Args:
         rings: (m, n, 3) metres; each ring counter-clockwise seen from the end of the stack.
@@ -84,27 +84,27 @@ def loft(rings: Floats) -> AuthoredMesh:
 
 
 def block(low: Vector, high: Vector) -> AuthoredMesh:
-    """An axis-aligned box between two corners."""
+    """Returns an axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     outline = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     return loft(np.array([[(x, y, z) for x, y in outline] for z in (z0, z1)]))
 
 
 def fitted_block(low: Vector, high: Vector) -> AuthoredMesh:
-    """A box whose every face shows the whole texture once, upright on the sides."""
+    """Returns a box whose faces each show the whole texture once, upright on the sides."""
     plain = block(low, high)
     wall = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
     return AuthoredMesh(plain.points, plain.counts, plain.indices, np.array(wall * 6))
 
 
 def open_block(low: Vector, high: Vector, faces: str, fitted: bool = False) -> AuthoredMesh:
-    """A box of some of its faces, where nobody sees the others.
+    """Returns a box with some of its faces; the others are not visible.
 
     Args:
-        low: corner, metres.
-        high: the corner opposite, metres.
-        faces: of S (towards -y), E (+x), N (+y), W (-x), B (below), T (above).
-        fitted: each face shows the whole texture once.
+        low: lower corner, metres.
+        high: upper corner, metres.
+        faces: letters of the faces: S (towards -y), E (+x), N (+y), W (-x), B (below), T (above).
+        fitted: whether each face shows the whole texture once.
     """
     whole = fitted_block(low, high) if fitted else block(low, high)
     corners = 4 * np.array(["SENWBT".index(face) for face in faces])[:, None] + np.arange(4)
@@ -113,17 +113,17 @@ def open_block(low: Vector, high: Vector, faces: str, fitted: bool = False) -> A
 
 
 def standing_block(low: Vector, high: Vector, fitted: bool = False, lid: bool = True) -> AuthoredMesh:
-    """A box that stands on something: without the bottom that nobody sees and, covered itself, without a lid."""
+    """Returns a box without its bottom face and optionally without its top face, which are not visible."""
     return open_block(low, high, "SENWT" if lid else "SENW", fitted)
 
 
 def uncapped(mesh: AuthoredMesh) -> AuthoredMesh:
-    """A loft, cylinder, rod or tube without its two ends, where they end in something else."""
+    """Returns a loft, cylinder, rod or tube without its two end faces."""
     return AuthoredMesh(mesh.points, mesh.counts[:-2], mesh.indices[: -int(mesh.counts[-2:].sum())])
 
 
 def cushion(low: Vector, high: Vector, bevel: float) -> AuthoredMesh:
-    """A box with all edges chamfered by `bevel` metres."""
+    """Returns a box with all edges chamfered by `bevel` metres."""
     (x0, y0, z0), (x1, y1, z1) = low, high
 
     def octagon(inset: float, z: float) -> list[Vector]:
@@ -139,7 +139,7 @@ def cushion(low: Vector, high: Vector, bevel: float) -> AuthoredMesh:
 
 
 def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> AuthoredMesh:
-    """A box with its upper edges chamfered by `bevel` metres, a loose one's lower edges too: a cheap cushion."""
+    """Returns a box with its upper edges chamfered by `bevel` metres, and also its lower edges if `is_loose`."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     under = [(bevel, z0), (0.0, z0 + bevel)] if is_loose else [(0.0, z0)]
     levels = [*under, (0.0, z1 - bevel), (bevel, z1)]
@@ -152,7 +152,7 @@ def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> Auth
 def lathe(
     profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14
 ) -> AuthoredMesh:
-    """Turns a profile of (radius, z), listed bottom to top, around the vertical through `at`."""
+    """Revolves a profile of (radius, z), listed bottom to top, around the vertical axis through `at`."""
     angle = 2 * math.pi * np.arange(sides) / sides
     circle = np.stack([portable.cos(angle), portable.sin(angle)], axis=1)
     rings = np.empty((len(profile), sides, 3))
@@ -170,12 +170,12 @@ def cylinder(
     sides: int = 14,
     top: float | None = None,
 ) -> AuthoredMesh:
-    """An upright cylinder, or a cone frustum when `top` radius is given."""
+    """Returns an upright cylinder, or a cone frustum if the `top` radius is given."""
     return lathe([(radius, z0), (radius if top is None else top, z1)], at, sides)
 
 
 def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> AuthoredMesh:
-    """A round bar along a polyline; each ring lies across the mean of its neighbouring directions."""
+    """Returns a round bar along a polyline; each ring is perpendicular to the mean of the adjacent directions."""
     points = np.array(path, dtype=np.float64)
     steps = np.diff(points, axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
@@ -194,12 +194,12 @@ def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> AuthoredMesh:
 
 
 def rod(start: Vector, end: Vector, radius: float, sides: int = 6) -> AuthoredMesh:
-    """A straight round bar between two points."""
+    """Returns a straight round bar between two points."""
     return tube([start, end], radius, sides)
 
 
 def quad(corners: Sequence[Vector]) -> AuthoredMesh:
-    """One rectangle seen from its front, showing the whole texture once.
+    """Returns a one-sided rectangle that shows the whole texture once.
 
     Args:
         corners: lower left, lower right, upper right, upper left, as seen from the front.
@@ -208,7 +208,7 @@ def quad(corners: Sequence[Vector]) -> AuthoredMesh:
 
 
 def card(outline: Sequence[Vector]) -> AuthoredMesh:
-    """A thin polygon visible from both sides, such as a leaf or a sheet of paper."""
+    """Returns a thin polygon that is visible from both sides, such as a leaf or a sheet of paper."""
     front = list(range(len(outline)))
     return _mesh(np.array(outline, dtype=np.float64), [front, front[::-1]])
 
@@ -228,18 +228,18 @@ def moved(
 
 
 def bounds(meshes: Sequence[AuthoredMesh]) -> tuple[Floats, Floats]:
-    """Lowest and highest corner over all meshes, metres."""
+    """Returns the lower and upper corner of all meshes, metres."""
     points = np.concatenate([mesh.points for mesh in meshes])
     return points.min(axis=0), points.max(axis=0)
 
 
 def triangle_count(mesh: AuthoredMesh) -> int:
-    """How many triangles the polygons make when fanned."""
+    """Returns the number of triangles of the fan triangulation."""
     return int(np.sum(mesh.counts - 2))
 
 
 def merge(meshes: Sequence[AuthoredMesh], tile_m: float) -> AuthoredMesh:
-    """Joins meshes of one material; projected coordinates become multiples of `tile_m` metres."""
+    """Joins meshes of one material; divides projected texture coordinates by `tile_m` metres."""
     offsets = np.cumsum([0] + [len(mesh.points) for mesh in meshes])
     return AuthoredMesh(
         np.concatenate([mesh.points for mesh in meshes]),
@@ -250,7 +250,7 @@ def merge(meshes: Sequence[AuthoredMesh], tile_m: float) -> AuthoredMesh:
 
 
 def _project(mesh: AuthoredMesh) -> Floats:
-    """Texture coordinates in metres: each polygon is seen along its dominant normal axis."""
+    """Returns texture coordinates in metres, projected along the dominant axis of each polygon's normal."""
     corners = mesh.points[mesh.indices]
     starts = np.concatenate([[0], np.cumsum(mesh.counts)[:-1]])
     following = np.arange(len(corners)) + 1

@@ -1,6 +1,6 @@
-"""Surface materials of the authored scenes: a plain colour or a tiled texture, plus how rough and bright it is.
+"""Surface materials of the built-in scenes: plain colour or tiled texture, roughness, metallic and emission.
 
-Holds colours as sRGB hex, as a designer reads them; never generates pixels and never touches USD.
+Colours are sRGB hex strings. Does not draw textures and does not write USD.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ __all__ = ["PAINTS", "PropPiece", "SurfaceMaterial", "glowing", "linear_rgb", "p
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """What a surface looks like.
+    """Appearance of a surface.
 
     Attributes:
-        name: unique within a scene; becomes the prim name `M_<name>`.
-        colour: sRGB "#rrggbb"; for textured materials only a hint for viewers without textures.
+        name: name that is unique within a scene; the prim is `M_<name>`.
+        colour: sRGB "#rrggbb"; for textured materials, the fallback of viewers without textures.
         texture: name of a texture recipe, or None for plain colour.
-        tile_m: metres covered by one repeat of the texture.
-        roughness: 0 mirror to 1 chalk.
+        tile_m: length of one repeat of the texture, metres.
+        roughness: roughness, 0..1.
         metallic: 0 or 1.
-        glow: emitted share of the colour, 0 for ordinary surfaces.
-        tint: sRGB "#rrggbb" that multiplies the texture, or None.
+        glow: emitted share of the colour; 0 for surfaces without emission.
+        tint: sRGB "#rrggbb" factor of the texture, or None.
     """
 
     name: str
@@ -39,7 +39,7 @@ class SurfaceMaterial:
 
 @dataclass(frozen=True)
 class PropPiece:
-    """A mesh with its material."""
+    """Mesh with its material."""
 
     material: SurfaceMaterial
     mesh: AuthoredMesh
@@ -71,32 +71,32 @@ PAINTS = {
     "Chrome": "#c9ced2",
     "Rubber": "#2a2a2c",
 }
-"""Plain paints by name, sRGB."""
+"""Paint name -> sRGB colour."""
 
 
 def painted(paint: str, roughness: float = 0.6, metallic: float = 0.0) -> SurfaceMaterial:
-    """The plain material of a named paint."""
-    shine = "" if (roughness, metallic) == (0.6, 0.0) else f"_r{round(roughness * 100)}m{round(metallic)}"
-    return SurfaceMaterial(paint + shine, PAINTS[paint], roughness=roughness, metallic=metallic)
+    """Returns the plain material of a named paint."""
+    finish = "" if (roughness, metallic) == (0.6, 0.0) else f"_r{round(roughness * 100)}m{round(metallic)}"
+    return SurfaceMaterial(paint + finish, PAINTS[paint], roughness=roughness, metallic=metallic)
 
 
 def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -> SurfaceMaterial:
-    """A material that repeats a texture every `tile_m` metres."""
+    """Returns a material that repeats a texture every `tile_m` metres."""
     return SurfaceMaterial(texture, colour, texture, tile_m, roughness)
 
 
 def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> SurfaceMaterial:
-    """A material that multiplies a light texture with a colour, so that many paints share one picture."""
+    """Returns a material that multiplies a light texture with a colour, so that paints share one texture."""
     return SurfaceMaterial(name, colour, texture, tile_m, roughness, tint=colour)
 
 
 def glowing(name: str, colour: str, texture: str | None = None, glow: float = 1.0) -> SurfaceMaterial:
-    """A surface that shines by itself: lamp panels, lit screens, daylight windows."""
+    """Returns an emissive material, for lamp panels, screens and daylight windows."""
     return SurfaceMaterial(name, colour, texture, glow=glow)
 
 
 def linear_rgb(colour: str) -> tuple[float, float, float]:
-    """Converts sRGB "#rrggbb" to linear RGB in [0, 1] (IEC 61966-2-1), as UsdPreviewSurface wants it."""
+    """Converts sRGB "#rrggbb" to linear RGB in [0, 1] (IEC 61966-2-1), as UsdPreviewSurface requires."""
     channels = [int(colour[start : start + 2], 16) / 255 for start in (1, 3, 5)]
     red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels)
     return red, green, blue

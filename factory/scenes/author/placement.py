@@ -1,6 +1,6 @@
-"""The plan of a scene under construction: structures, props and the free floor between them.
+"""Floor plan of a scene during authoring: structures, props and free floor.
 
-Keeps door zones and furniture footprints apart, as axis-aligned rectangles in metres; never renders or writes.
+Keeps door zones and furniture footprints disjoint, as axis-aligned rectangles in metres. Does not write USD.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from typing import NamedTuple
 
 from numpy.random import Generator
 
-from factory.scenes.author.catalogue import PropModel, Workshop
 from factory.scenes.author.materials import PropPiece
+from factory.scenes.author.props.catalogue import PropBuilder, PropModel
 
 __all__ = ["FACING", "FloorPlan", "PropPlacement", "Rectangle", "Structure", "wall_pose"]
 
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
-"""Yaw in radians of a prop whose back is to that wall; at yaw 0 a prop faces -y, its back is to the north."""
+"""Wall -> yaw of a prop with its back to that wall, radians. At yaw 0 a prop faces -y, with its back to the north."""
 
 SMALL_HALF_WIDTH_M = 0.3
 SMALL_STANDOFF_M = 0.30
-"""Small things stand with their centre this far from a wall, so that a robot may come along the wall."""
+"""Distance of the centre of small props from a wall, metres, so that the robot can drive along the wall."""
 
 
 class Rectangle(NamedTuple):
-    """An axis-aligned piece of floor, metres."""
+    """Axis-aligned rectangle on the floor, metres."""
 
     x0: float
     y0: float
@@ -35,29 +35,29 @@ class Rectangle(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Extent along x."""
+        """Extent along x, metres."""
         return self.x1 - self.x0
 
     @property
     def depth(self) -> float:
-        """Extent along y."""
+        """Extent along y, metres."""
         return self.y1 - self.y0
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Middle point."""
+        """Centre x, y, metres."""
         return (self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2
 
     def grown(self, margin: float) -> Rectangle:
-        """The rectangle with `margin` metres added on every side."""
+        """Returns the rectangle with `margin` metres added on every side."""
         return Rectangle(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
 
     def overlaps(self, other: Rectangle) -> bool:
-        """Whether the interiors meet."""
+        """Returns whether the interiors intersect."""
         return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
 
     def contains(self, other: Rectangle) -> bool:
-        """Whether the other lies inside, up to a millimetre."""
+        """Returns whether the other rectangle is inside, with a tolerance of a millimetre."""
         eps = 1e-3
         return (
             self.x0 - eps <= other.x0
@@ -69,7 +69,7 @@ class Rectangle(NamedTuple):
 
 @dataclass(frozen=True)
 class Structure:
-    """A part of the building: prim name and pieces in world metres."""
+    """Part of the building: prim name and pieces in world metres."""
 
     name: str
     pieces: tuple[PropPiece, ...]
@@ -77,7 +77,7 @@ class Structure:
 
 @dataclass(frozen=True)
 class PropPlacement:
-    """One prop in the world: unique prim name, model, position in metres and yaw in radians."""
+    """Placed prop: unique prim name, model, position in metres and yaw in radians."""
 
     name: str
     model: PropModel
@@ -89,33 +89,33 @@ class PropPlacement:
 
 @dataclass
 class FloorPlan:
-    """A scene while it is being laid out; placements that do not fit are refused, not forced."""
+    """Scene during authoring. Placements that do not fit are rejected."""
 
     seed: int
     rng: Generator
-    workshop: Workshop = field(init=False)
+    props: PropBuilder = field(init=False)
     structures: list[Structure] = field(default_factory=list)
     placements: list[PropPlacement] = field(default_factory=list)
     taken: list[Rectangle] = field(default_factory=list)
     kept_clear: list[Rectangle] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.workshop = Workshop(self.seed)
+        self.props = PropBuilder(self.seed)
 
     def build(self, name: str, *pieces: PropPiece) -> None:
         """Adds a part of the building under a numbered name."""
         self.structures.append(Structure(f"{name}_{len(self.structures):03d}", pieces))
 
     def keep_clear(self, zone: Rectangle) -> None:
-        """Forbids furniture on a piece of floor, such as a door's swing."""
+        """Excludes a rectangle of the floor from furniture, such as the zone of a door."""
         self.kept_clear.append(zone)
 
     def pick(self, count: int) -> int:
-        """A random variant number below `count`."""
+        """Returns a random variant number below `count`."""
         return int(self.rng.integers(count))
 
     def add(self, model: PropModel, x: float, y: float, yaw: float, z: float = 0.0) -> PropPlacement:
-        """Places a model without asking for room: on desks, on walls, under ceilings."""
+        """Places a model without a collision test: on desks, on walls, under ceilings."""
         placement = PropPlacement(f"{model.name}_{len(self.placements)}", model, x, y, z, yaw)
         self.placements.append(placement)
         return placement
@@ -133,16 +133,16 @@ class FloorPlan:
         """Places a model on the floor if its footprint fits.
 
         Args:
-            model: what to place.
-            x: position of the model's origin, metres.
-            y: the same along y.
-            yaw: heading in radians, counter-clockwise.
-            room: rectangle the footprint must lie in, or None.
-            clearance: metres to keep to other furniture.
-            share: True for things that may touch furniture, such as chairs under a table; doors still count.
+            model: model to place.
+            x: x of the model's origin, metres.
+            y: y of the model's origin, metres.
+            yaw: heading, radians, counter-clockwise.
+            room: rectangle that must contain the footprint, or None.
+            clearance: minimum distance to other furniture, metres.
+            share: whether the model may touch furniture, such as a chair under a table; door zones still apply.
 
         Returns:
-            The placement, or None when it would stand in the way.
+            The placement, or None if the footprint does not fit.
         """
         print_ = footprint(model, x, y, yaw)
         if room is not None and not room.contains(print_):
@@ -166,12 +166,12 @@ class FloorPlan:
         """Places a model with its back to a wall of the room.
 
         Args:
-            model: what to place.
+            model: model to place.
             room: free rectangle between the walls.
-            side: N, E, S or W.
-            along: 0 to 1 from the west or south end of that wall.
-            clearance: metres to keep to other furniture.
-            gap: metres between wall and back.
+            side: side of the wall: N, E, S or W.
+            along: position along the wall, 0..1 from its west or south end.
+            clearance: minimum distance to other furniture, metres.
+            gap: distance between wall and back, metres.
         """
         x, y, yaw = wall_pose(model, room, side, along, gap)
         return self.place(model, x, y, yaw, None, clearance)
@@ -179,7 +179,7 @@ class FloorPlan:
     def against_somewhere(
         self, model: PropModel, room: Rectangle, sides: str, clearance: float = 0.1, tries: int = 12
     ) -> PropPlacement | None:
-        """Like `against`, trying random places along random ones of the given sides."""
+        """Calls `against` with random positions along random walls of the given sides until a placement fits."""
         for _ in range(tries):
             side = sides[self.pick(len(sides))]
             found = self.against(model, room, side, float(self.rng.uniform(0.04, 0.96)), clearance)
@@ -188,7 +188,7 @@ class FloorPlan:
         return None
 
     def hang(self, model: PropModel, room: Rectangle, side: str, along: float) -> PropPlacement | None:
-        """Hangs a model on a wall, beside what is already there; None when no free stretch is found."""
+        """Mounts a model on a wall beside other models, or returns None if no free section is found."""
         for _ in range(6):
             x, y, yaw = wall_pose(model, room, side, along, 0.0)
             if not self._meets_anything(model, x, y, yaw):
@@ -197,7 +197,7 @@ class FloorPlan:
         return None
 
     def _meets_anything(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
-        """Whether the turned model's box, with 5 cm around it, meets any placed model's box."""
+        """Returns whether the rotated box of the model, with a margin of 5 cm, intersects the box of a placed model."""
         print_ = footprint(model, x, y, yaw).grown(0.05)
         return any(
             other.model.low[2] + other.z < model.high[2]
@@ -222,12 +222,12 @@ class FloorPlan:
         return None
 
     def top_up(self, name: str, minimum: int, areas: Sequence[Rectangle], sides: str = "EW") -> None:
-        """Adds models against walls, ever closer to other furniture, until `minimum` of them stand.
+        """Adds models against walls, with decreasing clearance, until the scene has `minimum` of them.
 
         Args:
-            name: catalogue name; every addition draws its own variant.
-            minimum: how many the scene must have.
-            areas: rooms to try, each in random order.
+            name: catalogue name; each model has a random variant.
+            minimum: minimum number in the scene.
+            areas: rooms to try, in random order.
             sides: walls to use.
         """
         standing = sum(placement.model.name.startswith(name) for placement in self.placements)
@@ -235,12 +235,12 @@ class FloorPlan:
             for room in self.rng.permutation(len(areas)):
                 if standing >= minimum:
                     return
-                model = self.workshop.model(name, self.pick(12))
+                model = self.props.model(name, self.pick(12))
                 standing += self.against_somewhere(model, areas[room], sides, clearance) is not None
 
 
 def footprint(model: PropModel, x: float, y: float, yaw: float) -> Rectangle:
-    """The axis-aligned rectangle a turned model covers, metres."""
+    """Returns the axis-aligned footprint of a rotated model, metres."""
     c, s = math.cos(yaw), math.sin(yaw)
     corners = [(a, b) for a in (model.low[0], model.high[0]) for b in (model.low[1], model.high[1])]
     xs = [x + c * a - s * b for a, b in corners]
@@ -249,10 +249,10 @@ def footprint(model: PropModel, x: float, y: float, yaw: float) -> Rectangle:
 
 
 def wall_pose(model: PropModel, room: Rectangle, side: str, along: float, gap: float) -> tuple[float, float, float]:
-    """Position and yaw that put a model's back to a wall, at `along` 0..1 of what is left of the wall."""
+    """Returns the position and yaw of a model with its back to a wall, at share `along`, 0..1, of the usable length."""
     half = float(max(model.high[0], -model.low[0]))
     back = float(model.high[1]) + gap
-    if gap > 0.0 and half < SMALL_HALF_WIDTH_M and model.low[2] < 0.1:  # what hangs, hangs on the wall
+    if gap > 0.0 and half < SMALL_HALF_WIDTH_M and model.low[2] < 0.1:  # wall-mounted models touch the wall
         back = max(back, SMALL_STANDOFF_M)
     if side in "NS":
         x = room.x0 + half + along * max(room.width - 2 * half, 0.0)

@@ -1,6 +1,6 @@
-"""Walls with doors and skirting, floors, ceilings with lamps, markings: the parts every building is made of.
+"""Builds the parts of a building: walls with doors and skirting, floors, ceilings with lamps, floor markings.
 
-Adds structures to a plan, in world metres; never places furniture and never chooses where rooms are.
+Adds structures to a floor plan, in world metres. Does not place furniture and does not choose the positions of rooms.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = [
 
 WALL_THICKNESS_M = 0.12
 DOOR_CLEARANCE_M = 0.9
-"""Depth of the zone on both sides of a door that stays free of furniture."""
+"""Depth of the zone without furniture on both sides of a door, metres."""
 
 SKIRTING = painted("Charcoal", 0.5)
 DOOR_FRAME = textured("WoodOak", "#c39a66", 0.9)
@@ -40,25 +40,25 @@ SOCKET_PITCH_M = 2.8
 
 
 class Trim(NamedTuple):
-    """What runs along one face of a wall: skirting always; sockets and switches; a painted dado, a bumper rail."""
+    """Trim of one face of a wall: skirting, sockets and switches, optionally a painted dado and a bumper rail."""
 
     rail: SurfaceMaterial | None = None
-    """At 0.80-0.95 m."""
+    """Material of the bumper rail at 0.80-0.95 m, or None."""
     dado: SurfaceMaterial | None = None
-    """From the skirting to `dado_top_m`, 4 mm thick."""
+    """Material of the dado from the skirting to `dado_top_m`, 4 mm thick, or None."""
     dado_top_m: float = 0.80
     skirting: SurfaceMaterial = SKIRTING
     has_sockets: bool = True
 
 
 PLAIN = Trim()
-"""Skirting and sockets alone."""
+"""Trim with skirting and sockets only."""
 Trims = tuple[Trim | None, Trim | None]
-"""Towards lower and towards higher coordinates; None is a face that nobody sees."""
+"""Trims of the faces towards lower and towards higher coordinates; None for a face that is not visible."""
 
 
 class Doorway(NamedTuple):
-    """An opening in a wall: its centre along the wall (world coordinate), clear width and height, metres."""
+    """Opening in a wall: centre along the wall (world coordinate), clear width and height, metres."""
 
     centre: float
     width: float
@@ -66,28 +66,28 @@ class Doorway(NamedTuple):
 
 
 class _Strip(NamedTuple):
-    """Turns (along, across, z) ranges into blocks for a wall along x or y."""
+    """Converts (along, across, z) ranges to blocks of a wall along x or y."""
 
     is_along_x: bool
     at: float
 
     def box(self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> AuthoredMesh:
-        """A block that spans metres along the wall, across it from its middle, and of height."""
+        """Returns a block with ranges along the wall, across it from its centre line, and in height, metres."""
         low, high = self._corners(along, across, z)
         return block(low, high)
 
     def leaf(self, along: tuple[float, float], side: float, z: tuple[float, float]) -> AuthoredMesh:
-        """The half towards lower (side -1) or higher (+1) coordinates, without the face that the other half hides."""
+        """Returns the half towards lower (side -1) or higher (+1) coordinates, without its hidden inner face."""
         return self._backless(along, side, (0.0, WALL_THICKNESS_M / 2), z)
 
     def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:
-        """A bar on the face towards lower (side -1) or higher (+1) coordinates, without its back."""
+        """Returns a bar on the face towards lower (side -1) or higher (+1) coordinates, without its back face."""
         return self._backless(along, side, (WALL_THICKNESS_M / 2, WALL_THICKNESS_M / 2 + proud), z)
 
     def _backless(
         self, along: tuple[float, float], side: float, out: tuple[float, float], z: tuple[float, float]
     ) -> AuthoredMesh:
-        """A block from `out[0]` to `out[1]` metres off the middle, without the face towards the middle."""
+        """Returns a block from `out[0]` to `out[1]` metres off the centre line, without the face towards it."""
         near, far = sorted((side * out[0], side * out[1]))
         front = ("SN" if self.is_along_x else "WE")[side > 0]
         return open_block(*self._corners(along, (near, far), z), front + ("EWBT" if self.is_along_x else "SNBT"))
@@ -102,14 +102,14 @@ class _Strip(NamedTuple):
         return (c0, a0, z[0]), (c1, a1, z[1])
 
     def plate(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:
-        """A flat rectangle before the face towards lower (side -1) or higher (+1) coordinates, seen from outside."""
+        """Returns a rectangle in front of the face towards lower (side -1) or higher (+1) coordinates."""
         left, right = along if (side < 0) == self.is_along_x else along[::-1]
         c = self.at + side * (WALL_THICKNESS_M / 2 + proud)
         corners = [(left, z[0]), (right, z[0]), (right, z[1]), (left, z[1])]
         return quad([(a, c, height) if self.is_along_x else (c, a, height) for a, height in corners])
 
     def zone(self, along: tuple[float, float], across: tuple[float, float]) -> Rectangle:
-        """The floor that spans metres along the wall and across it from its middle."""
+        """Returns the floor rectangle with ranges along the wall and across it from its centre line, metres."""
         a0, a1 = along
         c0, c1 = self.at + across[0], self.at + across[1]
         return Rectangle(a0, c0, a1, c1) if self.is_along_x else Rectangle(c0, a0, c1, a1)
@@ -128,14 +128,14 @@ def wall(
     """Builds a wall with door openings, lintels, frames and trim, and keeps the door zones clear.
 
     Args:
-        plan: receives the structures and the clear zones.
-        is_along_x: whether the wall runs along x (else along y).
-        at: position of its centre line on the other axis, metres.
+        plan: floor plan that receives the structures and the clear zones.
+        is_along_x: whether the wall is parallel to x (else to y).
+        at: position of the centre line on the other axis, metres.
         span: start and end along the wall, metres.
-        faces: materials of the side towards lower and towards higher coordinates.
-        doors: openings, not overlapping.
-        height: metres.
-        trims: what runs along either face.
+        faces: materials of the faces towards lower and towards higher coordinates.
+        doors: openings without overlap.
+        height: height of the wall, metres.
+        trims: trims of both faces.
     """
     strip, half = _Strip(is_along_x, at), WALL_THICKNESS_M / 2
     pieces: list[PropPiece] = []
@@ -160,7 +160,7 @@ def _solid(
     faces: tuple[SurfaceMaterial, SurfaceMaterial],
     trims: Trims,
 ) -> list[PropPiece]:
-    """One unbroken stretch: two half-thick leaves and what runs along them."""
+    """Returns one wall section without openings: two leaves of half thickness, with trim."""
     if along[1] - along[0] < 1e-3:
         return []
     pieces = [
@@ -174,7 +174,7 @@ def _solid(
 
 
 def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) -> list[PropPiece]:
-    """Skirting, dado, rail and sockets on the face towards lower (side -1) or higher (+1) coordinates."""
+    """Returns skirting, dado, rail and sockets of the face towards lower (side -1) or higher (+1) coordinates."""
     start, end = along
     pieces = [PropPiece(trim.skirting, strip.applied(along, side, 0.012, (0.0, 0.09)))]
     if trim.dado is not None:
@@ -192,7 +192,7 @@ def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) ->
 
 
 def _switches(strip: _Strip, right: float, trims: Trims) -> list[PropPiece]:
-    """A light switch beside the door on each face that people see."""
+    """Returns a light switch beside the door on each visible face."""
     pieces: list[PropPiece] = []
     for trim, side in zip(trims, (-1.0, 1.0), strict=True):
         if trim is not None:
@@ -203,7 +203,7 @@ def _switches(strip: _Strip, right: float, trims: Trims) -> list[PropPiece]:
 
 
 def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list[PropPiece]:
-    """Architraves around an opening; they stand beside it, so the clear width stays as asked."""
+    """Returns the architraves around an opening; they do not reduce its clear width."""
     half = WALL_THICKNESS_M / 2 + 0.02
     parts = [
         strip.box((left - 0.08, left + 0.002), (-half, half), (0.0, height + 0.08)),
@@ -214,14 +214,14 @@ def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list
 
 
 def floor(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:
-    """Lays a floor slab whose top is at z = 0."""
+    """Adds a floor slab whose top is at z = 0."""
     plan.build("SM_Floor", PropPiece(material, block((area.x0, area.y0, -0.05), (area.x1, area.y1, 0.0))))
 
 
 def ceiling(
     plan: FloorPlan, area: Rectangle, height: float, material: SurfaceMaterial, lamp_pitch: float = 2.6
 ) -> None:
-    """Closes a room from above with a slab and a grid of lit panels 0.3 x 1.2 m."""
+    """Adds a ceiling slab with a grid of lamp panels, 0.3 x 1.2 m."""
     ceiling_slab(plan, area, height, material)
     columns, rows = max(1, round(area.width / lamp_pitch)), max(1, round(area.depth / lamp_pitch))
     pieces: list[PropPiece] = []
@@ -236,7 +236,7 @@ def ceiling(
 
 
 def _ceiling_fittings(plan: FloorPlan, area: Rectangle, height: float) -> None:
-    """An air outlet with slats and a smoke detector, off the room's middle."""
+    """Adds an air outlet with slats and a smoke detector, off the centre of the room."""
     x, y = area.x0 + 0.27 * area.width, area.y0 + 0.38 * area.depth
     slats = [_hung((x - 0.25, y - 0.24 + row * 0.08), (x + 0.25, y - 0.19 + row * 0.08), height - 0.014)
              for row in range(6)]  # fmt: skip
@@ -250,17 +250,17 @@ def _ceiling_fittings(plan: FloorPlan, area: Rectangle, height: float) -> None:
 
 
 def _hung(low: tuple[float, float], high: tuple[float, float], z: float) -> AuthoredMesh:
-    """A level rectangle that is seen from below."""
+    """Returns a horizontal rectangle that is visible from below."""
     return quad([(low[0], high[1], z), (high[0], high[1], z), (high[0], low[1], z), (low[0], low[1], z)])
 
 
 def ceiling_slab(plan: FloorPlan, area: Rectangle, height: float, material: SurfaceMaterial) -> None:
-    """Closes a room from above; nothing hangs from it."""
+    """Adds a ceiling slab without lamps."""
     plan.build("SM_Ceiling", PropPiece(material, block((area.x0, area.y0, height), (area.x1, area.y1, height + 0.05))))
 
 
 def high_bay_lamps(plan: FloorPlan, area: Rectangle, height: float, pitch: float) -> None:
-    """Roof girders along y and bell lamps hanging below them."""
+    """Adds roof girders along y with bell lamps below them."""
     columns, rows = max(1, round(area.width / pitch)), max(1, round(area.depth / pitch))
     steel, pieces = painted("Steel", 0.4, 1.0), []
     for column in range(columns):
@@ -275,6 +275,6 @@ def high_bay_lamps(plan: FloorPlan, area: Rectangle, height: float, pitch: float
 
 
 def marking(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:
-    """Paints a flat strip 2 mm above the floor, so that it is no obstacle."""
+    """Adds a flat floor marking 2 mm above the floor, so that it is not an obstacle."""
     strip = open_block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002), "T")
     plan.build("SM_Marking", PropPiece(material, strip))

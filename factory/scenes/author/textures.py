@@ -1,6 +1,6 @@
-"""Procedural surface textures: wood, carpet, tiles, concrete, fabric, cardboard and the like, 512 px square, seamless.
+"""Recipes of procedural surface textures: wood, carpet, tiles, concrete, fabric, cardboard; 512 px square, seamless.
 
-Each recipe turns a generator into sRGB pixels; never reads or writes a file.
+Each recipe draws an sRGB image from a random generator. Does not read or write files.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Pixels = npt.NDArray[np.uint8]
 
 
 def _clouds(rng: Generator, falloff: float, stretch: float = 1.0) -> Floats:
-    """Seamless noise with zero mean and unit deviation; `stretch` > 1 draws it out along u."""
+    """Returns seamless noise with zero mean and unit deviation; `stretch` > 1 elongates it along u."""
     white = np.fft.rfft2(rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE)))
     down = np.fft.fftfreq(TEXTURE_SIZE)[:, None] * TEXTURE_SIZE
     across = np.fft.rfftfreq(TEXTURE_SIZE)[None] * TEXTURE_SIZE * stretch
@@ -134,7 +134,7 @@ def _ribs(base: str, ribs: int) -> Callable[[Generator], Pixels]:
 
 
 def _plaster(rng: Generator) -> Pixels:
-    """Rolled paint: a fine orange peel with hardly any clouds, near white, for tints to multiply."""
+    """Rolled paint: a fine orange-peel texture with weak low-frequency noise, near white, for tinting."""
     tone = 0.965 + 0.012 * _clouds(rng, 0.7) + 0.006 * _clouds(rng, 1.5)
     return _shade("#ffffff", np.minimum(tone, 1.0))
 
@@ -188,7 +188,7 @@ def _carton_white(rng: Generator) -> Pixels:
 
 
 def _wrapped(rng: Generator) -> Pixels:
-    """Cartons under stretch film: a wall of boxes seen through haze, and the film's slanting folds."""
+    """Cartons under stretch film: blurred boxes and slanted folds of the film."""
     rows, columns = _grid()
     shift = (rows // 128 % 2) * 64
     boxes = rng.normal(1.0, 0.06, (5, 6))
@@ -273,7 +273,7 @@ TEXTURES: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
         **ARTWORK,
     }
 )
-"""Every texture recipe by name."""
+"""Name -> texture recipe, for all textures."""
 
 
 def draw_texture(name: str, rng: Generator) -> Pixels:

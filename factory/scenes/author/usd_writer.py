@@ -1,6 +1,6 @@
-"""Writes a laid-out plan as USD: one root layer, one layer per prop model, textures as PNG beside them.
+"""Writes a floor plan as USD: one root layer, one layer per prop model, and textures as PNG.
 
-The only file of the authoring that imports pxr; never decides what is in a scene.
+The only module of the authoring that imports pxr. Does not lay out scenes.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from PIL import Image
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from factory.scenes.author.catalogue import PropModel
 from factory.scenes.author.geometry import AuthoredMesh, merge
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, linear_rgb
 from factory.scenes.author.placement import FloorPlan, PropPlacement
+from factory.scenes.author.props.catalogue import PropModel
 from factory.scenes.author.textures import draw_texture
 
 __all__ = ["write_scene"]
@@ -28,7 +28,7 @@ def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: fl
     """Writes `<name>.usdc`, `props/*.usdc` and `textures/*.png` below a directory.
 
     Args:
-        plan: the scene, in metres.
+        plan: floor plan of the scene, metres.
         name: stem of the root layer.
         directory: created if missing.
         metres_per_unit: length of one stage unit, metres.
@@ -61,7 +61,7 @@ def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: fl
 def _new_stage(path: Path, root: str, metres_per_unit: float) -> Any:
     layer = Sdf.Layer.Find(str(path))
     if layer:
-        layer.Clear()  # an earlier scene at this path is still open in this process
+        layer.Clear()  # a layer of an earlier scene at this path can be open in this process
         stage = Usd.Stage.Open(layer)
     else:
         stage = Usd.Stage.CreateNew(str(path))
@@ -83,7 +83,7 @@ def _write_model(model: PropModel, directory: Path, metres_per_unit: float) -> N
 def _write_meshes(
     stage: Any, parent: str, pieces: Sequence[PropPiece], looks: dict[str, Any], metres_per_unit: float
 ) -> None:
-    """One mesh prim per material below `parent`."""
+    """Writes one mesh prim per material below `parent`."""
     by_material: dict[str, list[PropPiece]] = {}
     for piece in pieces:
         by_material.setdefault(piece.material.name, []).append(piece)
@@ -110,7 +110,7 @@ def _write_mesh(stage: Any, path: str, mesh: AuthoredMesh, metres_per_unit: floa
 
 
 def _write_looks(stage: Any, scope: str, pieces: Iterable[PropPiece], textures: str) -> dict[str, Any]:
-    """Defines every material once; returns them by name."""
+    """Defines every material once and returns the materials by name."""
     UsdGeom.Scope.Define(stage, scope)
     materials = {piece.material.name: piece.material for piece in pieces}
     return {name: _write_material(stage, scope, material, textures) for name, material in materials.items()}
@@ -142,7 +142,7 @@ def _write_material(stage: Any, scope: str, material: SurfaceMaterial, textures:
 
 
 def _write_texture_reader(stage: Any, path: str, file: str, tint: str | None) -> Any:
-    """A UsdUVTexture fed by the `st` primvar, multiplied by the tint; returns its rgb output."""
+    """Writes a UsdUVTexture with the `st` primvar as input and the tint as factor; returns its rgb output."""
     reader = UsdShade.Shader.Define(stage, f"{path}/Reader")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
@@ -160,7 +160,7 @@ def _write_texture_reader(stage: Any, path: str, file: str, tint: str | None) ->
 
 
 def _write_placement(stage: Any, placement: PropPlacement, number: int, metres_per_unit: float) -> None:
-    """References, instances or payloads the prop layer, in turn, so that readers meet all three."""
+    """Adds the prop layer as reference, instance or payload in turn, so that tests of importers cover all three."""
     xform = UsdGeom.Xform.Define(stage, f"/World/Props/{placement.name}")
     place = np.array([placement.x, placement.y, placement.z]) / metres_per_unit
     xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
@@ -174,7 +174,7 @@ def _write_placement(stage: Any, placement: PropPlacement, number: int, metres_p
 
 
 def _write_textures(pieces: Iterable[PropPiece], directory: Path, seed: int) -> None:
-    """Draws each used texture from its own generator, so that one more texture changes no other."""
+    """Draws each used texture from a separate generator, so that a new texture does not change the others."""
     for name in sorted({piece.material.texture for piece in pieces if piece.material.texture}):
         rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
         Image.fromarray(draw_texture(name, rng)).save(directory / f"{name}.png", compress_level=1)

@@ -1,4 +1,4 @@
-"""The one door to USD: what a stage shows and collides with, as arrays in metres, z up."""
+"""Imports USD stages: visible and collision geometry as arrays in metres, z up. Only this package reads USD."""
 
 from factory.scenes.importer.extract import Extraction, Part, extract_stage
 

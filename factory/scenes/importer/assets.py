@@ -1,6 +1,6 @@
-"""Reads the bytes behind an asset path of USD, inside a .usdz or beside a layer.
+"""Reads the bytes of USD assets, inside a .usdz package or relative to a layer.
 
-Never decodes what it reads.
+Does not decode them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ __all__ = ["asset_path", "read_asset"]
 
 
 def asset_path(value: Any) -> str:
-    """Returns the resolved path of an asset value, or the authored one when USD could not resolve it."""
+    """Returns the resolved path of an asset value, or the authored path if USD cannot resolve it."""
     return str(value.resolvedPath or value.path) if isinstance(value, Sdf.AssetPath) else str(value)
 
 
 def read_asset(path: str) -> bytes | None:
-    """Returns the bytes of a resolved asset, or `None` when there are none."""
-    if not Path(path).is_absolute():  # USD could not resolve it; the working directory is none of its business
+    """Returns the bytes of a resolved asset, or `None` if it cannot be read."""
+    if not Path(path).is_absolute():  # an unresolved path is not relative to the working directory
         return None
     asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
     if asset is None:
@@ -30,7 +30,7 @@ def read_asset(path: str) -> bytes | None:
 
 
 def sibling(layer_path: str, name: str) -> str:
-    """Returns the path of a file named relative to a layer; packages like `a.usdz[b.usda]` stay packages."""
+    """Returns the path of a file relative to a layer, also inside packages such as `a.usdz[b.usda]`."""
     head, bracket, inner = layer_path.rpartition("[")
     if bracket:
         return f"{head}[{(Path(inner.rstrip(']')).parent / name).as_posix()}]"

@@ -1,6 +1,6 @@
-"""From a stage to a list of parts: triangles in world metres with their look, and notes on what was skipped.
+"""Extracts the parts of a stage: triangles in world metres with their appearance, and notes on skipped prims.
 
-A broken prim becomes a note, never an end; nothing here knows categories, colliders or grids.
+A malformed prim adds a note and does not stop the extraction. Does not assign categories and builds no collider.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from factory.scenes.importer.assets import read_asset
-from factory.scenes.importer.complaints import say_refusal, text_of
-from factory.scenes.importer.fence import Fence
+from factory.scenes.importer.diagnostics import format_error, text_of
 from factory.scenes.importer.material import Surface, bound_material, read_surface
 from factory.scenes.importer.mesh import (
     ImportedMesh,
@@ -29,6 +28,7 @@ from factory.scenes.importer.mesh import (
     read_mesh,
     uv_values,
 )
+from factory.scenes.importer.outside_files import ReadableFolder
 from factory.scenes.importer.stage import BROKEN_PRIM, PrimPlacement, find_unseen, open_stage, walk_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.errors import WorldError
@@ -41,45 +41,45 @@ _COLLIDER_NAME = re.compile(r"colli(sion|der)|(^|_)(ucx|ubx|phys(ics)?)(_|$)", r
 
 @dataclass(frozen=True)
 class Part:
-    """Triangles of one prim with one look, placed in the world."""
+    """Triangles of one prim with one material, in world coordinates."""
 
     path: str
-    """Path of the prim, unique with its place."""
+    """Path of the prim, unique per instance."""
     triangles: Floats
     """(T, 3, 3) corners, world metres, z up, counter-clockwise from outside."""
     uvs: Floats | None
     """(T, 3, 2) texture coordinates, v = 0 at the bottom."""
     tints: Floats | None
-    """(T, 3, 3) linear colours of the corners, when the prim varies its colour itself."""
+    """(T, 3, 3) linear vertex colours, if the prim has them."""
     surface: Surface
     is_collider: bool = False
-    """Whether it was authored to collide with and not to be seen."""
+    """Whether the part is authored for collision only and is not visible."""
 
 
 @dataclass(frozen=True)
 class Extraction:
-    """All that a stage shows, in the order of its prims."""
+    """Content of a stage, in the order of its prims."""
 
     parts: tuple[Part, ...]
     metres_per_unit: float
     labels: dict[str, str]
-    """Semantic label by prim path, where the stage authors one."""
+    """Prim path -> authored semantic label."""
     groups: frozenset[str]
-    """Paths of prims that only collect others: scopes and prims of kind group or assembly."""
+    """Paths of grouping prims: scopes and prims of kind group or assembly."""
     models: frozenset[str]
-    """Paths of prims that are one thing: instances, copies and prims of kind component."""
+    """Paths of prims that are one object: instances, copies and prims of kind component."""
     components: frozenset[str]
-    """Those of kind component: nothing below them is a thing of its own."""
+    """Paths of prims of kind component; their descendants are not separate objects."""
     sha256: str
-    """Digest of the layers and textures that went in."""
+    """SHA-256 of the layers and textures of the stage."""
     files_sha256: str
-    """The same with the place of each, seen from the root layer's folder: two that change places make another scene."""
+    """SHA-256 of the layers and textures with their paths relative to the root layer; swapped files change it."""
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Triangles of a prim in its own frame; shared by all instances."""
+    """Triangles of a prim in its local frame, shared by all instances."""
 
     triangles: Floats
     uvs: Floats | None
@@ -90,7 +90,7 @@ class _Piece:
 @dataclass
 class _Extractor:
     notes: list[str]
-    fence: Fence
+    readable: ReadableFolder
     file: str
     max_triangles: int
     surfaces: dict[str, Surface | None] = field(default_factory=dict)
@@ -104,24 +104,24 @@ class _Extractor:
 
 
 def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
-    """Reads all that a stage shows.
+    """Extracts the content of a stage.
 
     Args:
-        path: the root layer.
-        limits: what is refused.
+        path: root layer of the stage.
+        limits: limits of the import.
 
     Raises:
-        UsageError: there is no such file.
-        WorldError: it is no stage, its units make no sense, or it has too many triangles.
+        UsageError: the file does not exist.
+        WorldError: the file is not a stage, its units are not valid, or it has too many triangles.
     """
     notes: list[str] = []
     scene = open_stage(path, notes)
-    work = _Extractor(notes, Fence(path, limits.allow_outside), path.name, limits.max_triangles)
+    work = _Extractor(notes, ReadableFolder(path, limits.allow_outside), path.name, limits.max_triangles)
     for placement in walk_stage(scene, notes):
         try:
             _take(work, placement)
         except BROKEN_PRIM as error:
-            notes.append(f"{placement.path}: skipped, {say_refusal(text_of(error.__str__))}")
+            notes.append(f"{placement.path}: skipped, {format_error(text_of(error.__str__))}")
     if all(part.is_collider for part in work.parts):
         notes += find_unseen(scene)
     digests = _digests(scene.stage, work.parts)
@@ -177,7 +177,7 @@ def _require_room(work: _Extractor, path: str, more: int) -> None:
 
 
 def _label(prim: Any) -> str:
-    """The semantic label of a prim (`UsdSemantics` or Isaac's older `semantic:` attributes), or empty."""
+    """Returns the semantic label of a prim (`UsdSemantics`, or the older `semantic:` attributes of Isaac), or ""."""
     for attribute in prim.GetAuthoredAttributes():
         name = attribute.GetName()
         if name.startswith("semantics:labels:") or (name.startswith("semantic:") and name.endswith("semanticData")):
@@ -191,12 +191,12 @@ def _is_collider(prim: Any) -> bool:
 
 
 def _source_path(prim: Any) -> str:
-    """Path of the prim that holds the data: the prototype's for an instance."""
+    """Returns the path of the prim that has the data; for an instance, its prototype."""
     return str(prim.GetPrimInPrototype().GetPath() if prim.IsInstanceProxy() else prim.GetPath())
 
 
 def _pieces(work: _Extractor, placement: PrimPlacement) -> list[_Piece]:
-    """The pieces of a prim, made once for all its instances that look alike."""
+    """Returns the pieces of a prim, cached for all instances with the same appearance."""
     prim = placement.prim
     material = bound_material(prim)
     look = _source_path(material.GetPrim()) if material else ""
@@ -205,7 +205,7 @@ def _pieces(work: _Extractor, placement: PrimPlacement) -> list[_Piece]:
         look = _source_path(colour.GetAttr().GetPrim())
     key = (_source_path(prim), look)
     if key not in work.pieces:
-        _require_room(work, placement.path, count_triangles(prim))  # before a mesh too large is cut up
+        _require_room(work, placement.path, count_triangles(prim))  # before a mesh that is too large is triangulated
         mesh = read_mesh(prim, work.notes)
         work.pieces[key] = [] if mesh is None else _cut_pieces(work, prim, mesh)
     return work.pieces[key]
@@ -233,7 +233,7 @@ def _surface(work: _Extractor, binder: Any) -> Surface | None:
     path = _source_path(material.GetPrim())
     if path not in work.surfaces:
         surface = read_surface(material, work.notes)
-        work.surfaces[path] = None if surface is None else work.fence.kept_inside(surface, path, work.notes)
+        work.surfaces[path] = None if surface is None else work.readable.kept_inside(surface, path, work.notes)
     return work.surfaces[path]
 
 
@@ -250,7 +250,7 @@ def _transformed(uvs: Floats | None, surface: Surface, chosen: NDArray[np.bool_]
 
 
 def _both_sides(piece: _Piece) -> _Piece:
-    """Adds the back of every triangle: the renderer shows only what faces it."""
+    """Adds the back face of every triangle, because the renderer culls back faces."""
 
     def doubled(values: Floats | None) -> Floats | None:
         return None if values is None else np.concatenate([values, values[:, ::-1]])
@@ -265,11 +265,11 @@ def _placed(piece: _Piece, placement: PrimPlacement, collides: bool) -> Part:
         exact = piece.triangles @ rotation.T + shift
         triangles = exact.astype(np.float32).astype(
             np.float64
-        )  # the last bit is the processor's: schemas.support.portable
+        )  # the last bit depends on the processor: schemas.support.portable
     uvs, tints = piece.uvs, piece.tints
     if not np.isfinite(triangles).all():
         raise ValueError("points or transform are not finite")
-    if np.linalg.det(rotation) < 0:  # a mirrored copy turns its faces inside out
+    if np.linalg.det(rotation) < 0:  # mirroring reverses the winding
         triangles = triangles[:, ::-1]
         uvs = None if uvs is None else uvs[:, ::-1]
         tints = None if tints is None else tints[:, ::-1]
@@ -277,14 +277,14 @@ def _placed(piece: _Piece, placement: PrimPlacement, collides: bool) -> Part:
 
 
 def _digests(stage: Any, parts: list[Part]) -> list[tuple[str, str]]:
-    """Places on disk and digests of the contents of layers and textures."""
+    """Returns the paths and content digests of layers and textures."""
     layers = [layer.realPath for layer in stage.GetUsedLayers() if not layer.anonymous]
     textures = sorted({part.surface.texture for part in parts} - {""})
     return [(place, hashlib.sha256(read_asset(place) or b"").hexdigest()) for place in [*layers, *textures]]
 
 
 def _seen_from(root_layer: Path, place: str) -> str:
-    """A place relative to the root layer's folder; as it is where USD could not resolve it."""
+    """Returns a path relative to the folder of the root layer; unchanged if USD cannot resolve it."""
     return os.path.relpath(place, root_layer.parent) if Path(place).is_absolute() else place
 
 

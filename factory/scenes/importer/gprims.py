@@ -1,6 +1,6 @@
-"""USD's basic solids as polygons: cube, sphere, cylinder, cone, capsule and plane, outward wound, local units.
+"""Converts the geometric primitives of USD to polygons: cube, sphere, cylinder, cone, capsule, plane.
 
-Pure but for reading the prim's attributes; never places or colours them.
+Polygons are in local units with outward winding. Does not transform them and does not read materials.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TURN = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
 
 def solid_polygons(prim: Any) -> Polygons | None:
-    """Returns the polygons of a basic solid, or `None` when the prim is none."""
+    """Returns the polygons of a geometric primitive, or `None` for other prims."""
     kind = str(prim.GetTypeName())
     if kind == "Cube":
         return _cube(float(UsdGeom.Cube(prim).GetSizeAttr().Get()) / 2)
@@ -43,7 +43,7 @@ def solid_polygons(prim: Any) -> Polygons | None:
 
 
 def _profile(prim: Any, kind: str) -> list[tuple[float, float]] | None:
-    """Radius and height along the axis, from bottom to top; `None` for a kind that is not turned."""
+    """Returns radius and height along the axis, from bottom to top; `None` for kinds that are not rotational solids."""
     if not kind.startswith(("Cylinder", "Cone", "Capsule")):
         return None
     half = float(prim.GetAttribute("height").Get()) / 2
@@ -74,7 +74,7 @@ def _plane(half_width: float, half_length: float) -> Polygons:
 
 
 def _lathe(profile: list[tuple[float, float]]) -> Polygons:
-    """Turns a profile about z and closes both ends."""
+    """Revolves a profile about z and closes both ends."""
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     x, y = portable.cos(angle), portable.sin(angle)
     rings = [np.stack([r * x, r * y, np.full(_SIDES, z)], axis=1) for r, z in profile]

@@ -1,6 +1,6 @@
-"""What a material looks like: a base colour or a texture, read from preview surfaces, MaterialX or MDL.
+"""Reads the base colour or texture of materials: preview surfaces, MaterialX and MDL.
 
-Reads shading networks only; never decodes a texture, and never fails a mesh for its material.
+Reads shading networks only. Does not decode textures; an unsupported material does not fail the mesh.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Colour = tuple[float, float, float]
 Affine = tuple[float, float, float, float, float, float]
 
 GRAY: Colour = (0.18, 0.18, 0.18)
-"""Linear colour of what says nothing of its own; the preview surface's default."""
+"""Linear default colour, equal to the default of the preview surface."""
 _WHITE: Colour = (1.0, 1.0, 1.0)
 _BLACK: Colour = (0.0, 0.0, 0.0)
 _SURFACES = ("UsdPreviewSurface", "ND_UsdPreviewSurface_surfaceshader", "ND_standard_surface_surfaceshader")
@@ -50,22 +50,22 @@ _MDL_COLOUR = re.compile(
 
 @dataclass(frozen=True)
 class Surface:
-    """The look of one material."""
+    """Appearance of one material."""
 
     colour: Colour = GRAY
-    """Linear base colour; with a texture, what multiplies it."""
+    """Linear base colour; with a texture, its factor."""
     texture: str = ""
-    """Resolved path of the base colour texture, or empty."""
+    """Resolved path of the base colour texture, or an empty string."""
     fallback: Colour = GRAY
-    """Linear colour when the texture cannot be read."""
+    """Linear colour used if the texture cannot be read."""
     uv_set: str = "st"
     uv_affine: Affine | None = None
-    """Rows (a, b, c), (d, e, f) with u' = a u + b v + c and v' = d u + e v + f; `None` changes nothing."""
+    """Rows (a, b, c), (d, e, f) with u' = a u + b v + c and v' = d u + e v + f; `None` for the identity."""
     opacity: float = 1.0
     emits: bool = False
-    """Whether it glows by itself."""
+    """Whether the material is emissive."""
     emission: Colour = (0.0, 0.0, 0.0)
-    """Linear colour of the glow, where it is one colour."""
+    """Linear emission colour, if it is uniform."""
 
 
 def bound_material(prim: Any) -> Any | None:
@@ -75,11 +75,11 @@ def bound_material(prim: Any) -> Any | None:
 
 
 def read_surface(material: Any, notes: list[str]) -> Surface | None:
-    """Returns the look of a material, or `None` when nothing in it can be understood.
+    """Returns the appearance of a material, or `None` if none of its shaders is supported.
 
     Args:
-        material: a `UsdShade.Material`.
-        notes: receives why nothing was found.
+        material: `UsdShade.Material`.
+        notes: list that receives a note if no colour is found.
     """
     shader = material.ComputeSurfaceSource()[0]
     if shader and shader.GetIdAttr().Get() in _SURFACES:
@@ -116,7 +116,7 @@ def _preview(shader: Any, notes: list[str]) -> Surface:
 
 
 def _value(shader: Any, name: str) -> Any | None:
-    """The constant at the end of an input, or `None` when it is a texture or not there."""
+    """Returns the constant value of an input, or `None` if it is a texture or missing."""
     found = shader.GetInput(name)
     end = _follow(found) if found else None
     return None if isinstance(end, UsdShade.Shader) else end
@@ -138,7 +138,7 @@ def _sources(connectable: Any) -> Any:
 
 
 def _follow(end: Any, hops: int = 0) -> Any | None:
-    """Follows an input or output through graphs and maths to its constant or its texture shader."""
+    """Follows an input or output through node graphs and arithmetic nodes to its constant or texture shader."""
     if not end or hops > _MAX_HOPS:
         return None
     sources = _sources(end)
@@ -163,7 +163,7 @@ def _through(shader: Any, hops: int) -> Any | None:
 
 
 def _one_tile(material: Any, surface: Surface, notes: list[str]) -> Surface:
-    """The surface with the first tile for a picture of UDIM tiles, which the renderer repeats."""
+    """Returns the surface with the first tile of a UDIM texture, which the renderer repeats."""
     if not UsdShade.UdimUtils.IsUdimIdentifier(surface.texture):
         return surface
     for spec in material.GetPrim().GetPrimStack():
@@ -191,7 +191,7 @@ def _textured(shader: Any, notes: list[str]) -> Surface:
 
 
 def _uv_of(found: Any | None) -> tuple[str, Affine | None]:
-    """The primvar that feeds a texture and the 2-D transform between them."""
+    """Returns the texture coordinate primvar of a texture and the 2-D transform between them."""
     affine: Affine | None = None
     for _ in range(_MAX_HOPS):
         sources = _sources(found) if found else []
@@ -210,7 +210,7 @@ def _uv_of(found: Any | None) -> tuple[str, Affine | None]:
 
 
 def _affine(shader: Any) -> Affine:
-    """Scale, then rotation (degrees, counter-clockwise), then translation."""
+    """Returns the transform: scale, then rotation (degrees, counter-clockwise), then translation."""
     su, sv = _value(shader, "scale") or (1.0, 1.0)
     angle = radians(float(_value(shader, "rotation") or 0.0))
     tu, tv = _value(shader, "translation") or (0.0, 0.0)
@@ -218,7 +218,7 @@ def _affine(shader: Any) -> Affine:
 
 
 def _mdl_inputs(shader: Any) -> Surface | None:
-    """The look that an MDL shader's own inputs state."""
+    """Returns the appearance from the inputs of an MDL shader."""
     textures, colours = {}, {}
     for found in shader.GetInputs():
         value, name = found.Get(), str(found.GetBaseName())
@@ -235,7 +235,7 @@ def _mdl_inputs(shader: Any) -> Surface | None:
 
 
 def _base_texture(named: Any) -> str | None:
-    """The texture that is a base colour by its parameter's name or, failing that, by its file's name."""
+    """Returns the base colour texture, identified by parameter name or else by file name."""
     pairs = list(named)
     by_name = [path for name, path in pairs if _BASE_NAME.search(name) and not _OTHER_NAME.search(name)]
     by_file = [path for _, path in pairs if not _OTHER_NAME.search(path.rpartition("/")[2])]
@@ -253,7 +253,7 @@ def _mdl_files(shader: Any) -> Iterator[str]:
 
 
 def _mdl_text(shader: Any) -> Surface | None:
-    """The look found in the text of the MDL module that a shader names."""
+    """Returns the appearance from the source text of the MDL module of a shader."""
     for path in _mdl_files(shader):
         data = read_asset(path)
         if data is None:

@@ -1,6 +1,6 @@
-"""The geometry and corner values of one prim in its own frame: points, triangles, texture coordinates, colours.
+"""Reads the geometry and primvars of one prim in its local frame: points, triangles, texture coordinates, colours.
 
-Reads USD attributes; knows nothing of materials, placement or categories.
+Does not read materials and does not apply transforms.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _UV_NAMES = ("st", "st0", "st_0", "UVMap", "map1", "uv")
 
 @dataclass(frozen=True)
 class ImportedMesh:
-    """One prim's polygons, cut into triangles."""
+    """Triangulated polygons of one prim."""
 
     points: Floats
     """(N, 3) in the prim's frame and units."""
@@ -35,15 +35,15 @@ class ImportedMesh:
     """(C,) vertex of each face corner."""
     cut: Triangulation
     is_two_sided: bool
-    """Whether it is authored as visible from both sides and is no closed surface."""
+    """Whether the mesh is authored as double-sided and is not a closed surface."""
 
     def triangle_points(self) -> Floats:
-        """Returns (T, 3, 3) the corners of the triangles."""
+        """Returns the corners (T, 3, 3) of the triangles."""
         return self.points[self.indices[self.cut.corners]]
 
 
 def count_triangles(prim: Any) -> int:
-    """Returns how many triangles a mesh makes, without cutting it up; 0 for what is no mesh or contradicts itself."""
+    """Returns the number of triangles of a mesh without triangulating it; 0 for other prims and invalid topology."""
     if not prim.IsA(UsdGeom.Mesh):
         return 0
     mesh = UsdGeom.Mesh(prim)
@@ -53,14 +53,14 @@ def count_triangles(prim: Any) -> int:
 
 
 def read_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
-    """Returns the geometry of a mesh or basic solid, or `None` when the prim has none.
+    """Returns the geometry of a mesh or geometric primitive, or `None` for other prims.
 
     Args:
         prim: any prim.
-        notes: receives what had to be simplified.
+        notes: list that receives notes on simplifications.
 
     Raises:
-        ValueError: its topology contradicts itself.
+        ValueError: the topology is not valid.
     """
     if prim.IsA(UsdGeom.Mesh):
         return _polygon_mesh(prim, notes)
@@ -102,7 +102,7 @@ def _without_holes(cut: Triangulation, holes: Any) -> Triangulation:
 
 
 def _bounds_volume(points: Floats, triangles: Ints) -> bool:
-    """Whether the triangles bound a volume once equal points count as one; wound outwards."""
+    """Returns whether the triangles, with equal points merged, bound a volume with outward winding."""
     _, welded = np.unique(points, axis=0, return_inverse=True)
     if not is_closed(welded.reshape(-1)[triangles]):
         return False
@@ -111,7 +111,7 @@ def _bounds_volume(points: Floats, triangles: Ints) -> bool:
 
 
 def material_subsets(prim: Any, mesh: ImportedMesh) -> Iterator[tuple[Any, NDArray[np.bool_]]]:
-    """Yields the prims that bind materials to a mesh and the triangles (T,) of each; every triangle once."""
+    """Yields the prims that bind materials to a mesh, with the mask (T,) of their triangles. The masks are disjoint."""
     rest = np.ones(len(mesh.cut.faces), bool)
     subsets = UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), UsdGeom.Tokens.face, UsdShade.Tokens.materialBind)
     for subset in subsets:
@@ -125,12 +125,12 @@ def material_subsets(prim: Any, mesh: ImportedMesh) -> Iterator[tuple[Any, NDArr
 
 
 def corner_values(prim: Any, mesh: ImportedMesh, name: str) -> Floats | None:
-    """Returns (T, 3, k) values of a primvar at the triangle corners, or `None` when it is missing or does not fit."""
+    """Returns the values (T, 3, k) of a primvar at the triangle corners, or `None` if it is missing or not valid."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None
     flat = primvar.ComputeFlattened(_TIME)
-    if flat is None:  # its indices point past its values; USD warns
+    if flat is None:  # indices out of range; USD warns
         return None
     values = np.array(flat, np.float64)
     corners = len(mesh.indices)
@@ -147,7 +147,7 @@ def corner_values(prim: Any, mesh: ImportedMesh, name: str) -> Floats | None:
 
 
 def uv_values(prim: Any, mesh: ImportedMesh, uv_set: str) -> Floats | None:
-    """Returns (T, 3, 2) texture coordinates from the named set, or else from the usual ones."""
+    """Returns texture coordinates (T, 3, 2) from the named primvar, or else from the default primvars."""
     for name in (uv_set, *_UV_NAMES):
         found = corner_values(prim, mesh, name)
         if found is not None and found.shape[-1] >= 2:

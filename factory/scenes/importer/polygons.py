@@ -1,6 +1,6 @@
-"""Polygons to triangles: a fan where a face is convex, ear cutting where it is not.
+"""Triangulates polygons: a fan for convex faces, ear clipping for concave faces.
 
-Pure; faces are runs of corners, and triangles are named by corner so that face-varying values survive.
+Pure. Triangles index face corners, so that face-varying values can be mapped. Does not read USD.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ _NONE = np.zeros((0, 3), np.int64)
 
 @dataclass(frozen=True)
 class Triangulation:
-    """Triangles of a mesh in the order of its faces."""
+    """Triangulation of a mesh, in the order of its faces."""
 
     corners: Ints
-    """(T, 3) positions in the list of face corners."""
+    """(T, 3) indices into the list of face corners."""
     faces: Ints
-    """(T,) the face each triangle came from."""
+    """(T,) index of the face of each triangle."""
 
 
 def triangulate(points: Floats, counts: Ints, indices: Ints) -> Triangulation:
-    """Cuts the faces of a mesh into triangles that keep each face's winding.
+    """Triangulates the faces of a mesh and keeps the winding of each face.
 
     Args:
         points: (N, 3) vertices in any frame.
@@ -37,7 +37,7 @@ def triangulate(points: Floats, counts: Ints, indices: Ints) -> Triangulation:
         indices: (C,) vertex of each corner.
 
     Raises:
-        ValueError: counts and indices contradict each other or name vertices that are not there.
+        ValueError: counts and indices do not match, or an index is out of range.
     """
     if counts.sum() != len(indices) or (counts < 0).any():
         raise ValueError(f"bad topology: faces want {counts.sum()} corners, the mesh has {len(indices)}")
@@ -56,7 +56,7 @@ def triangulate(points: Floats, counts: Ints, indices: Ints) -> Triangulation:
 
 
 def _cut_faces(points: Floats, indices: Ints, starts: Ints, size: int) -> tuple[Ints, Ints]:
-    """Cuts faces of one size; returns corners (T, 3) and the row of `starts` of each."""
+    """Triangulates faces of one size. Returns corners (T, 3) and the row of `starts` of each triangle."""
     corners = starts[:, None] + np.arange(size)
     steps = np.arange(1, size - 1)
     fan = np.stack([np.zeros_like(steps), steps, steps + 1], axis=1)
@@ -73,14 +73,14 @@ def _cut_faces(points: Floats, indices: Ints, starts: Ints, size: int) -> tuple[
 
 
 def _normals(polygons: Floats) -> Floats:
-    """Area-weighted normals (F, 3) of polygons (F, n, 3)."""
+    """Returns area-weighted normals (F, 3) of polygons (F, n, 3)."""
     centred = polygons - polygons.mean(axis=1, keepdims=True)
     normals: Floats = np.cross(centred, np.roll(centred, -1, axis=1)).sum(axis=1)
     return normals
 
 
 def _concave(polygons: Floats) -> NDArray[np.bool_]:
-    """Which polygons (F, n, 3) turn against their own normal somewhere."""
+    """Returns the mask (F,) of concave polygons (F, n, 3)."""
     normals = _normals(polygons)
     area = np.linalg.norm(normals, axis=1)
     edges = np.roll(polygons, -1, axis=1) - polygons
@@ -90,7 +90,7 @@ def _concave(polygons: Floats) -> NDArray[np.bool_]:
 
 
 def _ears(polygon: Floats) -> Ints:
-    """Triangles (T, 3) of one concave polygon (n, 3), by corner, wound as the polygon is."""
+    """Returns the triangles (T, 3), as corner indices, of one concave polygon (n, 3), with its winding."""
     normal = _normals(polygon[None])[0]
     normal /= np.linalg.norm(normal)
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
@@ -105,7 +105,7 @@ def _ears(polygon: Floats) -> Ints:
 
 
 def is_closed(triangles: Ints) -> bool:
-    """Whether triangles (T, 3) of vertices bound a volume: each edge is run through once in each direction."""
+    """Returns whether triangles (T, 3) bound a volume: each edge occurs once in each direction."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     forth = np.sort(edges[:, 0] << 32 | edges[:, 1])
     back = np.sort(edges[:, 1] << 32 | edges[:, 0])

@@ -1,6 +1,6 @@
-"""Opens a USD stage and walks what it shows: every placed prim with its transform into metres, z up.
+"""Opens a USD stage and traverses its visible prims, with their transforms to metres, z up.
 
-Sees instances, payloads and point instancers; skips what is invisible. Never reads geometry or materials.
+Expands instances, payloads and point instancers. Does not read geometry or materials.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
-from factory.scenes.importer.complaints import say_complaint, say_refusal, text_of
+from factory.scenes.importer.diagnostics import format_error, format_warning, text_of
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 
 __all__ = ["BROKEN_PRIM", "PrimPlacement", "SceneStage", "find_unseen", "matrix_of", "open_stage", "walk_stage"]
 
 BROKEN_PRIM = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError)
-"""What a malformed prim raises, from USD (`Tf.ErrorException` is a RuntimeError) or from numpy."""
+"""Exceptions that a malformed prim causes, in USD (`Tf.ErrorException` is a RuntimeError) or in numpy."""
 
 _Y_UP_TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _MOST_UNSEEN = 3
@@ -35,23 +35,23 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SceneStage:
-    """An opened stage and how its units become metres, z up."""
+    """Opened stage with its transform to metres, z up."""
 
     stage: Any
     metres_per_unit: float
     to_metres: Matrix
-    """(4, 4) stage -> world, column vectors."""
+    """(4, 4) transform stage -> world, for column vectors."""
 
 
 @dataclass(frozen=True)
 class PrimPlacement:
-    """One prim at one place."""
+    """Instance of a prim with its world transform."""
 
     prim: Any
     path: str
-    """Unique in the scene; a copy of a point instancer reads `/instancer/prototype[k]/...`."""
+    """Path that is unique in the scene; for copies of a point instancer, `/instancer/prototype[k]/...`."""
     to_world: Matrix
-    """(4, 4) prim -> world metres, column vectors."""
+    """(4, 4) transform prim -> world metres, for column vectors."""
 
 
 @dataclass
@@ -59,16 +59,16 @@ class _Walk:
     stage: Any
     notes: list[str]
     inside: tuple[str, ...] = ()
-    """Point instancers that are being copied just now, outermost first."""
+    """Point instancers on the current path, outermost first."""
     transforms: Any = field(default_factory=lambda: UsdGeom.XformCache(_LATEST_START))
 
     def matrix(self, prim: Any) -> Matrix:
-        """Returns (4, 4) prim -> stage, column vectors."""
+        """Returns the transform (4, 4) prim -> stage, for column vectors."""
         return matrix_of(self.transforms.GetLocalToWorldTransform(prim))
 
 
 def matrix_of(gf_matrix: Any) -> Matrix:
-    """Returns a Gf matrix (row vectors) as a numpy matrix for column vectors."""
+    """Converts a Gf matrix (row vectors) to a numpy matrix for column vectors."""
     return np.array(gf_matrix, dtype=np.float64).T
 
 
@@ -76,25 +76,25 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     """Opens a stage with all its payloads.
 
     Args:
-        path: the root layer: .usd, .usda, .usdc or .usdz.
-        notes: receives what USD complained about, one line each.
+        path: root layer: .usd, .usda, .usdc or .usdz.
+        notes: list that receives the warnings of USD, one line each.
 
     Raises:
-        UsageError: there is no such file, or it is another format.
-        WorldError: USD cannot read it, or its units make no sense.
+        UsageError: the file does not exist or is not USD.
+        WorldError: USD cannot read the file, or its units are not valid.
     """
     require_stage(path)
     listener = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        reason = say_refusal(text_of(error.__str__))
+        reason = format_error(text_of(error.__str__))
         raise WorldError(f"{path.name} is not a readable USD stage ({reason}); check it with usdchecker") from error
-    complaints = (
-        say_complaint(text_of(partial(getattr, diagnostic, "commentary")))
+    warnings = (
+        format_warning(text_of(partial(getattr, diagnostic, "commentary")))
         for diagnostic in listener.TakeUncoalescedDiagnostics()
     )
-    notes += sorted(complaints)  # USD's threads complain in any order
+    notes += sorted(warnings)  # USD's threads emit warnings in any order
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
         raise WorldError(
@@ -106,14 +106,14 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
             f"no metersPerUnit authored; taken as {metres} metres; author it on the root layer if that is wrong"
         )
     if not stage.GetDefaultPrim():
-        notes.append(_say_roots(stage))
+        notes.append(_root_prims_note(stage))
     notes += _foreign_units(stage, metres)
     notes += _foreign_layers(stage, path)
     return SceneStage(stage, metres, _to_metres(stage, metres))
 
 
-def _say_roots(stage: Any) -> str:
-    """Which prims are taken where none is said to be the scene."""
+def _root_prims_note(stage: Any) -> str:
+    """Returns the note on the imported prims of a stage without a valid defaultPrim."""
     wanted = stage.GetRootLayer().defaultPrim
     found = f"defaultPrim {wanted!r} is not there" if wanted else "no defaultPrim authored"
     return f"{found}; all root prims are taken: {_roots(stage)}; deactivate those that are not of the scene"
@@ -130,7 +130,7 @@ def _to_metres(stage: Any, metres: float) -> Matrix:
 
 
 def _foreign_units(stage: Any, metres: float) -> Iterator[str]:
-    """USD does not convert the units of references; says which layers have others than the stage."""
+    """Yields notes on layers whose unit differs from the stage; USD does not convert the units of references."""
     for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.GetDisplayName())):
         if layer == stage.GetRootLayer() or not layer.pseudoRoot.HasInfo("metersPerUnit"):
             continue
@@ -140,7 +140,7 @@ def _foreign_units(stage: Any, metres: float) -> Iterator[str]:
 
 
 def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
-    """Says which layers lie outside of the stage's folder: the scene changes when they do."""
+    """Yields notes on layers outside the folder of the stage; a change of these files changes the scene."""
     folder = root.resolve().parent
     for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.GetDisplayName())):
         file = Path(str(layer.realPath).partition("[")[0])
@@ -152,17 +152,17 @@ def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
 
 
 def _user_of(stage: Any, layer: Any) -> str:
-    """The first prim that has an opinion of a layer."""
+    """Returns the first prim that has an opinion in a layer."""
     prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
     users = (prim for prim in prims if any(spec.layer == layer for spec in prim.GetPrimStack()))
     return next((str(prim.GetPath()) for prim in users), "/")
 
 
 def find_unseen(scene: SceneStage) -> list[str]:
-    """Returns what may be why a stage shows nothing: the first prims that are switched off, hidden or no scenery.
+    """Returns possible reasons why a stage is empty: the first prims that are inactive, invisible or of other purpose.
 
     Args:
-        scene: the opened stage.
+        scene: opened stage.
     """
     unseen = list(islice(_unseen(scene), _MOST_UNSEEN))
     return unseen or [f"no mesh or basic solid at or below {_roots(scene.stage)}"]
@@ -184,8 +184,8 @@ def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[PrimPlacement]:
     """Yields every visible imageable prim once per place, in the order of the stage.
 
     Args:
-        scene: the opened stage.
-        notes: receives what had to be skipped.
+        scene: opened stage.
+        notes: list that receives a note for each skipped prim.
     """
     walk = _Walk(scene.stage, notes)
     yield from _walk_below(walk, scene.stage.GetPseudoRoot(), str, scene.to_metres)
@@ -204,15 +204,15 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
                 prims.PruneChildren()
                 yield from list(_walk_copies(walk, prim, path, frame))
             else:
-                with np.errstate(all="ignore"):  # what is not finite is refused where points are placed
+                with np.errstate(all="ignore"):  # points that are not finite are rejected when they are transformed
                     place = frame @ walk.matrix(prim)
                 yield PrimPlacement(prim, path, place)
         except BROKEN_PRIM as error:
-            walk.notes.append(f"{path}: skipped, {say_refusal(text_of(error.__str__))}")
+            walk.notes.append(f"{path}: skipped, {format_error(text_of(error.__str__))}")
 
 
 def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[PrimPlacement]:
-    """The prims of every visible copy of a point instancer."""
+    """Yields the prims of every visible copy of a point instancer."""
     if str(prim.GetPath()) in walk.inside:
         raise ValueError("a point instancer that copies itself; take it out of its own prototypes")
     walk = replace(walk, inside=(*walk.inside, str(prim.GetPath())))

@@ -1,4 +1,4 @@
-"""Light baked into a picture: unwrap the visible surfaces, cast rays at their texels, tone the result."""
+"""Bakes light maps: unwraps the visible surfaces, casts rays from their texels and tone-maps the result."""
 
 from factory.scenes.light.bake import LightMap, bake_light
 from factory.scenes.light.unwrap import TooManyPieces

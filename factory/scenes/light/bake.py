@@ -1,6 +1,6 @@
-"""Bakes the light of a scene into a map: ambient occlusion, and lamps with soft shadows; same scene, same bytes.
+"""Bakes the light map of a scene: ambient occlusion, and lamps with soft shadows. Deterministic.
 
-A coarse look first finds the pieces that are hidden or in the dark, so that the fine one spends its texels elsewhere.
+A coarse pass finds hidden and dark charts, so that the fine pass uses fewer texels for them.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from factory.scenes.light.charts import Charts, find_charts
 from factory.scenes.light.contact import contact_shade
 from factory.scenes.light.curves import Bends, find_bends
+from factory.scenes.light.irradiance import lamp_light, sky_light
 from factory.scenes.light.lamps import Lamps, find_lamps
 from factory.scenes.light.rays import Caster
-from factory.scenes.light.shine import lamp_light, sky_light
 from factory.scenes.light.smooth import fill_hidden, smooth_charts
 from factory.scenes.light.texels import Texels, lay_texels
 from factory.scenes.light.tone import tone
@@ -28,17 +28,17 @@ _COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (5, 5), (2, 2)
 _FINE_SKY, _FINE_LAMPS = (14, 27), (8, 12)
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
-"""Density of texels on pieces that are within something solid, and on pieces that no lamp reaches."""
+"""Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
 _MIDDLE_GREY = 0.5
-"""Reflectance that needs no correction of the exposure."""
+"""Mean reflectance without exposure correction."""
 
 
 @dataclass(frozen=True)
 class LightMap:
-    """Baked light."""
+    """Baked light map of a scene."""
 
     uvs: NDArray[np.float32]
-    """(T, 3, 2) place of each corner in the picture, 0..1."""
+    """(T, 3, 2) light map coordinates of each corner, 0..1."""
     picture: NDArray[np.uint8]
     """(H, W, 3) gamma-encoded, 255 is full light."""
 
@@ -46,13 +46,13 @@ class LightMap:
 def bake_light(
     triangles: Floats, groups: Ints, brightness: Floats, floor_m: float, reflectance: Floats | None = None
 ) -> LightMap:
-    """Bakes the light of a scene.
+    """Bakes the light map of a scene.
 
     Args:
-        triangles: (T, 3, 3) what can be seen, world metres, counter-clockwise from outside.
-        groups: (T,) the part of each; surfaces of different parts are never joined.
-        brightness: (T,) how brightly each glows by itself; 0 for what only reflects.
-        floor_m: height of the floor.
+        triangles: (T, 3, 3) visible triangles, world metres, counter-clockwise from outside.
+        groups: (T,) part of each triangle; surfaces of different parts are not joined.
+        brightness: (T,) emitted luminance; 0 for surfaces without emission.
+        floor_m: height of the floor, metres.
         reflectance: (T,) luminance 0..1 of each surface in full light, for the exposure; middle grey when `None`.
     """
     charts = find_charts(triangles, groups)
@@ -69,15 +69,15 @@ def bake_light(
     touch = contact_shade(triangles, floor_m, texels.points, texels.axes[:, 2])
     filled = fill_hidden(np.concatenate((cast, _maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
-    shines = _mask(layout.shape, texels, glow[texels.chart] > 0)
+    emitting = _mask(layout.shape, texels, glow[texels.chart] > 0)
     grey = _maps(layout.shape, texels, _chart_means(charts, reflectance)[texels.chart])[0]
-    picture = tone(sky * rim, whole * free, known & ~shines, grey)
-    picture[shines] = 255
+    picture = tone(sky * rim, whole * free, known & ~emitting, grey)
+    picture[emitting] = 255
     return LightMap(layout.uvs.astype(np.float32), picture)
 
 
 def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tuple[Floats, Bools]:
-    """Returns maps (3, H, W), smooth within flat charts: openness, share and amount of lamplight; and where known."""
+    """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
     sky, hidden = sky_light(caster, texels, _FINE_SKY)
     whole, free = lamp_light(caster, texels, lamps, _FINE_LAMPS)
     known, bent = _mask(owner.shape, texels, ~hidden), _mask(owner.shape, texels, texels.is_bent)
@@ -87,7 +87,7 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tu
 
 
 def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Floats:
-    """(C,) how dense the texels of each chart should lie, by a coarse look: 1, or less for what is hidden or dark."""
+    """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
     layout = unwrap(charts, np.full(len(charts.area), _COARSE))
     texels = lay_texels(charts, bends, layout).cast()
     _, hidden = sky_light(caster, texels, _COARSE_SKY)
@@ -99,7 +99,7 @@ def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Flo
 
 
 def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
-    """(C,) the mean reflectance of each chart."""
+    """Returns (C,) the mean reflectance of each chart."""
     if reflectance is None:
         return np.full(len(charts.area), _MIDDLE_GREY)
     total = np.bincount(charts.of_triangle, reflectance)
@@ -107,7 +107,7 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
 
 
 def _maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
-    """Lays values (N,) of the texels out as maps (K, H, W), zero where nothing lies."""
+    """Writes values (N,) of the texels into maps (K, H, W), zero elsewhere."""
     flat = np.zeros((len(values), *shape))
     for each, target in zip(values, flat, strict=True):
         target[texels.cell] = each

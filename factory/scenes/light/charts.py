@@ -1,4 +1,4 @@
-"""Finds the flat pieces of a scene's surface, each with a frame of its own; pure, and blind to light and packing."""
+"""Segments the surface of a scene into flat charts with local frames. Pure. Does not pack them or compute light."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ __all__ = ["Charts", "find_charts", "number_rows"]
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
 _PLANE_STEP_M = 0.02
-_PLANE_SHIFT = 0.37  # walls and floors stand at round heights; the limit between two planes must not
+_PLANE_SHIFT = 0.37  # walls and floors have round coordinates; the boundary between two planes must not
 
 
 @dataclass(frozen=True)
 class Charts:
-    """Flat pieces, each the rectangle around its triangles; C charts over T triangles."""
+    """C flat charts over T triangles; each chart is the bounding rectangle of its triangles."""
 
     of_triangle: Ints
-    """(T,) the chart of each triangle."""
+    """(T,) chart index of each triangle."""
     corners: Floats
-    """(T, 3, 2) corners in the frame of their chart, metres, from 0."""
+    """(T, 3, 2) corners in the frame of their chart, metres; the minimum is 0."""
     origin: Floats
-    """(C, 3) world place of the rectangle's first corner, metres."""
+    """(C, 3) world position of the first corner of the rectangle, metres."""
     axes: Floats
     """(C, 3, 3) rows: along, across, normal; unit vectors."""
     extent: Floats
-    """(C, 2) metres along and across."""
+    """(C, 2) size along and across, metres."""
     area: Floats
-    """(C,) of its triangles, square metres."""
+    """(C,) area of the triangles, square metres."""
 
 
 def find_charts(triangles: Floats, groups: Ints) -> Charts:
-    """Joins triangles that lie in one plane, touch each other and are of one group.
+    """Joins coplanar, touching triangles of one group into charts.
 
     Args:
         triangles: (T, 3, 3) corners, world metres.
-        groups: (T,) triangles of different groups are never joined.
+        groups: (T,) group of each triangle; triangles of different groups are not joined.
     """
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     areas = np.linalg.norm(cross, axis=1) / 2
@@ -71,7 +71,7 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
 
 
 def number_rows(rows: Ints) -> Ints:
-    """Returns (N,) a number for each row of (N, K), equal for equal rows, in the order of their values from 0 on."""
+    """Returns (N,) the index of each row of (N, K) among the sorted unique rows."""
     order = np.lexsort(rows.T[::-1])
     is_new = np.any(rows[order[1:]] != rows[order[:-1]], axis=1)
     numbers = np.empty(len(rows), np.int64)
@@ -80,7 +80,7 @@ def number_rows(rows: Ints) -> Ints:
 
 
 def _touching(triangles: Floats, plane: Ints) -> Ints:
-    """Numbers the sets of triangles that share corners within their plane."""
+    """Returns the connected component of each triangle; triangles that share corners in a plane are connected."""
     count = len(triangles)
     corners = number_rows(np.rint(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64))
     nodes = number_rows(np.column_stack((corners, np.repeat(plane, 3))))
@@ -99,7 +99,7 @@ def _largest_of_each(of_triangle: Ints, areas: Floats) -> Ints:
 
 
 def _frames(triangles: Floats, normals: Floats) -> Floats:
-    """Frames along the middle one of each triangle's edges by length: a side, where the longest is a diagonal."""
+    """Returns frames along the second longest edge of each triangle: a side, because the longest may be a diagonal."""
     edges = np.roll(triangles, -1, axis=1) - triangles
     middle = np.argsort(np.linalg.norm(edges, axis=2), axis=1, kind="stable")[:, 1]
     along = edges[np.arange(len(edges)), middle]

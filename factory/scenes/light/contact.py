@@ -1,6 +1,6 @@
-"""The soft dark rim where things stand on the floor, which few rays and coarse texels would miss under a thin leg.
+"""Computes contact shadows of objects on the floor, which few rays and coarse texels miss under thin legs.
 
-Pure; knows the floor's height and nothing of lamps.
+Pure. Does not use lamps.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["contact_shade"]
 _SECTION_M = 0.02
 _STEP_M = 0.015
 _NEAR_M = 0.03
-"""What is called floor: flat and at most so far from its height."""
+"""Maximum vertical distance of a floor surface from the height of the floor, metres."""
 _UP = 0.95
 _FADE_M, _DEPTH = 0.065, 0.78
 _REACH_M = 0.3
@@ -23,13 +23,13 @@ _MOST_SAMPLES = 4_000_000
 
 
 def contact_shade(triangles: Floats, floor_m: float, points: Floats, normals: Floats) -> Floats:
-    """Returns (N,) 0..1 how much is left of the light beside what stands on the floor; 1 off the floor.
+    """Returns (N,) the light factor, 0..1, near objects on the floor; 1 for points that are not on the floor.
 
     Args:
-        triangles: (T, 3, 3) the scene, world metres.
-        floor_m: height of the floor.
-        points: (N, 3) places on surfaces.
-        normals: (N, 3) unit vectors out of those surfaces.
+        triangles: (T, 3, 3) triangles of the scene, world metres.
+        floor_m: height of the floor, metres.
+        points: (N, 3) surface points, world metres.
+        normals: (N, 3) unit normals of the surfaces.
     """
     shade = np.ones(len(points))
     feet = _section(triangles, floor_m + _SECTION_M)
@@ -41,7 +41,7 @@ def contact_shade(triangles: Floats, floor_m: float, points: Floats, normals: Fl
 
 
 def _section(triangles: Floats, height_m: float) -> Floats:
-    """Returns points (K, 2) along the outline of all that a level plane cuts."""
+    """Returns points (K, 2) along the intersection of the triangles with a horizontal plane."""
     above = triangles[:, :, 2] > height_m
     cut = triangles[above.any(axis=1) & ~above.all(axis=1)]
     is_up = cut[:, :, 2] > height_m

@@ -1,6 +1,6 @@
-"""Where flat pieces stand for a curved surface: normals that run on from one piece to the next; pure.
+"""Computes smooth normals of charts that approximate a curved surface. Pure.
 
-Flat pieces that meet at less than a given angle are shaded as one round surface; sharper edges stay sharp.
+Charts that meet at less than a given angle are shaded as one smooth surface; sharper edges stay sharp.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from schemas.support.numpy_types import Floats, Ints
 __all__ = ["Bends", "corner_normals", "find_bends"]
 
 _ROUND_COS = math.cos(math.radians(46.0))
-"""An octagon's sides are still round, a hexagon's are sharp."""
+"""Cosine of the maximum smooth angle: the sides of an octagon are smooth, those of a hexagon are not."""
 _MOST_AT_A_CORNER = 64
 _MOST_TRIANGLES = 1_000_000
-"""Larger scenes stay faceted: their pieces are smaller than texels anyway."""
+"""Maximum number of triangles with smooth normals; charts of larger scenes are smaller than texels."""
 _WELD_M = 1e-4
 _BENT_COS = math.cos(math.radians(2.0))
 _BENT_SLOPE = 0.08
-"""Change of the unit normal along a side from which on the side needs two texels at least."""
+"""Change of the unit normal along a side above which the side needs at least two texels."""
 
 
 @dataclass(frozen=True)
 class Bends:
-    """How the normal runs over each of C charts."""
+    """Linear model of the normal over each of C charts."""
 
     is_bent: NDArray[np.bool_]
-    """(C,)"""
+    """(C,) whether the normal varies over the chart."""
     base: Floats
-    """(C, 3) normal, not of unit length, at the first corner of the chart's rectangle."""
+    """(C, 3) unnormalised normal at the first corner of the rectangle of the chart."""
     slope: Floats
-    """(C, 2, 3) its change along and across the whole rectangle."""
+    """(C, 2, 3) change of the normal along and across the rectangle."""
     flat: Floats
-    """(C, 3) unit normal of the piece itself."""
+    """(C, 3) unit normal of the plane of the chart."""
     widest: Floats
-    """(C,) tangent of the largest angle between that and a corner's normal."""
+    """(C,) tangent of the largest angle between `flat` and the normal of a corner."""
 
     def normals(self, chart: Ints, share: Floats) -> Floats:
-        """Returns the unit normals (N, 3) at places `share` (N, 2), 0..1, of charts (N,).
+        """Returns the unit normals (N, 3) at positions `share` (N, 2), 0..1, of charts (N,).
 
-        Where a rectangle reaches past its triangles, normals lean no farther than those of the corners do.
+        Outside the triangles of a chart, the angle of the normals is limited to that of its corners.
         """
         flat = self.flat[chart]
         normals = self.base[chart] + np.einsum("na,nac->nc", share, self.slope[chart])
@@ -58,15 +58,15 @@ class Bends:
         return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def least_texels(self) -> Ints:
-        """Returns (C, 2) how many texels each side needs at least to show the bend."""
+        """Returns (C, 2) the minimum number of texels of each side that resolves the curvature."""
         strong = np.linalg.norm(self.slope, axis=2) > _BENT_SLOPE
         return np.where(strong & self.is_bent[:, None], 2, 1).astype(np.int64)
 
 
 def corner_normals(triangles: Floats, groups: Ints) -> Floats:
-    """Returns (T, 3, 3) the normal at each corner: the mean over the triangles around it that are nearly parallel.
+    """Returns (T, 3, 3) corner normals: the mean over the adjacent triangles that are nearly parallel.
 
-    Weighted by area and by angle at the corner, so that it does not matter how polygons were cut.
+    The mean is weighted by area and by corner angle, so that it does not depend on the triangulation.
 
     Args:
         triangles: (T, 3, 3) corners, world metres.
@@ -88,7 +88,7 @@ def corner_normals(triangles: Floats, groups: Ints) -> Floats:
 
 
 def _pairs(vertex: Ints) -> tuple[Ints, Ints]:
-    """All ordered pairs of corners that share a vertex, itself included; crowded vertices pair with themselves."""
+    """Returns all ordered pairs of corners that share a vertex, with self-pairs; only these for crowded vertices."""
     order = np.argsort(vertex, kind="stable")
     counts = np.bincount(vertex)
     starts = np.cumsum(counts) - counts
@@ -101,17 +101,17 @@ def _pairs(vertex: Ints) -> tuple[Ints, Ints]:
 
 
 def _angles(triangles: Floats) -> Floats:
-    """(T, 3) inner angle at each corner, radians."""
+    """Returns (T, 3) the inner angle at each corner, radians."""
     after, before = (np.roll(triangles, shift, axis=1) - triangles for shift in (-1, 1))
     sine = np.linalg.norm(np.cross(after, before), axis=2)
     return portable.arctan2(sine, np.einsum("tkc,tkc->tk", after, before))
 
 
 def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
-    """Fits a linear run of the normal to each chart.
+    """Fits a linear model of the normal to each chart.
 
     Args:
-        charts: the flat pieces.
+        charts: flat charts.
         triangles: (T, 3, 3) corners, world metres.
         groups: (T,) surfaces of different groups never run on into each other.
     """

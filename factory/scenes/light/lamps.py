@@ -1,4 +1,4 @@
-"""The lamps of a scene: whatever glows, as flat rectangles of light; lamps are hung where nothing does. Pure."""
+"""Finds the area lights of a scene: emissive charts, or a default grid of ceiling lamps if no chart emits. Pure."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ _SMALLEST_M2 = 0.05
 _MOST = 512
 _HUNG_HEIGHT_M, _HUNG_SIDE_M, _HUNG_EVERY_M = 2.6, 0.6, 4.0
 _NEAR_M2 = 0.15
-"""Added to squared distances: a lamp right beside a wall must not burn it out."""
+"""Offset of squared distances, square metres; prevents overexposure of walls next to a lamp."""
 
 
 @dataclass(frozen=True)
 class Lamps:
-    """L rectangles that shine to one side."""
+    """L one-sided rectangular area lights."""
 
     corner: Floats
-    """(L, 3) metres."""
+    """(L, 3) first corner of the rectangle, metres."""
     sides: Floats
-    """(L, 2, 3) the two sides of the rectangle from its corner, metres."""
+    """(L, 2, 3) side vectors from the corner, metres."""
     normal: Floats
-    """(L, 3) unit vectors into the light."""
+    """(L, 3) unit vectors in the direction of emission."""
     power: Floats
-    """(L,) area times brightness."""
+    """(L,) area times luminance."""
 
     @property
     def centre(self) -> Floats:
-        """(L, 3) metres."""
+        """Centre of each rectangle (L, 3), metres."""
         return np.asarray(self.corner + self.sides.sum(axis=1) / 2)
 
     def chosen(self, rows: NDArray[np.intp]) -> Lamps:
-        """Returns some of the lamps."""
+        """Returns a selection of the lamps."""
         return Lamps(self.corner[rows], self.sides[rows], self.normal[rows], self.power[rows])
 
 
@@ -46,10 +46,10 @@ def find_lamps(charts: Charts, brightness: Floats, bounds: Floats, floor_m: floa
     """Returns the lamps of a scene.
 
     Args:
-        charts: its flat pieces.
-        brightness: (C,) of each piece, 0 for what does not glow.
+        charts: flat charts of the scene.
+        brightness: (C,) emitted luminance; 0 without emission.
         bounds: (2, 3) lower and upper corner of the scene, metres.
-        floor_m: height of the floor; lamps are hung above it if no lamp shines.
+        floor_m: height of the floor, metres; default lamps are placed above it if no chart emits.
     """
     glowing = np.flatnonzero((brightness > 0) & (charts.area >= _SMALLEST_M2))
     power = charts.area[glowing] * brightness[glowing]
@@ -66,7 +66,7 @@ def find_lamps(charts: Charts, brightness: Floats, bounds: Floats, floor_m: floa
 
 
 def _hung(bounds: Floats, floor_m: float) -> Lamps:
-    """A regular grid of square lamps over the whole scene, under its ceiling."""
+    """Returns a regular grid of square lamps below the ceiling of the scene."""
     low, high = bounds
     height = min(floor_m + _HUNG_HEIGHT_M, max(float(high[2]) - 0.1, floor_m + 1.0))
     counts = np.clip(np.rint((high - low)[:2] / _HUNG_EVERY_M), 1, 16).astype(int)
@@ -78,18 +78,18 @@ def _hung(bounds: Floats, floor_m: float) -> Lamps:
 
 
 def nearest_lamps(lamps: Lamps, place: Floats, most: int) -> Lamps:
-    """Returns the lamps that can matter most around a place (3,), in a stable order."""
+    """Returns the `most` lamps with the strongest effect near a position (3,), in a stable order."""
     gap = lamps.centre - place
     weight = lamps.power / (np.einsum("lk,lk->l", gap, gap) + 1.0)
     return lamps.chosen(np.sort(np.argsort(-weight, kind="stable")[:most]))
 
 
 def light_from(lamps: Lamps, points: Singles, normals: Singles) -> Singles:
-    """Returns (L, N) the light that each lamp would throw on N points facing along `normals`, with nothing between.
+    """Returns (L, N) the unoccluded light of each lamp at N points with given normals.
 
     Args:
-        lamps: L of them.
-        points: (3, N) metres.
+        lamps: L lamps.
+        points: (3, N) positions, metres.
         normals: (3, N) unit vectors.
     """
     centre, facing = (np.asarray(values.T[:, :, None], np.float32) for values in (lamps.centre, lamps.normal))

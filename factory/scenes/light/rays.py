@@ -1,4 +1,4 @@
-"""Rays against the triangles of a scene; the only user of embreex."""
+"""Casts rays against the triangles of a scene. The only module that uses embreex."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["Caster"]
 
 
 class Caster:
-    """Answers what a ray meets first."""
+    """Ray caster over a set of triangles."""
 
     def __init__(self, triangles: Floats) -> None:
-        """Builds the search tree over triangles (T, 3, 3), metres."""
+        """Builds the acceleration structure of triangles (T, 3, 3), metres."""
         corners = np.ascontiguousarray(triangles, np.float32)
         self._scene: Any = rtcore_scene.EmbreeScene()
         self._mesh: Any = TriangleMesh(self._scene, corners)
@@ -26,12 +26,12 @@ class Caster:
         self._normals = np.ascontiguousarray(cross.T)
 
     def first_hits(self, origins: Singles, directions: Singles, reach_m: float) -> tuple[Singles, NDArray[np.bool_]]:
-        """Returns for N rays the distance to what they meet, at most `reach_m`, and whether they met its back.
+        """Returns for N rays the distance of the first hit, at most `reach_m`, and whether it is a back face.
 
         Args:
-            origins: (N, 3) metres.
+            origins: (N, 3) positions, metres.
             directions: (N, 3) unit vectors.
-            reach_m: how far to look.
+            reach_m: maximum distance, metres.
         """
         limit = np.full(len(origins), reach_m, np.float32)
         hit = self._scene.run(origins, directions, limit, query="INTERSECT", output=1)
@@ -42,6 +42,6 @@ class Caster:
         return distance, has_met & (x + y + z > 0)
 
     def is_free(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.bool_]:
-        """Says for N rays whether they meet nothing within their length."""
-        met = np.asarray(self._scene.run(origins, directions, lengths_m, query="OCCLUDED"))  # 0 where met, else -1
+        """Returns for N rays whether they hit nothing within their length."""
+        met = np.asarray(self._scene.run(origins, directions, lengths_m, query="OCCLUDED"))  # 0 for a hit, else -1
         return np.asarray(met != 0, np.bool_)

@@ -1,4 +1,4 @@
-"""Averages and completes values in a light map without ever mixing two charts; pure."""
+"""Smooths and fills values of a light map within each chart. Pure. Does not mix charts."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ _FILL_ROUNDS = 12
 
 
 def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
-    """Averages each value with the known ones around it, three by three, of the same chart.
+    """Averages each value with the known values of the same chart in its 3 x 3 neighbourhood.
 
     Args:
-        values: (..., H, W), any number of maps.
-        known: (H, W) which of them count.
-        owner: (H, W) chart of each texel, -1 for none.
+        values: (..., H, W) maps.
+        known: (H, W) validity mask.
+        owner: (H, W) chart of each texel, or -1.
 
     Returns:
-        The averages, and (H, W) where something was known.
+        The averages, and (H, W) the mask of texels with a known neighbour.
     """
     total, count = _around(values, known, owner)
     return np.where(count > 0, total / np.maximum(count, 1), values), count > 0
 
 
 def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:
-    """Returns the values (..., H, W) with the unknown ones taken from their nearest known neighbours, else from the
-    whole chart.
+    """Returns the values (..., H, W) with unknown ones filled from their nearest known neighbours, else from the mean
+    of the chart.
     """
     filled, have = values.copy(), known.copy()
     missing = np.nonzero(~have & (owner >= 0))
     means, is_found = _means(values, known, owner)
     filled[..., missing[0], missing[1]] = means[..., owner[missing]]
-    near = is_found[owner[missing]]  # the others have no known neighbour however far
+    near = is_found[owner[missing]]  # the other texels have no known neighbour at any distance
     missing = missing[0][near], missing[1][near]
     for _ in range(_FILL_ROUNDS):
         if not len(missing[0]):
@@ -50,7 +50,7 @@ def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:
 
 
 def _near(values: Floats, known: Bools, owner: Ints, cells: tuple[NDArray[np.intp], ...]) -> tuple[Floats, Floats]:
-    """Sum and number of the known values of the same chart around some cells."""
+    """Returns the sum and number of the known values of the same chart around the given cells."""
     count = np.zeros(len(cells[0]))
     total = np.zeros((*values.shape[:-2], len(count)))
     own = owner[cells]
@@ -66,7 +66,7 @@ def _near(values: Floats, known: Bools, owner: Ints, cells: tuple[NDArray[np.int
 
 
 def _means(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
-    """The mean of the known values of each chart (..., C), dim where there are none, and (C,) where there are some."""
+    """Returns the mean of the known values per chart (..., C), low without any, and the mask (C,) of known charts."""
     size = int(owner.max(initial=0)) + 1
     count = np.bincount(owner[known], minlength=size)
     maps = values.reshape(-1, *values.shape[-2:])
@@ -77,7 +77,7 @@ def _means(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
 
 
 def _around(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Floats]:
-    """Sum and number of the known values of the same chart in the square around each texel."""
+    """Returns the sum and number of the known values of the same chart in the 3 x 3 square around each texel."""
     total, count = np.zeros(values.shape), np.zeros(owner.shape)
     rows, columns = owner.shape
     for down in (-1, 0, 1):
@@ -91,5 +91,5 @@ def _around(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Floats]:
 
 
 def _run(shift: int, length: int) -> slice:
-    """The indices of an axis whose neighbour `-shift` away exists."""
+    """Returns the slice of indices of an axis whose neighbour at `-shift` exists."""
     return slice(max(shift, 0), length + min(shift, 0))

@@ -1,4 +1,4 @@
-"""The texels of a light map as places in the world, each with its normal and its set of rays; pure."""
+"""Maps the texels of a light map to world positions with normals and ray patterns. Pure. Casts no rays."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 __all__ = ["PATTERN_SIDE", "Texels", "lay_texels"]
 
 PATTERN_SIDE = 3
-"""Flat texels deal out the patterns of rays over squares of three by three."""
+"""Side of the square of neighbouring texels over which ray patterns repeat, texels."""
 _LIFT_M = 0.006
 _LARGE = 8
-"""Texels along the shorter side from which on a flat chart is large."""
+"""Minimum length of the shorter side of a large flat chart, texels."""
 
 
 @dataclass(frozen=True)
 class Texels:
-    """The texels that lie on surfaces, N of them."""
+    """N texels on surfaces."""
 
     cell: tuple[Ints, Ints]
-    """Row and column in the map."""
+    """Rows and columns in the light map."""
     chart: Ints
     points: Floats
-    """(N, 3) metres, just above the surface."""
+    """(N, 3) positions just above the surface, metres."""
     axes: Floats
-    """(N, 3, 3) rows: along, across, normal; the normal is that of the round surface where pieces stand for one."""
+    """(N, 3, 3) rows: along, across, normal; on curved charts, the smooth normal."""
     pattern: Ints
-    """(N,) which set of rays; the first for all texels of bent charts, whose values are never averaged."""
+    """(N,) index of the ray pattern; 0 for texels of curved charts, whose values are not averaged."""
     is_bent: Bools
-    """(N,)"""
+    """(N,) whether the texel is on a curved chart."""
     is_spare: Bools
-    """(N,) every other texel of large flat charts, as on a chess board: their neighbours can stand for them."""
+    """(N,) whether the texel is interpolated from its neighbours: every second texel of large flat charts."""
 
     def cast(self) -> Texels:
-        """Returns those that are worth casting rays from."""
+        """Returns the texels that cast rays."""
         rows = np.flatnonzero(~self.is_spare)
         return Texels(
             cell=(self.cell[0][rows], self.cell[1][rows]),
@@ -53,7 +53,7 @@ class Texels:
 
 
 def lay_texels(charts: Charts, bends: Bends, layout: Unwrap) -> Texels:
-    """Lays the texels of each chart over its rectangle, the outermost just inside its edges."""
+    """Distributes the texels of each chart over its rectangle; the outermost are just inside its edges."""
     counts = layout.size.prod(axis=1)
     chart = np.repeat(np.arange(len(counts)), counts)
     within = np.arange(len(chart)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -75,7 +75,7 @@ def lay_texels(charts: Charts, bends: Bends, layout: Unwrap) -> Texels:
 
 
 def _turned(axes: Floats, normals: Floats) -> Floats:
-    """Frames (N, 3, 3) with other normals, along as before as far as it can be."""
+    """Returns frames (N, 3, 3) rotated to new normals with a minimal change of the first axis."""
     along = axes[:, 0] - np.einsum("nk,nk->n", axes[:, 0], normals)[:, None] * normals
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return np.stack((along, np.cross(normals, along), normals), axis=1)

@@ -1,6 +1,6 @@
-"""From light to picture values: exposure by what the scene would show, a soft shoulder, a warm and a cool white; pure.
+"""Tone-maps light to image values: exposure by scene content, soft shoulder, warm and cool white. Pure.
 
-The curve works on the light alone, so that drawing a frame is one multiplication and nothing can overflow.
+The curve applies to the light map alone, so that rendering is one multiplication and cannot overflow.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ __all__ = ["tone"]
 
 _SKY_SHARE, _FLOOR = 0.42, 0.03
 _CONTACT = 2.0
-"""Power of the openness: above one, corners and the floor under furniture darken more than physics would have it."""
+"""Exponent of the openness; above 1, corners and floor under furniture are darker than physically correct."""
 _SHELTER = 0.6
-"""Power of the openness that dims lamps too: what stands on the floor is tied to it by a soft dark rim."""
+"""Exponent of the openness for lamp light; it adds soft contact shadows."""
 _EXPOSURE = 1.3
-"""Where the mean light lies before the shoulder, in units of the light that comes out as a half."""
+"""Mean light before the shoulder, in units of the light that maps to 0.5."""
 _GREY, _ADAPTION = 0.38, 0.6
-"""Reflectance that is shown at that exposure, and the power by which lighter and darker scenes are corrected."""
+"""Reference reflectance of the exposure, and exponent of the correction for lighter and darker scenes."""
 _MOST_CORRECTION = 1.35
 _WHITE = 3.0
-"""Light, in the same units, that comes out as full."""
+"""Light that maps to 1, in the same units."""
 _LAMP_TINT = np.array((1.0, 0.965, 0.885))
 _SKY_TINT = np.array((0.94, 0.975, 1.0))
 _GAMMA = 2.2
 
 
 def tone(sky: Floats, direct: Floats, measured: NDArray[np.bool_], grey: Floats) -> NDArray[np.uint8]:
-    """Returns the picture (H, W, 3), gamma-encoded.
+    """Returns the gamma-encoded light map (H, W, 3).
 
     Args:
         sky: (H, W) openness, 0..1.
-        direct: (H, W) light of lamps, any unit.
-        measured: (H, W) the texels that set the exposure.
-        grey: (H, W) the reflectance of what lies there, 0..1.
+        direct: (H, W) lamp light, any unit.
+        measured: (H, W) mask of the texels that determine the exposure.
+        grey: (H, W) reflectance of the surface, 0..1.
     """
     lit = measured & (direct > 0)
     mean = float(direct[lit].mean()) if lit.any() else 1.0
@@ -51,7 +51,7 @@ def tone(sky: Floats, direct: Floats, measured: NDArray[np.bool_], grey: Floats)
 
 
 def _correction(grey: Floats) -> float:
-    """More light for dark places and less for light ones, as a camera does it."""
+    """Returns the exposure factor: above 1 for dark scenes, below 1 for light ones."""
     if not len(grey):
         return 1.0
     wanted = (_GREY / max(float(grey.mean()), 1e-3)) ** _ADAPTION

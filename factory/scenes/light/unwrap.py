@@ -1,7 +1,7 @@
-"""Gives every flat piece of a scene its own rectangle of texels in the light map; pure.
+"""Packs the flat charts of a scene as rectangles of texels into the light map. Pure.
 
-The outermost texel centres lie on the edges of the piece, so bilinear sampling never reads a neighbour's texel and no
-padding is needed. Small pieces of a curved surface get two texels a side, so that light runs on over their edges.
+The outermost texel centres are on the edges of the chart, so that bilinear sampling does not read other charts and
+needs no padding. Small charts of a curved surface get two texels per side, so that light is continuous across edges.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ _LARGE_M2 = 4.0
 _BUDGET = 512_000
 _MAX_SIDE = 1024
 _TINY = 0.75
-"""Pieces narrower than this share of a texel get a single one."""
+"""Width in texels below which a chart gets a single texel."""
 
 
 class TooManyPieces(ValueError):
-    """There are more flat pieces than texels."""
+    """The scene has more charts than the light map has texels."""
 
 
 @dataclass(frozen=True)
 class Unwrap:
-    """Where the charts lie in the light map."""
+    """Layout of the charts in the light map."""
 
     shape: tuple[int, int]
-    """Rows and columns."""
+    """Rows and columns of the light map."""
     place: Ints
     """(C, 2) first column and first row of each chart."""
     size: Ints
     """(C, 2) columns and rows of each chart."""
     uvs: Floats
-    """(T, 3, 2) coordinates of the corners, 0..1."""
+    """(T, 3, 2) light map coordinates of the corners, 0..1."""
 
 
 def unwrap(
     charts: Charts, gain: Floats | None = None, least: Ints | None = None, width: int = 1024, max_height: int = 2048
 ) -> Unwrap:
-    """Packs the charts into one map, as dense as budget and height allow.
+    """Packs the charts into one light map at the highest density that fits.
 
     Args:
-        charts: the flat pieces.
-        gain: (C,) how much denser than usual the texels of each are wanted; 1 when `None`, 0 asks for a single one.
-        least: (C, 2) texels along and across that each needs at least; 1 when `None`.
-        width: columns of the map.
-        max_height: most rows it may have.
+        charts: flat charts.
+        gain: (C,) relative texel density of each chart; 1 when `None`, 0 for a single texel.
+        least: (C, 2) minimum number of texels along and across; 1 when `None`.
+        width: number of columns of the light map.
+        max_height: maximum number of rows of the light map.
     """
     wanted = _density(charts) * (1.0 if gain is None else gain)
     floor = np.ones((len(wanted), 2), np.int64) if least is None else np.where(wanted[:, None] > 0, least, 1)
@@ -65,7 +65,7 @@ def unwrap(
         if size.max() == 1:
             raise TooManyPieces(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
         if (size == floor).all():
-            floor = np.ones_like(floor)  # round surfaces must be faceted then
+            floor = np.ones_like(floor)  # curved surfaces become faceted
         scale *= 0.9
     span = np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]
     chart = charts.of_triangle
@@ -74,7 +74,7 @@ def unwrap(
 
 
 def _density(charts: Charts) -> Floats:
-    """Texels a metre: more on large floors, where contact shadows fall, fewer on ceilings."""
+    """Returns texels per metre: more on large floors, which have contact shadows, fewer on ceilings."""
     up, is_large = charts.axes[:, 2, 2], charts.area >= _LARGE_M2
     gain = np.where(is_large & (up > 0.9), _FLOOR_GAIN, np.where(is_large & (up < -0.9), _CEILING_GAIN, 1.0))
     return np.asarray(_TEXELS_PER_M * gain)
@@ -86,7 +86,7 @@ def _sizes(extent: Floats, density: Floats, most: int) -> Ints:
 
 
 def _pack(size: Ints, width: int) -> tuple[Ints, int]:
-    """Fills shelves from left to right, the highest charts first; returns places and the height used."""
+    """Shelf packing, highest charts first. Returns positions and the height used."""
     place = np.zeros_like(size)
     column = row = shelf = 0
     for chart in np.lexsort((-size[:, 0], -size[:, 1])).tolist():

@@ -1,1 +1,1 @@
-"""Where the robot can stand and drive in a scene."""
+"""Computes the collider, the floor, the occupancy grid and the reachable targets of a scene. Pure."""

@@ -1,6 +1,6 @@
-"""What the robot can bump into: one welded, concave triangle mesh of everything solid but the floor.
+"""Builds the collider of a scene: one welded, concave triangle mesh of all solid parts except the floor.
 
-Prefers collision geometry that the stage authors; never simplifies and never moves a vertex further than the weld.
+Prefers authored collision geometry. Does not simplify meshes, and moves vertices by the weld distance at most.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from schemas.support.numpy_types import Floats
 __all__ = ["COLLIDER_TOP_M", "solid_triangles", "weld"]
 
 COLLIDER_TOP_M = 2.2
-"""Height over the floor from which on nothing matters to the robot, metres."""
+"""Height above the floor up to which geometry is part of the collider, metres."""
 FLOOR_SKIN_M = 0.005
-"""What stays within this height of the floor is floor, metres."""
+"""Height above the floor up to which geometry counts as floor, metres."""
 _WELD_M = 1e-4
 _PROXY_MARGIN_M = 0.1
 
 
 def solid_triangles(visible: Sequence[Part], colliders: Sequence[Part], floor_m: float) -> Floats:
-    """Returns (T, 3, 3) the triangles that stop the robot, world metres.
+    """Returns the solid triangles (T, 3, 3), world metres.
 
-    A collider that a stage authors stands for the visible parts beside it in the tree that lie within its box.
+    An authored collider replaces the visible parts that are its siblings in the prim tree and are inside its box.
 
     Args:
-        visible: the parts that are seen.
-        colliders: the parts that are authored for collision only.
-        floor_m: height of the floor.
+        visible: visible parts.
+        colliders: parts authored for collision only.
+        floor_m: height of the floor, metres.
     """
     boxes = _boxes_by_parent(colliders)
     shown = [part for part in visible if not _is_replaced(part, boxes)]
@@ -42,7 +42,7 @@ def solid_triangles(visible: Sequence[Part], colliders: Sequence[Part], floor_m:
 
 
 def _boxes_by_parent(colliders: Sequence[Part]) -> dict[str, Floats]:
-    """Union boxes (2, 3) of the colliders below each prim, but not of those directly below the scene's root."""
+    """Returns the union box (2, 3) of the colliders below each prim, without those directly below the root prim."""
     boxes: dict[str, Floats] = {}
     for part in colliders:
         parent = part.path.rpartition("/")[0]
@@ -67,7 +67,7 @@ def _is_replaced(part: Part, boxes: dict[str, Floats]) -> bool:
 
 
 def weld(triangles: Floats) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Joins equal corners: returns vertices (M, 3) in metres and triangles (K, 3), without empty or double ones."""
+    """Merges equal corners and drops degenerate and double triangles. Returns vertices (M, 3), metres, and (K, 3)."""
     keys = np.rint(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64)
     keys -= keys.min(axis=0, initial=0)
     spans = keys.max(axis=0, initial=0) + 1

@@ -1,6 +1,6 @@
-"""Finds the floor: the height that the robot drives on and the cells that have floor below them.
+"""Finds the floor: its height and its triangles.
 
-Pure; never decides what stands on it.
+Pure. Does not detect obstacles.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from schemas.support.numpy_types import Floats
 __all__ = ["FLOOR_TOLERANCE_M", "find_floor_height", "floor_triangles"]
 
 FLOOR_TOLERANCE_M = 0.03
-"""How far from the floor's height a surface is still floor, metres."""
+"""Maximum vertical distance of a floor surface from the height of the floor, metres."""
 _BIN_M = 0.02
 _MIN_AREA_M2 = 2.0
 _MIN_SHARE = 0.4
 
 
 def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:
-    """Heights and areas of the level, upward triangles; areas of the others are 0."""
+    """Returns the heights and areas of level, upward-facing triangles; the areas of all others are 0."""
     crosses = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     doubled = np.linalg.norm(crosses, axis=1)
     level = crosses[:, 2] > 0.98 * doubled
@@ -28,13 +28,13 @@ def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:
 
 
 def find_floor_height(triangles: Floats) -> float:
-    """Returns the floor's height: the lowest level with much of the upward area, metres.
+    """Returns the height of the floor, metres: the lowest level with a large upward-facing area.
 
     Args:
-        triangles: (T, 3, 3) all that is visible, world metres.
+        triangles: (T, 3, 3) visible triangles, world metres.
 
     Raises:
-        WorldError: nowhere are two square metres of level ground.
+        WorldError: the largest level surface is smaller than two square metres.
     """
     heights, areas = _facing_up(triangles)
     bins = np.floor(heights / _BIN_M).astype(np.int64)
@@ -52,6 +52,6 @@ def find_floor_height(triangles: Floats) -> float:
 
 
 def floor_triangles(triangles: Floats, height: float) -> Floats:
-    """Returns the triangles (F, 3, 3) that are floor at a height."""
+    """Returns the floor triangles (F, 3, 3) for a height of the floor."""
     heights, areas = _facing_up(triangles)
     return triangles[(areas > 0) & (np.abs(heights - height) <= FLOOR_TOLERANCE_M)]

@@ -1,6 +1,6 @@
-"""Draws triangles of a height band onto the occupancy grid: outlines by sampling, insides by interpolation.
+"""Rasterises triangles of a height band into the occupancy grid: outlines by sampling, interiors by interpolation.
 
-Pure; never asks where the robot could go.
+Pure. Does not compute reachability.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from workers.geometry.grid import FREE, HIDING, OCCUPIED
 __all__ = ["BAND_M", "GridFrame", "build_occupancy", "draw_band"]
 
 BAND_M = (0.05, 0.60)
-"""Height over the floor in which the robot (0.556 m) meets things, metres."""
+"""Height band above the floor in which the robot (0.556 m) can collide, metres."""
 _HIDING_BANDS_M = ((0.30, 0.60), (1.00, 1.15), (1.65, 1.80))
-"""What fills all three is a wall or as good as one."""
+"""Height bands above the floor, metres; geometry in all three occludes like a wall."""
 RESOLUTION_M = 0.05
 _PAD_M = 0.5
 _FLOOR_BEYOND_M = 6.0
@@ -31,7 +31,7 @@ _MAX_CELLS = 16_000_000
 
 @dataclass(frozen=True)
 class GridFrame:
-    """Where a grid lies."""
+    """Origin and shape of a grid."""
 
     origin_m: tuple[float, float]
     """World x, y of the outer corner of cell (0, 0)."""
@@ -44,9 +44,9 @@ def build_occupancy(solid: Floats, visible: Floats, floor_m: float) -> tuple[Gri
     """Returns the grid of a scene: 0 free floor, 1 occupied or without floor, 2 occupied and hiding.
 
     Args:
-        solid: (T, 3, 3) what stops the robot, world metres.
-        visible: (V, 3, 3) what is seen, the floor among it.
-        floor_m: height of the floor.
+        solid: (T, 3, 3) collider triangles, world metres.
+        visible: (V, 3, 3) visible triangles including the floor, world metres.
+        floor_m: height of the floor, metres.
     """
     floor = floor_triangles(visible, floor_m)
     frame = _frame_of(_in_band(solid, floor_m, BAND_M), floor)
@@ -64,7 +64,7 @@ def _in_band(triangles: Floats, floor_m: float, band: tuple[float, float]) -> Fl
 
 
 def _frame_of(obstacles: Floats, floor: Floats) -> GridFrame:
-    """Bounds of the obstacles and of the floor, of which no more than 6 m beyond the obstacles."""
+    """Returns the bounds of obstacles and floor; the floor is cut at 6 m beyond the obstacles."""
     lower, upper = floor[:, :, :2].min(axis=(0, 1)), floor[:, :, :2].max(axis=(0, 1))
     if len(obstacles):
         low, high = obstacles[:, :, :2].min(axis=(0, 1)), obstacles[:, :, :2].max(axis=(0, 1))
@@ -81,13 +81,13 @@ def _frame_of(obstacles: Floats, floor: Floats) -> GridFrame:
 
 
 def draw_band(triangles: Floats, floor_m: float, band: tuple[float, float], frame: GridFrame) -> Bools:
-    """Returns (H, W) the cells that triangles touch within a height band over the floor.
+    """Returns the cells (H, W) that triangles touch within a height band above the floor.
 
     Args:
         triangles: (T, 3, 3) world metres.
         floor_m: height of the floor.
-        band: lowest and highest height over the floor, metres.
-        frame: the grid.
+        band: lowest and highest height above the floor, metres.
+        frame: origin and shape of the grid.
     """
     low, high = floor_m + band[0], floor_m + band[1]
     found = _in_band(triangles, floor_m, band)
@@ -99,7 +99,7 @@ def draw_band(triangles: Floats, floor_m: float, band: tuple[float, float], fram
 
 
 def _plan_extent(triangles: Floats) -> Floats:
-    """Width of each triangle seen from above: its plan area over its longest plan side, metres."""
+    """Returns the plan width of each triangle: plan area divided by the longest plan side, metres."""
     flat = triangles[:, :, :2]
     ab, ac = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
@@ -108,7 +108,7 @@ def _plan_extent(triangles: Floats) -> Floats:
 
 
 def _outlines(triangles: Floats, low: float, high: float) -> tuple[Floats, Floats]:
-    """Ends (S, 2), (S, 2) of the sides of the triangles clipped to the band, cuts included, seen from above."""
+    """Returns the plan end points (S, 2), (S, 2) of the triangle sides clipped to the band, cuts included."""
     starts, ends = triangles.reshape(-1, 3), np.roll(triangles, -1, axis=1).reshape(-1, 3)
     rise = ends[:, 2] - starts[:, 2]
     safe = np.where(np.abs(rise) < 1e-12, 1.0, rise)
@@ -129,7 +129,7 @@ def _outlines(triangles: Floats, low: float, high: float) -> tuple[Floats, Float
 
 
 def _cut(triangles: Floats, height: float) -> Floats:
-    """Where triangles cross a height: segments (C, 2, 2) seen from above."""
+    """Returns the plan segments (C, 2, 2) in which triangles cross a height."""
     above = triangles[:, :, 2] >= height
     crossing = triangles[above.any(axis=1) & ~above.all(axis=1)]
     over = crossing[:, :, 2] >= height
@@ -159,14 +159,14 @@ def _draw_segments(cells: Bools, starts: Floats, ends: Floats, frame: GridFrame)
 
 
 def _batches(counts: NDArray[np.int64], limit: int = 4_000_000) -> list[slice]:
-    """Runs of segments with about `limit` samples each."""
+    """Returns slices of segments with about `limit` samples each."""
     marks = np.searchsorted(np.cumsum(counts), np.arange(limit, counts.sum() + 1, limit)) + 1
     edges = np.unique(np.concatenate([[0], np.minimum(marks, len(counts)), [len(counts)]]))
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def _fill(cells: Bools, triangles: Floats, low: float, high: float, frame: GridFrame) -> None:
-    """Marks the cells at whose centres a triangle lies within the band; for triangles that are wide from above."""
+    """Marks the cells whose centre is covered by a triangle within the band; used for triangles wide in plan."""
     limits = np.array(frame.shape[::-1])
     grid = (triangles[:, :, :2] - frame.origin_m) / frame.resolution_m - 0.5
     first = np.clip(np.ceil(grid.min(axis=1)).astype(np.int64), 0, limits)
@@ -185,7 +185,7 @@ def _fill(cells: Bools, triangles: Floats, low: float, high: float, frame: GridF
 
 
 def _heights_at(plan: Floats, z: Floats, points: NDArray[np.int64]) -> Floats:
-    """Heights (N,) of triangles at points of the plan, by barycentric weights; NaN beside them."""
+    """Returns heights (N,) of triangles at plan points by barycentric interpolation; NaN outside."""
     a, b, c = plan[:, 0], plan[:, 1], plan[:, 2]
     ab, ac, ap = b - a, c - a, points - a
     whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]

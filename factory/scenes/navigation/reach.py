@@ -1,6 +1,6 @@
-"""Which things the robot can reach, and from which tiers: by straight driving or by any way round.
+"""Computes which targets the robot can reach, and from which tiers: by straight driving or by any path.
 
-Pure and deterministic: tries lattices of poses on the grid; never simulates and never draws at random.
+Pure and deterministic: tests lattices of poses on the occupancy grid. Does not simulate and does not sample.
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ from workers.geometry.grid import Grid, are_within, body_centre, straight_end
 __all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "is_reachable", "ring_tiers", "sees_matrix"]
 
 ARRIVAL_RADIUS_M = 0.97
-"""Where the robot comes to rest within the success circle, metres from the centroid."""
+"""Distance from the centroid at which the robot stops within the success circle, metres."""
 SEE_RANGE_M = (1.5, 11.0)
-"""Distances from which a spawn counts for a target, metres."""
+"""Minimum and maximum distance of a spawn that counts for a target, metres."""
 MIN_STARTS = 3
-"""How many poses of the lattice a tier needs, so that random draws find them too."""
+"""Minimum number of valid lattice poses of a tier, so that random sampling finds one."""
 _ARRIVAL_SHARES = (1.0, 0.85, 0.7, 0.5, 0.3)
 _BEARINGS, _HEADINGS, _RINGS = 48, 16, 6
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """The grid with what follows from it."""
+    """Occupancy grid with the connected floor and the boxes of candidates."""
 
     grid: Grid
     floor: Bools
-    """(H, W) the connected floor of the body centre."""
+    """(H, W) cells that the body centre can reach."""
     config: SpawnConfig
     taken: Floats
-    """(K, 2, 2) lower and upper corners x, y of what things of a category take up, metres."""
+    """(K, 2, 2) lower and upper corners x, y of the candidates' boxes, metres."""
 
     def fits(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float) -> Bools:
-        """Tells for base_link poses whether the footprint is free and stands on the connected floor."""
+        """Returns for base_link poses whether the footprint is free and on the connected floor."""
         on_floor = self.grid.values_at(self.floor, body_centre(x, y, yaw), False)
         return np.asarray(on_floor.astype(bool) & self.grid.are_poses_free(x, y, yaw, margin_m))
 
     def can_start(self, points: Floats, yaw: ArrayLike) -> Bools:
-        """Tells for base_link at points (N, 2) whether it fits with the spawn margin, and beneath nothing."""
+        """Returns for base_link points (N, 2) whether it fits with the spawn margin and outside all boxes."""
         fits = self.fits(points[:, 0], points[:, 1], yaw, self.config.margin_m)
         return np.asarray(fits & ~are_within(points, self.taken))
 
 
 def _rings(centre: Floats, radii: ArrayLike) -> Floats:
-    """Points (R * B, 2) on circles about a centre."""
+    """Returns points (R * B, 2) on circles around a centre."""
     angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.asarray((centre + np.asarray(radii, float)[:, None, None] * circle).reshape(-1, 2))
 
 
 def is_reachable(terrain: Terrain, target: Target) -> bool:
-    """Whether some pose inside the success circle is free, on the connected floor and in sight of the target."""
+    """Returns whether a pose in the success circle is free, on the connected floor and in sight of the target."""
     centre = np.asarray(target.centroid_m[:2])
     points = _rings(centre, np.asarray(_ARRIVAL_SHARES) * ARRIVAL_RADIUS_M)
     points = points[terrain.grid.have_sight(points, target)]
@@ -69,9 +69,9 @@ def is_reachable(terrain: Terrain, target: Target) -> bool:
 
 
 def ring_tiers(terrain: Terrain, target: Target) -> tuple[tuple[Tier, ...], tuple[Tier, ...]]:
-    """Returns the tiers among near and mid from which a target can be driven to straight, and at all.
+    """Returns the tiers (near, mid) from which a target is reachable by straight driving, and by any path.
 
-    Starts face the target, fit with the spawn margin, stand on the connected floor and have the target in sight.
+    Start poses face the target, fit with the spawn margin, are on the connected floor and see the target.
     """
     straight, connected = [], []
     centre = np.asarray(target.centroid_m[:2])
@@ -90,7 +90,7 @@ def ring_tiers(terrain: Terrain, target: Target) -> tuple[tuple[Tier, ...], tupl
 
 
 def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...]) -> NDArray[np.uint8]:
-    """Returns (S, T) 1 where a spawn has a free straight way to a target's success circle, and sight of it."""
+    """Returns (S, T): 1 where a spawn has a free straight path to the success circle of a target and sees it."""
     sees = np.zeros((len(spawns), len(targets)), np.uint8)
     for column, target in enumerate(targets):
         centre = np.asarray(target.centroid_m[:2])

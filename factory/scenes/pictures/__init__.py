@@ -1,4 +1,4 @@
-"""Pictures of a compiled scene for people: the map, views at eye height and from the robot, a sheet of its things."""
+"""Renders images of a compiled scene: map, views at eye height and from the robot's camera, contact sheets."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ __all__ = ["Wanted", "draw_scene"]
 
 _SMALL_PX, _SHEET_PX = 96, 400
 _FINE = 2
-"""Views at eye height are drawn so many times larger and smoothed down."""
+"""Supersampling factor of the views at eye height."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which pictures to draw."""
+    """Number of images of each kind."""
 
     views: int = 6
-    """At a person's eye height."""
+    """Number of views at a person's eye height."""
     robot_views: int = 4
-    """As the robot's camera records them."""
+    """Number of views from the robot's camera."""
     colours: int = 0
-    """Targets of known colour to show in their place, for checking."""
+    """Number of targets with a known colour on the colour sheet."""
 
 
 def draw_scene(scene: CompiledScene, folder: Path, wanted: Wanted, renderer: RendererKind) -> Iterator[Path]:
-    """Writes `map.png`, `eye_00.png`, `robot_00.png` and so on, `categories.png`, `colours.png`; yields each path.
+    """Writes `map.png`, `eye_00.png`, ..., `robot_00.png`, ..., `categories.png` and `colours.png`; yields each path.
 
     Args:
-        scene: the package.
-        folder: made when missing.
-        wanted: which pictures.
-        renderer: which one draws.
+        scene: compiled scene.
+        folder: output directory; created if missing.
+        wanted: number of images of each kind.
+        renderer: renderer to use.
     """
     os.environ.setdefault("LP_NUM_THREADS", "0")
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
-"""A contact sheet of things with their names: every variant of every category alone, or chosen targets in their place.
+"""Draws contact sheets of labelled targets: each variant of each category in isolation, or chosen targets in place.
 
-Draws; which targets are shown is decided by pure functions.
+Pure functions select the targets. Does not write files.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ Picture = NDArray[np.uint8]
 
 
 def model_name(prim_path: str) -> str:
-    """Returns the name of a prim without its running number: `SM_Chair_A_02` of `/World/Props/SM_Chair_A_02_17`."""
+    """Returns the prim name without its instance number: `SM_Chair_A_02` for `/World/Props/SM_Chair_A_02_17`."""
     return _NUMBER.sub("", prim_path.rpartition("/")[2])
 
 
 def variants(targets: Sequence[Target], most: int = _MOST_A_CATEGORY) -> list[Target]:
-    """Returns one target for each model and colour, at most `most` a category, by category and model."""
+    """Returns one target per model and colour, at most `most` per category, sorted by category and model."""
     first: dict[tuple[str, str, str], Target] = {}
     for target in targets:
         first.setdefault((target.category, model_name(target.prim_path), target.colour), target)
@@ -52,14 +52,14 @@ def variants(targets: Sequence[Target], most: int = _MOST_A_CATEGORY) -> list[Ta
 
 
 def known_colours(targets: Sequence[Target], count: int, rng: Generator) -> list[Target]:
-    """Returns a random sample of the targets whose colour is known, in their own order."""
+    """Returns a random sample of the targets with a known colour, in their original order."""
     known = [target for target in targets if target.colour != "unknown"]
     rows = rng.choice(len(known), min(count, len(known)), replace=False) if known else np.zeros(0, np.int64)
     return [known[row] for row in sorted(rows.tolist())]
 
 
 def alone(scene: CompiledScene, instance_id: int) -> CompiledScene:
-    """Returns the scene with nothing to see but one instance, its light kept."""
+    """Returns the scene with one visible instance and unchanged light."""
     parts = np.flatnonzero(scene.part_instance == instance_id)
     runs = [np.arange(scene.part_first[p], scene.part_first[p] + scene.part_count[p]) for p in parts]
     rows = np.concatenate(runs) if runs else np.zeros(0, np.int64)
@@ -80,7 +80,7 @@ def alone(scene: CompiledScene, instance_id: int) -> CompiledScene:
 
 
 def facing(scene: CompiledScene, target: Target) -> float:
-    """Returns the heading, radians, from a target to where most of the connected floor near it lies: its open side."""
+    """Returns the heading, radians, from a target to its open side: most of the connected floor nearby."""
     grid = Grid.from_scene(scene)
     floor = grid.centre_of(np.argwhere(scene.reachable > 0))
     away = floor - np.array(target.centroid_m[:2])
@@ -94,7 +94,7 @@ def facing(scene: CompiledScene, target: Target) -> float:
 
 
 def _view_alone(scene: CompiledScene, target: Target) -> Viewpoint:
-    """Stands where the thing fills the frame, aside of its open side and a little above."""
+    """Returns a viewpoint beside the open side and slightly above, from which the target fills the frame."""
     yaw = facing(scene, target) + _ASIDE_RAD
     radius = float(np.linalg.norm(target.size_m)) / 2
     way = _ROOM * radius / math.sin(math.radians(_FOV_DEG) / 2)
@@ -104,7 +104,7 @@ def _view_alone(scene: CompiledScene, target: Target) -> Viewpoint:
 
 
 def _view_in_place(scene: CompiledScene, target: Target, yaw: float) -> Viewpoint:
-    """Stands in a direction of the thing, somewhat higher than the robot's eye, looking at its centre."""
+    """Returns a viewpoint in a given direction, slightly above the robot's camera, directed at the target's centre."""
     radius = float(np.linalg.norm(target.size_m)) / 2
     way = min(max(1.3 * radius / math.sin(math.radians(_IN_PLACE_FOV_DEG) / 2), 0.8), 3.0)
     eye = np.array(target.centroid_m) + way * np.array((math.cos(yaw), math.sin(yaw), 0.0))
@@ -128,7 +128,7 @@ def _tiles(eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_pl
 
 
 def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> RenderedFrame:
-    """Looks from all around, the open side first, and keeps the look that shows most of the thing."""
+    """Renders views from all around, the open side first, and returns the one with most pixels of the target."""
     looks: list[RenderedFrame] = []
     for turn in _TURNS_DEG:
         view = _view_in_place(scene, target, facing(scene, target) + math.radians(turn))
@@ -140,7 +140,7 @@ def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> Rende
 
 
 def _outlined(rgb: Picture, mask: NDArray[np.bool_]) -> Picture:
-    """Returns the picture with a frame around the mask's box."""
+    """Returns the image with the bounding box of the mask drawn on it."""
     rows, columns = np.nonzero(mask)
     if not len(rows):
         return rgb
@@ -153,14 +153,14 @@ def _outlined(rgb: Picture, mask: NDArray[np.bool_]) -> Picture:
 def draw_sheet(
     eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_place: bool = False, columns: int = 8
 ) -> Image.Image:
-    """Returns a sheet with a labelled tile for each target: category and colour, below them the prim.
+    """Returns a sheet with one tile per target, labelled with category, colour and prim.
 
     Args:
-        eye: draws the tiles; frames larger than a tile are smoothed down.
-        scene: where they stand.
-        targets: what to show.
-        in_place: each among its surroundings, outlined by its box, instead of alone.
-        columns: tiles in a row.
+        eye: renderer of the tiles; larger frames are downsampled.
+        scene: scene of the targets.
+        targets: targets to draw.
+        in_place: whether to draw each target with its surroundings and its bounding box, instead of isolated.
+        columns: number of tiles per row.
     """
     rows = max(1, -(-len(targets) // columns))
     height = _TILE_PX + _TEXT_PX

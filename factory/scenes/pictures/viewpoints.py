@@ -1,6 +1,6 @@
-"""Where to stand to show a scene: many places and headings are tried small, those with most to see are kept.
+"""Chooses viewpoints of a scene: renders many small candidate frames and keeps those with the highest score.
 
-Chooses by what a frame shows, never by chance; draws nothing that is kept.
+Deterministic. Does not write images.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ __all__ = ["EYE", "Height", "Viewpoint", "best_views", "looking", "try_views", "
 _HEADINGS = 10
 _NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
 _SATURATED = 0.05
-"""Share of the picture from which on a thing is not more worth seeing."""
+"""Share of the frame above which an object does not increase the score."""
 _CLUTTER = 0.15
-"""Worth of what is no target, in shares of a target's."""
+"""Weight of an object that is not a target, relative to a target."""
 _SEEN_BEFORE = 0.3
 _BARE_SHARE = 0.45
 
 
 @dataclass(frozen=True)
 class Height:
-    """From how high, and how, a person looks."""
+    """Camera height, pitch and field of view of a viewpoint."""
 
     eye_m: float
     pitch_rad: float
@@ -39,12 +39,12 @@ class Height:
 
 
 EYE = Height(1.5, math.radians(-11.0), 80.0)
-"""A person's eyes, a little down."""
+"""Eye height of a person, slightly downwards."""
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A pose of the robot's base and the camera on it, in the world frame."""
+    """Pose of the robot base in the world frame, with its camera."""
 
     pose: Pose
     camera: CameraConfig
@@ -53,7 +53,7 @@ class Viewpoint:
 def looking(
     eye: NDArray[np.float64], yaw_rad: float, pitch_rad: float, fov_deg: float, near_m: float = 0.05
 ) -> Viewpoint:
-    """Returns the view from a place (3,), metres, heading `yaw_rad` and raised by `pitch_rad`."""
+    """Returns the viewpoint at a position (3,), metres, with heading `yaw_rad` and elevation `pitch_rad`."""
     cos_yaw, sin_yaw = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
     cos_pitch, sin_pitch = math.cos(-pitch_rad / 2), math.sin(-pitch_rad / 2)
     pose = Pose(
@@ -69,7 +69,7 @@ def looking(
 
 
 def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> Iterator[Viewpoint]:
-    """Yields views from surveyed points all around; the robot's own camera where `height` is `None`."""
+    """Yields viewpoints at the spawn points in all directions; uses the robot's camera if `height` is `None`."""
     for number, (x, y) in enumerate(scene.spawns[:places].astype(float)):
         for heading in range(_HEADINGS):
             yaw = 2 * math.pi * (heading + number * 0.382) / _HEADINGS
@@ -81,12 +81,12 @@ def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> 
 
 
 def worth(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
-    """Says how much a frame shows: things, large enough, in some depth, not yet seen.
+    """Returns the score of a frame: it counts large objects at different depths that earlier images do not show.
 
     Args:
-        frame: what the camera sees.
-        targets: instance ids of what can be named.
-        seen: instance ids that earlier pictures show already.
+        frame: rendered frame.
+        targets: instance ids of the targets.
+        seen: instance ids that earlier images show.
     """
     counts = np.bincount(frame.ids.ravel())
     share = counts / frame.ids.size
@@ -103,13 +103,13 @@ def worth(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = (
 
 
 def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count: int) -> list[Viewpoint]:
-    """Returns the views that together show most, best first.
+    """Returns the set of viewpoints with the highest total score, best first.
 
     Args:
-        eye: a renderer of small frames.
-        scene: what to show.
-        height: a person's, or `None` for the robot's own camera.
-        count: how many views are wanted.
+        eye: renderer of small frames.
+        scene: compiled scene.
+        height: camera of a person, or `None` for the robot's camera.
+        count: number of viewpoints.
     """
     targets = frozenset(target.instance_id for target in scene.info.targets)
     tried: list[tuple[Viewpoint, RenderedFrame]] = []
@@ -129,6 +129,6 @@ def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count
 
 
 def _is_apart(one: Pose, other: Pose) -> bool:
-    """Whether two views differ enough in place or heading."""
+    """Returns whether two viewpoints differ enough in position or heading."""
     turn = abs(math.remainder(one.yaw - other.yaw, 2 * math.pi))
     return math.hypot(one.x - other.x, one.y - other.y) > 2.0 or turn > math.radians(80)

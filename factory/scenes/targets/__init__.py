@@ -1,1 +1,1 @@
-"""The list of a scene's targets and edits of it."""
+"""Target candidates of a stage, and the target lists and edits of the user. Compiles no scene."""

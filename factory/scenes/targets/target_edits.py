@@ -1,6 +1,6 @@
-"""Honours a user's edited list of targets: which prims are targets, and what they are called.
+"""Applies the user's edited target list: selects the target prims and sets their ids, categories and colours.
 
-Pure; what is not on the list stays in the scene as a thing, but is no target.
+Pure. Prims that are not listed stay in the scene as objects.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from factory.scenes.importer import Part
-from factory.scenes.importer.targets import Candidate
+from factory.scenes.targets.candidates import Candidate
 from factory.scenes.targets.target_list import TargetList
 from schemas.errors import UsageError
 from schemas.scene import Target
@@ -21,15 +21,15 @@ __all__ = ["apply_candidate_edits", "apply_target_edits", "recoloured"]
 def apply_candidate_edits(
     found: tuple[Candidate, ...], parts: Sequence[Part], chosen: TargetList | None
 ) -> tuple[Candidate, ...]:
-    """Returns the listed prims as candidates, and of those that the rules found the ones apart from them.
+    """Returns the listed prims as candidates, with the candidates of the rules that do not overlap them.
 
     Args:
-        found: what the rules say.
-        parts: the visible parts.
-        chosen: the user's list, or `None` to keep what was found.
+        found: candidates that the rules find.
+        parts: visible parts.
+        chosen: target list of the user, or `None` to return `found`.
 
     Raises:
-        UsageError: the list names prims that the scene does not show, or one prim inside another.
+        UsageError: the list names prims that are not visible, or a prim inside another listed prim.
     """
     if chosen is None:
         return found
@@ -61,7 +61,7 @@ def _box(parts: Sequence[Part]) -> np.ndarray[tuple[int, ...], np.dtype[np.float
 
 
 def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
-    """Returns the enabled targets under the names that the list gives them."""
+    """Returns the enabled targets with the ids of the list."""
     if chosen is None:
         return targets
     names = {entry.prim_path: entry.id for entry in chosen.targets if entry.enabled}
@@ -73,7 +73,7 @@ def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -
 
 
 def recoloured(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
-    """Returns the targets in the colours that the list gives them."""
+    """Returns the targets with the colours of the list."""
     colours = {} if chosen is None else {entry.prim_path: entry.colour for entry in chosen.targets}
     return tuple(
         target.model_copy(update={"colour": colours.get(target.prim_path, target.colour)}) for target in targets

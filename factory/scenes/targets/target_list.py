@@ -1,6 +1,6 @@
-"""The file `targets_<scene>.yaml`: the targets of a scene, to be read and edited by people.
+"""Reads and writes `targets_<scene>.yaml`, the target list of a scene that users edit.
 
-Reads and writes the file; how an edited one is honoured stands in `honour.py`.
+Does not apply the list; `edits.py` does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from schemas.errors import UsageError
 from schemas.scene import SceneInfo
 from schemas.terms import COLOUR_NAMES
 
-__all__ = ["TargetEntry", "TargetList", "list_file_name", "load_target_list", "spell_target_list"]
+__all__ = ["TargetEntry", "TargetList", "format_target_list", "list_file_name", "load_target_list"]
 
 _HEAD = """\
 # The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
@@ -29,10 +29,10 @@ _HEAD = """\
 
 
 class TargetEntry(Model):
-    """One row: a prim and what it is to be called."""
+    """Row of the list: a prim with the id, category and colour of its target."""
 
     id: Name
-    """Name of the target in the dataset, e.g. `chair_007`."""
+    """Target id in the dataset, e.g. `chair_007`."""
     category: Name
     colour: str = "unknown"
     """One of the eleven basic colours, or `unknown`."""
@@ -50,7 +50,7 @@ class TargetEntry(Model):
 
 
 class TargetList(Model):
-    """The whole file; a prim that it does not name is no target."""
+    """Content of the file. Prims that it does not list are not targets."""
 
     scene: Name
     targets: tuple[TargetEntry, ...]
@@ -67,18 +67,18 @@ class TargetList(Model):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what is honoured; comments, centroids and sizes do not count."""
+        """SHA-256 of the rows, without comments, centroids and sizes, which have no effect."""
         rows = (f"{e.prim_path}\n{e.id}\n{e.category}\n{e.colour}\n{e.enabled}" for e in self.targets)
         return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
 
 
 def list_file_name(scene: str) -> str:
-    """Returns the name of a scene's file."""
+    """Returns the file name of the target list of a scene."""
     return f"targets_{scene}.yaml"
 
 
-def spell_target_list(info: SceneInfo) -> str:
-    """Returns the file of a compiled scene, all targets enabled."""
+def format_target_list(info: SceneInfo) -> str:
+    """Returns the text of the target list of a compiled scene, all targets enabled."""
     rows = [
         {
             "id": target.target_id,
@@ -97,14 +97,14 @@ def spell_target_list(info: SceneInfo) -> str:
 
 
 def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
-    """Reads an edited file.
+    """Reads a target list.
 
     Args:
-        path: the file.
-        scene: what the scene is called, for the command that writes such a file.
+        path: path of the file.
+        scene: name of the scene, used in the command that an error message suggests.
 
     Raises:
-        UsageError: it is not there or is no such file; every mistake is named with its row.
+        UsageError: the file does not exist or is not valid; the message lists every error with its row.
     """
     try:
         return TargetList.model_validate(read_yaml(path.read_text(encoding="utf-8")))

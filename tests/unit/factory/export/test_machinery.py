@@ -17,10 +17,10 @@ from click.testing import CliRunner
 from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
 from factory.export import EXPORTERS, ExportOrder, find_exporter, run_export
+from factory.export.execution.pool import run_tasks
+from factory.export.execution.selection import parse_episodes, select
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.paper import PaperOptions
-from factory.export.pool import carry_out
-from factory.export.selection import parse_episodes, select
 from schemas.errors import UsageError, WorldError
 from tests.builders.dataset import make_dataset
 
@@ -54,7 +54,7 @@ def is_alive(pid: int) -> bool:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_every_task_is_answered_once(workers: int) -> None:
-    answers = carry_out(square, iter(range(7)), workers, threading.Event())
+    answers = run_tasks(square, iter(range(7)), workers, threading.Event())
     assert sorted(answers) == [0, 1, 4, 9, 16, 25, 36]
 
 
@@ -66,7 +66,7 @@ def test_tasks_are_drawn_as_processes_become_free() -> None:
             drawn.append(number)
             yield number
 
-    answers = carry_out(square, tasks(), 1, threading.Event())
+    answers = run_tasks(square, tasks(), 1, threading.Event())
     next(answers)
     assert len(drawn) <= 4
     answers.close()
@@ -74,7 +74,7 @@ def test_tasks_are_drawn_as_processes_become_free() -> None:
 
 def test_a_dead_process_is_reported() -> None:
     with pytest.raises(WorldError, match="a process of the export died"):
-        list(carry_out(die, [3], 1, threading.Event()))
+        list(run_tasks(die, [3], 1, threading.Event()))
 
 
 def test_stop_ends_processes_at_once(tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_stop_ends_processes_at_once(tmp_path: Path) -> None:
         stop.set()
 
     threading.Thread(target=stop_once_it_runs, daemon=True).start()
-    assert list(carry_out(sleep_and_tell, [told], 1, stop)) == []
+    assert list(run_tasks(sleep_and_tell, [told], 1, stop)) == []
     assert not is_alive(int(told.read_text()))
 
 
@@ -167,7 +167,7 @@ def test_selection_keeps_the_order_of_the_plan(varied: Path) -> None:
     with pytest.raises(UsageError, match="has no ep_000009; it has 4 episodes"):
         select(data, episodes=["ep_000009"])
     with pytest.raises(
-        UsageError, match=r"no episodes of val_id in .*; there are test_id, test_paraphrase_ood, train_id"
+        UsageError, match=r"has no episodes in val_id; splits with episodes: test_id, test_paraphrase_ood, train_id"
     ):
         select(data, ["val_id"])
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from factory.report.compare import compare
-from factory.report.comparison import PaperComparison
-from factory.report.facts import facts_of
-from factory.report.material import Drives, ReportInput
+from factory.report.comparison.facts import facts_of
+from factory.report.comparison.model import PaperComparison
+from factory.report.comparison.rows import compare
+from factory.report.data import Drives, ReportInput
 from factory.stats import compute_statistics
 from schemas.terms import Split, Tier
 from tests.builders.dataset import failure

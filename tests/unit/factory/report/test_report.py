@@ -14,8 +14,8 @@ from PIL import Image
 
 from factory.html.palette import colour
 from factory.report import make_report, render_report
-from factory.report.drawers import DRAWERS
-from factory.report.exhibits import action_space, attempts, samples, spawn_maps
+from factory.report.figures import action_space, attempts, samples, spawn_maps
+from factory.report.figures.registry import DRAW_FUNCTIONS
 from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
 from factory.stats import measure_dataset
@@ -48,7 +48,7 @@ def own(tmp_path: Path) -> Path:
 
 def page_of(root: Path) -> str:
     """Returns the page with only the fastest figure."""
-    return render_report(gather(root), drawers=(action_space.draw,))[0][PAGE_FILE].decode()
+    return render_report(gather(root), draw_functions=(action_space.draw,))[0][PAGE_FILE].decode()
 
 
 def change_rows(root: Path, column: str, value: object) -> None:
@@ -64,8 +64,8 @@ def test_the_page_is_complete_and_contains_every_figure(files: dict[str, bytes])
     assert len(set(outline.ids)) == len(outline.ids)
     anchors = [link[1:] for link in outline.links if link.startswith("#")]
     assert set(anchors) <= set(outline.ids)
-    assert files[PAGE_FILE].count(b"<section id=") == len(DRAWERS) + 2
-    assert files[PAGE_FILE].count(b'<li><a href="#') == len(DRAWERS) + 2
+    assert files[PAGE_FILE].count(b"<section id=") == len(DRAW_FUNCTIONS) + 2
+    assert files[PAGE_FILE].count(b'<li><a href="#') == len(DRAW_FUNCTIONS) + 2
 
 
 def test_the_page_makes_no_network_request_and_runs_no_script(files: dict[str, bytes]) -> None:
@@ -79,7 +79,7 @@ def test_the_page_makes_no_network_request_and_runs_no_script(files: dict[str, b
 
 def test_tables_scroll_in_containers_that_the_keyboard_reaches(files: dict[str, bytes]) -> None:
     parents = Outline(files[PAGE_FILE].decode()).table_parents
-    assert len(parents) > len(DRAWERS)
+    assert len(parents) > len(DRAW_FUNCTIONS)
     for classes, attributes in parents:
         assert "table" in classes.split()
         assert attributes["tabindex"] == "0"
@@ -147,7 +147,7 @@ def test_numbers_of_another_plan_are_those_of_the_comparison(data: Path) -> None
 
 def test_instructions_are_escaped(own: Path) -> None:
     change_rows(own, "instruction", HOSTILE)
-    text = render_report(gather(own), drawers=(samples.draw,))[0][PAGE_FILE].decode()
+    text = render_report(gather(own), draw_functions=(samples.draw,))[0][PAGE_FILE].decode()
     assert "script" not in Outline(text).tags
     assert "&lt;script&gt;" in text
 
@@ -160,7 +160,7 @@ def test_a_damaged_episode_is_omitted_and_reported(own: Path) -> None:
     (remark,) = material.statistics.remarks
     assert (remark.is_damage, remark.file) == (True, "episodes/ep_000002.zip")
     assert "skipped in trajectories" in remark.text
-    text = render_report(material, drawers=(action_space.draw,))[0][PAGE_FILE].decode()
+    text = render_report(material, draw_functions=(action_space.draw,))[0][PAGE_FILE].decode()
     assert "Skipped data" in text
     assert "episodes/ep_000002.zip" in text
 
@@ -168,14 +168,14 @@ def test_a_damaged_episode_is_omitted_and_reported(own: Path) -> None:
 def test_a_missing_map_is_reported_and_the_rest_is_drawn(own: Path) -> None:
     for package in (own / "scenes").glob("*.scene.zip"):
         package.unlink()
-    files, summary = render_report(gather(own), drawers=(spawn_maps.draw,))
+    files, summary = render_report(gather(own), draw_functions=(spawn_maps.draw,))
     assert "figures/spawn_map_office.svg" in files
     assert any("the map of office is missing" in remark.text for remark in summary.remarks)
 
 
 def test_an_unreadable_attempt_log_is_reported(own: Path) -> None:
     (own / "attempts.parquet").write_bytes(b"nothing")
-    files, summary = render_report(gather(own), drawers=(attempts.draw,))
+    files, summary = render_report(gather(own), draw_functions=(attempts.draw,))
     assert "figures/attempts.svg" not in files
     assert [remark.file for remark in summary.remarks] == ["attempts.parquet"]
     assert "the table of attempts cannot be read" in files[PAGE_FILE].decode()

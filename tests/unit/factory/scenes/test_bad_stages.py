@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from factory.scenes.compile import compile_stage
+from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.importer import Extraction, extract_stage
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import CategoryRule, RuleBook

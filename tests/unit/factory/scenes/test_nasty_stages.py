@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from factory.scenes.compile import compile_stage
+from factory.scenes.compile.compiler import compile_stage
+from factory.scenes.compile.textures import load_textures
 from factory.scenes.importer import Extraction, extract_stage
 from factory.scenes.importer.assets import read_asset
-from factory.scenes.textures import load_textures
 from tests.builders.stage import StageText, room_body
 
 TEXT = StageText()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from factory.cli.scene.survey import say_survey
-from factory.scenes.survey_report import report_survey
+from factory.scenes.survey.report import report_survey
 from tests.builders.scene import box_room
 
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene, lay_out_scene
-from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import bounds, triangle_count
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.placement import FloorPlan
+from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
 from schemas.errors import UsageError
 from schemas.terms import BUILTIN_CATEGORIES
 
@@ -150,19 +150,19 @@ def test_clutter_names_match_no_category_word() -> None:
 
 
 def test_every_model_is_on_or_above_the_floor() -> None:
-    shop = Workshop(0)
+    props = PropBuilder(0)
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):
-            low, _ = bounds([piece.mesh for piece in shop.model(name, variant).pieces])
+            low, _ = bounds([piece.mesh for piece in props.model(name, variant).pieces])
             assert low[2] > -0.01, f"{name} variant {variant} reaches {low[2]:.3f} m"
 
 
 def test_no_two_visible_materials_share_a_plane() -> None:
     """Otherwise z-fighting is visible; backs against a wall and undersides on the floor are not visible."""
-    shop, found = Workshop(0), []
+    props, found = PropBuilder(0), []
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):
-            faces = [face for piece in shop.model(name, variant).pieces for face in level_faces(piece)]
+            faces = [face for piece in props.model(name, variant).pieces for face in level_faces(piece)]
             for first, second in combinations(faces, 2):
                 overlap = np.minimum(first.high, second.high) - np.maximum(first.low, second.low)
                 is_hidden = first.plane in {(1, 1, 0.0), (2, -1, 0.0)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import (
     AuthoredMesh,
     block,
@@ -22,6 +21,7 @@ from factory.scenes.author.geometry import (
     uncapped,
 )
 from factory.scenes.author.materials import linear_rgb
+from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
 
 SOLIDS = {
     "block": (block((0, 0, 0), (1, 2, 3)), 6.0),
@@ -98,7 +98,7 @@ def test_colours_become_linear_as_usd_wants_them() -> None:
 
 @pytest.mark.parametrize("name", [name for name in CATALOGUE if name.startswith(("SM_Chair", "SM_Sofa", "SM_Table"))])
 def test_furniture_is_wound_outwards(name: str) -> None:
-    pieces = Workshop(0).model(name, 0).pieces
+    pieces = PropBuilder(0).model(name, 0).pieces
     assert sum(signed_volume(piece.mesh) for piece in pieces) > 0
 
 

@@ -1,0 +1,1 @@
+"""Execution of an export: selection, size estimate, worker processes, manifest and report. Writes no format."""

@@ -1,0 +1,113 @@
+"""Estimates size and duration of an export from one episode of median length. Keeps no files."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from factory.dataset.reader import Dataset
+from factory.export.execution.manifest import require_same_export
+from factory.export.execution.run import ExportOrder, plan_manifest, run_export
+from factory.export.registry import find_exporter, require_packages
+from schemas.base import Model
+from schemas.errors import WorldError
+from schemas.storage.disk import translated
+
+__all__ = ["ExportEstimate", "estimate_export"]
+
+_TRIES = 3
+
+
+class ExportEstimate(Model):
+    """Estimate of an export from one sample episode."""
+
+    dataset: str
+    format: str
+    out: str
+    episodes: int
+    frames: int
+    """Expected number of frames in the export."""
+    bytes: int
+    """Expected size of the export, bytes."""
+    peak_bytes: int
+    """Expected peak disk use, bytes; formats that join episodes temporarily store them twice."""
+    seconds: float
+    """Expected wall time with `workers` processes on as many cores, seconds."""
+    workers: int
+    free_bytes: int
+    """Free space on the disk of the export, bytes."""
+    fits: bool
+    """Whether `peak_bytes` fits into `free_bytes`."""
+    sample: str
+    """Id of the sample episode."""
+    sample_frames: int
+    sample_bytes: int
+    sample_seconds: float
+
+
+def estimate_export(order: ExportOrder) -> ExportEstimate:
+    """Exports one episode to a temporary directory and extrapolates.
+
+    Raises:
+        UsageError: the options do not fit the format or the dataset, or no episode is selected.
+        WorldError: the export is not possible, or no episode could be read.
+    """
+    exporter = find_exporter(order.format)
+    require_packages(exporter)
+    dataset, manifest = plan_manifest(order, exporter)
+    require_same_export(order.out, manifest)
+    sample, frames, size, seconds = _measure(order, dataset)
+    steps = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.float64)
+    scale = float(steps.sum()) / float(steps[dataset.metadata["episode_id"].to_pylist().index(sample)])
+    peak = round(size * scale * (2 if exporter.assembles else 1))
+    free = _free_bytes(order.out)
+    return ExportEstimate(
+        dataset=str(order.root),
+        format=exporter.name,
+        out=str(order.out),
+        episodes=len(dataset),
+        frames=round(frames * scale),
+        bytes=round(size * scale),
+        peak_bytes=peak,
+        seconds=seconds * scale / max(1, order.workers),
+        workers=max(1, order.workers),
+        free_bytes=free,
+        fits=peak <= free,
+        sample=sample,
+        sample_frames=frames,
+        sample_bytes=size,
+        sample_seconds=seconds,
+    )
+
+
+def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float]:
+    """Returns id, frames, bytes and seconds of the first readable episode near the median length."""
+    said = ""
+    for name in _by_nearness_to_the_median(dataset)[:_TRIES]:
+        with tempfile.TemporaryDirectory(prefix="export-") as place:
+            trial = dataclasses.replace(order, out=Path(place) / "out", splits=(), episodes=(name,), workers=0)
+            begun = time.monotonic()
+            try:
+                report = run_export(trial)
+            except WorldError as error:
+                said = str(error)
+                continue
+            return name, report.frames, report.bytes, time.monotonic() - begun
+    raise WorldError(f"{order.root}: {_TRIES} sample episodes could not be exported: {said}")
+
+
+def _by_nearness_to_the_median(dataset: Dataset) -> list[str]:
+    steps = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.float64)
+    order = np.argsort(np.abs(steps - np.median(steps)), kind="stable")
+    return [str(dataset.metadata["episode_id"][int(position)].as_py()) for position in order]
+
+
+def _free_bytes(out: Path) -> int:
+    there = next(place for place in (out.absolute(), *out.absolute().parents) if place.exists())
+    with translated("ask the free space of", there):
+        return shutil.disk_usage(there).free

@@ -1,0 +1,138 @@
+"""Reads, writes and compares `export.json`: source, options and completeness of the export in a directory.
+
+Contains no times, so that equal exports have equal bytes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from factory.export.execution.report import Skip
+from factory.export.output import WORK_FOLDER, Output
+from schemas.base import Model, Sha256
+from schemas.dataset_meta import DatasetMeta, software_versions
+from schemas.errors import WorldError
+
+__all__ = ["MANIFEST_FILE", "ExportManifest", "Source", "read_manifest", "require_same_export", "write_manifest"]
+
+MANIFEST_FILE = "export.json"
+
+
+class Source(Model):
+    """Source of an export. Exports with equal source, format and options are equal."""
+
+    run: str
+    dataset_digest: Sha256
+    """SHA-256 over the content digests of all episodes of the dataset."""
+    selection_digest: Sha256
+    """SHA-256 over the content digests of the selected episodes."""
+    splits: tuple[str, ...]
+    """Selected splits; empty for all."""
+    episodes: int
+    """Number of selected episodes."""
+
+
+class ExportManifest(Model):
+    """Content of `export.json`."""
+
+    manifest: int = 1
+    """Version of the manifest format."""
+    format: str
+    format_version: int
+    options: dict[str, Any]
+    source: Source
+    software: dict[str, str]
+    """Package -> version, for the packages that wrote the files."""
+    episodes: int = Field(default=0, ge=0)
+    """Number of episodes in the export."""
+    frames: int = Field(default=0, ge=0)
+    complete: bool = False
+    """Whether the export contains all selected episodes."""
+    skipped: tuple[Skip, ...] = ()
+
+
+def read_manifest(root: Path) -> ExportManifest | None:
+    """Returns the manifest of a directory, or `None` if it has none.
+
+    Raises:
+        WorldError: the manifest is damaged.
+    """
+    path = root / MANIFEST_FILE
+    try:
+        return ExportManifest.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as error:
+        text = str(error).splitlines()[0]
+        raise WorldError(f"{path} is damaged ({text}): delete {root}, or choose another --out") from error
+
+
+def write_manifest(out: Output, manifest: ExportManifest) -> None:
+    """Writes the manifest of an opened export."""
+    out.write_text(MANIFEST_FILE, manifest.model_dump_json(indent=1) + "\n")
+
+
+def require_same_export(root: Path, wanted: ExportManifest) -> ExportManifest | None:
+    """Checks that a directory is free for an export or contains the same export. Writes nothing.
+
+    Returns:
+        The manifest of the existing export, or `None`.
+
+    Raises:
+        WorldError: the directory contains other files, an export of another dataset, format or options, or an
+            unfinished export of other software.
+    """
+    found = read_manifest(root) if root.is_dir() else None
+    if found is None:
+        if root.exists() and (not root.is_dir() or _entries(root)):
+            raise WorldError(f"{root} exists and is not an export ({MANIFEST_FILE} is missing): choose another --out")
+        return None
+    differences = [text for text in _differences(found, wanted) if text]
+    if differences:
+        raise WorldError(
+            f"{root} contains another export: {'; '.join(differences)}; delete it, or choose another --out"
+        )
+    return found
+
+
+def of_software(meta: DatasetMeta, modules: tuple[str, ...]) -> dict[str, str]:
+    """Returns the versions of the packages that the files of an export depend on."""
+    return {"dataset_format": str(meta.format), **software_versions(("minivla-factory", "numpy", "pyarrow", *modules))}
+
+
+def _entries(root: Path) -> list[str]:
+    return [path.name for path in root.iterdir() if path.name != WORK_FOLDER]
+
+
+def _differences(found: ExportManifest, wanted: ExportManifest) -> list[str]:
+    one, two = found.source, wanted.source
+    texts = [
+        _differ("format", found.format, wanted.format),
+        _differ("dataset", f"{one.run} {one.dataset_digest[:12]}", f"{two.run} {two.dataset_digest[:12]}"),
+        _differ("options", _format_pairs(found.options), _format_pairs(wanted.options)),
+    ]
+    if not any(texts):
+        texts.append(_differ("episodes", _selection(one), _selection(two)))
+    if not any(texts) and not found.complete:
+        versions = (f"version {found.format_version}", _format_pairs(found.software))
+        texts.append(_differ("unfinished, started with", ", ".join(versions), _versions(wanted)))
+    return texts
+
+
+def _versions(manifest: ExportManifest) -> str:
+    return f"version {manifest.format_version}, {_format_pairs(manifest.software)}"
+
+
+def _selection(source: Source) -> str:
+    return f"{source.episodes} of {' '.join(source.splits) or 'all splits'} ({source.selection_digest[:12]})"
+
+
+def _differ(what: str, found: str, wanted: str) -> str:
+    return "" if found == wanted else f"{what} {found}, requested {wanted}"
+
+
+def _format_pairs(values: dict[str, Any]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in sorted(values.items())) or "none"

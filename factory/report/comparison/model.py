@@ -1,0 +1,41 @@
+"""Model of the comparison of one number with the paper, for the page, `report.json` and `--json`. Data only."""
+
+from __future__ import annotations
+
+from schemas.base import Model
+
+__all__ = ["PaperComparison"]
+
+
+class PaperComparison(Model):
+    """Comparison of one number of the dataset with the paper."""
+
+    exhibit: str
+    """Name of the figure."""
+    what: str
+    ours: float | None
+    """Number of the dataset; `None` without data."""
+    published: float
+    published_high: float | None = None
+    """Upper bound, if the paper gives a range."""
+    unit: str
+    """Unit: `m`, `steps`, `share`, or empty for a plain number."""
+    digits: int
+    source: str
+    reason: str = ""
+    """Reason of the difference with its numbers; empty if the difference is below the threshold."""
+
+    @property
+    def difference(self) -> float | None:
+        """Number of the dataset minus that of the paper (nearer bound of a range; 0 within it)."""
+        if self.ours is None:
+            return None
+        high = self.published if self.published_high is None else self.published_high
+        return self.ours - min(max(self.ours, self.published), high)
+
+    @property
+    def ratio(self) -> float | None:
+        """Number of the dataset divided by that of the paper, if that is a single number other than 0."""
+        if self.ours is None or self.published_high is not None or self.published == 0:
+            return None
+        return self.ours / self.published

@@ -1,0 +1,186 @@
+"""Explains differences from the paper in one or two sentences with numbers. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from factory.report.comparison.facts import RunFacts, facts_of
+from factory.report.data import ReportInput
+from factory.stats import paper
+from factory.stats.model import AttemptRow, Published, Statistics
+from factory.stats.rollouts import ALL
+from schemas.language import needs_colour, say_category
+from schemas.terms import ExpertName, Split, Tier
+
+__all__ = [
+    "explain_category_share",
+    "explain_colours",
+    "explain_correlation",
+    "explain_error",
+    "explain_floor",
+    "explain_largest",
+    "explain_length",
+    "explain_mix",
+    "explain_planned",
+    "explain_slope",
+    "explain_standardised",
+    "explain_steps",
+    "explain_success",
+]
+
+
+def explain_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
+    """Explains TL: its mean is spawn distance - NE + detour. The spawn distance of the paper is TL + NE."""
+    implied = published_tl_m + published_ne_m
+    return (
+        f"Starts are {facts.spawn_m:.2f} m from the target on average, in the paper {implied:.2f} m (its TL + NE, if "
+        f"driven straight): {_signed(facts.spawn_m - implied)} m. The trajectory is {abs(facts.detour_m):.2f} m "
+        f"{'longer' if facts.detour_m >= 0 else 'shorter'} than the straight line."
+    )
+
+
+def explain_mix(facts: RunFacts) -> str:
+    """Lists the shares of the tiers."""
+    return " Tiers: " + ", ".join(f"{tier} {_percent(share)}" for tier, share in facts.tiers.items()) + "."
+
+
+def explain_standardised(statistics: Statistics) -> str:
+    """Returns the mean TL weighted by the paper's shares of the tiers."""
+    means = {row.group: row.tl_mean_m for row in statistics.tiers}
+    total = 0.0
+    for tier, said in paper.TIERS.items():
+        mean = means.get(tier)
+        if mean is None or said.share is None:
+            return f" There are no {tier} episodes, so the mean cannot be weighted by the paper's tiers."
+        total += said.share * mean
+    return f" Weighted by the paper's tiers, the mean is {total:.2f} m."
+
+
+def explain_steps(facts: RunFacts, said: Published) -> str:
+    """Explains the number of steps by length and speed."""
+    here = facts.steps_per_m
+    text = f"{facts.tl_m:.2f} m at {here:.1f} steps per metre" if here else f"{facts.tl_m:.2f} m here"
+    if said.tl_mean_m is None:
+        return f"{text}."
+    if said.steps_mean is None:
+        return f"{text}; TL {said.tl_mean_m:.2f} m in the paper."
+    return f"{text}, {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} in the paper."
+
+
+def explain_floor(material: ReportInput, scene: str) -> str:
+    """Describes the size of a scene and its ratio of geodesic to straight distance."""
+    facts = facts_of(material.of(scene))
+    if scene == ALL or facts is None or scene not in material.maps:
+        return ""
+    text = f" {material.maps[scene].free_area_m2:.0f} m² of free floor"
+    straight = facts.spawn_m - material.statistics.success_radius_m
+    if facts.geodesic_m is not None and straight > 0:
+        text += f"; the shortest path is {facts.geodesic_m / straight:.2f} times the straight line"
+    return f"{text}."
+
+
+def explain_error(statistics: Statistics) -> str:
+    """Names the scene with the largest deviation in NE."""
+    rows = [row for row in statistics.navigation_error if row.group != ALL and row.mean is not None]
+    published = paper.NAVIGATION_ERROR.ne_mean_m or 0.0
+    worst = max(rows, key=lambda row: abs((row.mean or 0.0) - published))
+    lowest, highest = worst.quantiles.get("p00", 0.0), worst.quantiles.get("p100", 0.0)
+    text = (
+        f"The largest difference is in {_scene(worst.group)}: mean {worst.mean:.3f} m, {lowest:.3f} to {highest:.3f} m "
+        f"(N {worst.n})"
+    )
+    if statistics.success_radius_m != 1:
+        text += f"; the success radius is {statistics.success_radius_m:g} m"
+    return f"{text}."
+
+
+def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
+    """Explains a share by the plan; with few episodes, the cells cannot meet the planned shares exactly."""
+    if not statistics.complete:
+        state = f"{statistics.episodes} of {statistics.planned} generated so far"
+    else:
+        exact = all(cell.planned == cell.archived for cell in statistics.cells)
+        state = "filled exactly" if exact else "but the cells are not filled exactly"
+    counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
+    mine = sum(cell.planned for cell in statistics.cells if group in {cell.tier, cell.split})
+    quota = _percent(mine / max(1, sum(cell.planned for cell in statistics.cells)))
+    cut = "" if quota == _percent(asked) else f" in all, {quota} of its {statistics.planned} episodes"
+    return f"The plan has {_percent(asked)}{cut}, {state}{counted}."
+
+
+def explain_largest(statistics: Statistics) -> str:
+    """Lists the most frequent categories."""
+    names = [f"{say_category(row.group)} {_percent(row.share or 0)}" for row in statistics.categories[:3]]
+    return f"In this dataset: {', '.join(names)}; in the paper: monitor 29 %, rack 22 %, crate 11 %."
+
+
+def explain_category_share(material: ReportInput, category: str) -> str:
+    """Explains the share of a category by the share of the scenes that contain it."""
+    homes = {row.scene for row in material.episodes if row.target_category == category}
+    if not homes:
+        offered = [scene.name for scene in material.meta.plan.scenes if category in sum(scene.categories, ())]
+        where = f"{', '.join(map(_scene, offered))} could have it" if offered else "no scene of the plan has it"
+        return f"None of {len(material.episodes)} episodes has this category; {where}."
+    here = sum(row.scene in homes for row in material.episodes) / len(material.episodes)
+    counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
+    there = sum(counted) / (paper.OVERALL.n or 1)
+    text = f"Scenes with this category have {_percent(here)} of the episodes, {_percent(there)} in the paper"
+    drawn = "by category first" if material.meta.plan.balance == "categories" else "uniformly over instances"
+    return f"{text}; targets are drawn {drawn}."
+
+
+def explain_correlation(facts: RunFacts | None) -> str:
+    """Explains r by the standard deviations of start distances and detours."""
+    if facts is None or facts.spawn_std_m is None or facts.detour_std_m is None:
+        return ""
+    return (
+        f"Detours spread by {facts.detour_std_m:.2f} m (standard deviation) while start distances spread by "
+        f"{facts.spawn_std_m:.2f} m: the smaller the first is relative to the second, the closer r is to 1."
+    )
+
+
+def explain_slope(statistics: Statistics) -> str:
+    """Lists the slopes by tier."""
+    parts = [
+        f"{fit.group} {fit.slope:.2f} (N {fit.n})"
+        for fit in statistics.correlation
+        if fit.slope is not None and fit.group in set(Tier)
+    ]
+    return f"Slopes by tier: {', '.join(parts)}." if parts else ""
+
+
+def explain_colours(material: ReportInput) -> str:
+    """Explains the use of colour templates."""
+    coloured = sum(row.colour != "unknown" for row in material.episodes)
+    used = len({row.template_id for row in material.episodes if needs_colour(row.template_id)})
+    return (
+        f"Colours come from the materials of the scenes: {coloured} of {len(material.episodes)} targets have one, "
+        f"which allows {used} templates that the paper could not use."
+    )
+
+
+def explain_success(material: ReportInput, row: AttemptRow) -> str:
+    """Explains the success rate by the reasons of failures and the choice of starts."""
+    lost = Counter(row.reasons)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(lost.items())) or "none failed"
+    text = f"{row.success.count} of {row.attempts} attempts succeeded ({reasons})."
+    spawn, expert = material.meta.plan.spawn, material.meta.plan.expert
+    if expert is ExpertName.PLANNER:
+        return f"{text} The planner avoids obstacles at which the paper's controller stalls."
+    return (
+        f"{text} Starts are drawn until the straight line to the success circle is free by "
+        f"{spawn.approach_clearance_m:.2f} m, preferably with more clearance; the paper draws starts at random and "
+        "discards failures."
+    )
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _scene(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,227 @@
+"""Compares the numbers of a dataset with the paper, with a reason for each noticeable difference. Pure.
+
+Takes numbers from `factory.stats` and reasons from `reasons`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from factory.report.comparison import reasons
+from factory.report.comparison.facts import RunFacts, facts_of
+from factory.report.comparison.model import PaperComparison
+from factory.report.data import ReportInput
+from factory.stats import paper
+from factory.stats.model import Published, RolloutRow
+from factory.stats.rollouts import ALL
+from schemas.language import needs_colour, say_category
+from schemas.terms import Split, Tier
+
+__all__ = ["compare"]
+
+
+class _Kind(NamedTuple):
+    """Format of a number, and threshold of a noticeable difference."""
+
+    unit: str
+    digits: int
+    alike: float = 0.0
+    """Absolute threshold, in the unit of the number."""
+    alike_relative: float = 0.0
+    """Threshold relative to the published number."""
+
+    def differ(self, ours: float | None, published: float) -> bool:
+        """Returns whether the difference is above the threshold."""
+        return ours is not None and abs(ours - published) > self.alike + self.alike_relative * abs(published)
+
+
+_KINDS = {
+    "TL": _Kind("m", 2, alike_relative=0.05),
+    "steps median": _Kind("steps", 0, alike_relative=0.05),
+    "steps mean": _Kind("steps", 1, alike_relative=0.05),
+    "NE": _Kind("m", 3, 0.005),
+    "NE spread": _Kind("m", 4, 0.001),
+    "share": _Kind("share", 1, 0.02),
+    "share of colours": _Kind("share", 1),
+    "coefficient": _Kind("", 2),
+    "count": _Kind("", 0),
+}
+
+
+def compare(material: ReportInput) -> tuple[PaperComparison, ...]:
+    """Returns the comparisons of all numbers that paper and dataset have; empty if comparison is disabled."""
+    if not material.episodes or not material.statistics.beside_paper:
+        return ()
+    groups = (_lengths, _errors, _steps, _tiers, _tier_shares, _splits, _categories, _fit, _templates, _attempts)
+    return tuple(comparison for group in groups for comparison in group(material))
+
+
+def _compare(
+    figure: str,
+    what: str,
+    kind: str,
+    ours: float | None,
+    published: float | None,
+    source: str,
+    explain: Callable[..., str],
+    *arguments: Any,
+) -> Iterator[PaperComparison]:
+    """Yields the comparison of one number; `explain(*arguments)` returns the reason of a noticeable difference."""
+    if published is None:
+        return
+    unit, digits, *_ = _KINDS[kind]
+    yield PaperComparison(
+        exhibit=figure,
+        what=what,
+        ours=ours,
+        published=published,
+        unit=unit,
+        digits=digits,
+        source=source,
+        reason=explain(*arguments) if _KINDS[kind].differ(ours, published) else "",
+    )
+
+
+def _lengths(material: ReportInput) -> Iterator[PaperComparison]:
+    for row in material.statistics.scenes:
+        yield from _length(material, "lengths", row, _facts(material, row.group))
+        if said := row.paper:
+            ours, published, same = row.tl_median_m, said.tl_median_m, "For the same reason as the mean."
+            yield from _compare("lengths", "TL median, all", "TL", ours, published, said.source, str, same)
+
+
+def _length(material: ReportInput, figure: str, row: RolloutRow, facts: RunFacts | None) -> Iterator[PaperComparison]:
+    if said := row.paper:
+        what = f"TL mean, {row.group if figure == 'splits' else _group_label(row.group)}"
+        ours, published = row.tl_mean_m, said.tl_mean_m
+        why = (_why_length, material, figure, row.group, facts, said)
+        yield from _compare(figure, what, "TL", ours, published, said.source, *why)
+
+
+def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts | None, said: Published) -> str:
+    published_ne = said.ne_mean_m if said.ne_mean_m is not None else paper.OVERALL.ne_mean_m
+    if facts is None or said.tl_mean_m is None or published_ne is None:
+        return ""
+    text = reasons.explain_length(facts, said.tl_mean_m, published_ne)
+    if figure in {"lengths", "splits"}:
+        text += reasons.explain_mix(facts)
+    if group == ALL and figure == "lengths":
+        text += reasons.explain_standardised(material.statistics)
+    return text
+
+
+def _errors(material: ReportInput) -> Iterator[PaperComparison]:
+    said, why = paper.NAVIGATION_ERROR, (reasons.explain_error, material.statistics)
+    row = next(row for row in material.statistics.navigation_error if row.group == ALL)
+    yield from _compare("errors", "NE mean", "NE", row.mean, said.ne_mean_m, said.source, *why)
+    yield from _compare("errors", "NE standard deviation", "NE spread", row.std, said.ne_std_m, said.source, *why)
+
+
+def _steps(material: ReportInput) -> Iterator[PaperComparison]:
+    for row in material.statistics.scenes:
+        if said := row.paper:
+            what, ours, published = f"steps median, {_group_label(row.group)}", row.steps_median, said.steps_median
+            why = (_why_steps, _facts(material, row.group), said, (material, row.group))
+            yield from _compare("steps", what, "steps median", ours, published, said.source, *why)
+
+
+def _why_steps(facts: RunFacts | None, said: Published, floor: tuple[ReportInput, str] | None = None) -> str:
+    if facts is None:
+        return ""
+    return reasons.explain_steps(facts, said) + (reasons.explain_floor(*floor) if floor else "")
+
+
+def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
+    for row in material.statistics.tiers:
+        said = row.paper
+        if said is None or said.steps_mean is None:
+            continue
+        facts = facts_of([episode for episode in material.episodes if row.group in (ALL, episode.spawn_tier)])
+        if row.group != ALL:  # the row of all tiers belongs to the histogram
+            yield from _length(material, "tier_statistics", row, facts)
+        what, why = f"steps mean, {row.group}", (_why_steps, facts, said)
+        yield from _compare("tier_statistics", what, "steps mean", row.steps_mean, said.steps_mean, said.source, *why)
+        if row.group != ALL:
+            what, ours = f"NE mean, {row.group}", row.ne_mean_m
+            error = (reasons.explain_error, material.statistics)
+            yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, said.source, *error)
+
+
+def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:
+    for row in material.statistics.tiers:
+        if (said := row.paper) and said.share is not None:
+            tier = Tier(row.group)
+            why = (reasons.explain_planned, material.statistics, tier, material.meta.plan.tier_share(tier), said.n)
+            yield from _compare("tiers", f"share of {tier}", "share", row.share, said.share, said.source, *why)
+
+
+def _splits(material: ReportInput) -> Iterator[PaperComparison]:
+    for row in material.statistics.splits:
+        said = row.paper
+        if said is None or said.n is None or paper.OVERALL.n is None or row.group == ALL:
+            continue
+        split, published = Split(row.group), said.n / paper.OVERALL.n
+        why = (reasons.explain_planned, material.statistics, split, material.meta.plan.split_share(split), said.n)
+        yield from _compare("splits", f"share of {split}", "share", row.share, published, said.source, *why)
+        yield from _length(
+            material, "splits", row, facts_of([each for each in material.episodes if each.split == split])
+        )
+
+
+def _categories(material: ReportInput) -> Iterator[PaperComparison]:
+    rows = {row.group: row for row in material.statistics.categories}
+    for name, said in paper.CATEGORIES.items():
+        what, ours = f"share of {say_category(name)}", rows[name].share if name in rows else 0.0
+        why = (reasons.explain_category_share, material, name)
+        yield from _compare("categories", what, "share", ours, said.share, said.source, *why)
+    what, ours = "share of the three most frequent", material.statistics.three_largest_share
+    why_largest = (reasons.explain_largest, material.statistics)
+    yield from _compare("categories", what, "share", ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
+
+
+def _fit(material: ReportInput) -> Iterator[PaperComparison]:
+    ours, said = material.statistics.correlation[0], paper.FIT
+    if said.r is None or said.slope is None:
+        return
+    is_within = ours.low is None or ours.high is None or ours.low <= said.r <= ours.high
+    why_r = (str,) if is_within else (reasons.explain_correlation, facts_of(material.episodes))
+    yield from _compare("fit", "Pearson r", "coefficient", ours.r, said.r, "Fig. 11", *why_r)
+    is_off = ours.slope is not None and ours.slope_error is not None and abs(ours.slope - said.slope) > 0.05
+    why_slope = (reasons.explain_slope, material.statistics) if is_off else (str,)
+    yield from _compare("fit", "slope, m/m", "coefficient", ours.slope, said.slope, "Fig. 11", *why_slope)
+
+
+def _templates(material: ReportInput) -> Iterator[PaperComparison]:
+    with_colour = [row for row in material.statistics.templates if row.group in paper.TEMPLATE_COUNTS]
+    share, why = sum(row.n for row in with_colour) / len(material.episodes), (reasons.explain_colours, material)
+    yield from _compare("templates", "share with a colour word", "share of colours", share, 0.0, "Fig. 12", *why)
+    used = {row.group for row in material.statistics.templates if row.n and not needs_colour(row.group)}
+    yield from _compare("templates", "templates in use without colour", "count", len(used), 13 + 10, "Table III", str)
+
+
+def _attempts(material: ReportInput) -> Iterator[PaperComparison]:
+    for row in material.statistics.attempts or ():
+        if row.paper is None or row.paper.rate is None:
+            continue
+        low, high = row.paper.rate
+        rate = row.success.share
+        yield PaperComparison(
+            exhibit="attempts",
+            what=f"attempts that succeed, {_group_label(row.group)}",
+            ours=rate,
+            published=low,
+            published_high=high,
+            unit="share",
+            digits=1,
+            source=row.paper.source,
+            reason="" if rate is None or low <= rate <= high else reasons.explain_success(material, row),
+        )
+
+
+def _facts(material: ReportInput, scene: str) -> RunFacts | None:
+    return facts_of([row for row in material.episodes if scene in (ALL, row.scene)])
+
+
+def _group_label(group: str) -> str:
+    return group.replace("_", " ")

@@ -1,0 +1,89 @@
+"""Models of the input of a report: statistics, rows, tracks, frames and maps of one dataset. Data only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.stats import Statistics
+from schemas.dataset import EpisodeSummary, FailedAttempt
+from schemas.dataset_meta import DatasetMeta
+from schemas.tokens import GRID_POINTS
+
+__all__ = ["Drives", "FloorMap", "FrameSample", "Outlines", "ReportInput"]
+
+Outlines = list[NDArray[np.float64]]
+"""Closed loops of points (K, 2); holes are separate loops."""
+
+
+@dataclass(frozen=True)
+class FrameSample:
+    """Sample frame of an episode."""
+
+    row: EpisodeSummary
+    t: int
+    """Step of the frame."""
+    rgb: NDArray[np.uint8]
+    """(640, 640, 3) recorded sRGB image."""
+    target: NDArray[np.bool_]
+    """(640, 640) mask of the target."""
+
+
+@dataclass
+class Drives:
+    """Data read from the episode files: tracks, token counts, sample frames."""
+
+    tracks: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
+    tokens: NDArray[np.int64] = field(default_factory=lambda: np.zeros((GRID_POINTS, GRID_POINTS), np.int64))
+    """Number of steps per point of the action grid: [speed token, yaw rate token]."""
+    samples: list[FrameSample] = field(default_factory=list)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps read."""
+        return int(self.tokens.sum())
+
+
+@dataclass(frozen=True)
+class FloorMap:
+    """Floor map of a scene in the world frame, metres."""
+
+    bounds_m: tuple[float, float, float, float]
+    """West, east, south and north bound of the non-empty area, metres."""
+    floor: Outlines
+    """Outlines of the connected floor."""
+    low: Outlines
+    """Outlines of all obstacles."""
+    wall: Outlines
+    """Outlines of the obstacles that occlude."""
+    surveyed_m: NDArray[np.float32]
+    """(S, 2) surveyed spawn points, metres."""
+    targets_m: NDArray[np.float64]
+    """(K, 2) centroids of all targets, metres."""
+    free_area_m2: float
+
+
+@dataclass(frozen=True)
+class ReportInput:
+    """Input of a report."""
+
+    meta: DatasetMeta
+    statistics: Statistics
+    """Statistics of the dataset, with the remarks from reading the episodes."""
+    episodes: list[EpisodeSummary]
+    failures: list[FailedAttempt] | None
+    drives: Drives
+    maps: dict[str, FloorMap]
+    """Scene -> map; scenes that cannot be read are missing."""
+
+    @property
+    def scenes(self) -> list[str]:
+        """Scenes in the order of the plan."""
+        return [scene.name for scene in self.meta.plan.scenes]
+
+    def of(self, scene: str) -> list[EpisodeSummary]:
+        """Returns the rows of a scene."""
+        return [row for row in self.episodes if row.scene == scene]

@@ -1,0 +1,155 @@
+"""Draws panels with matplotlib and returns them as SVG and PNG. The only module that imports matplotlib.
+
+Deterministic: no dates, no random ids, and only the font that matplotlib contains. Writes no files.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from factory.html.palette import colour
+from schemas.support.extras import missing_package
+
+try:
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+    from matplotlib.ticker import MaxNLocator
+except ImportError as error:
+    raise missing_package("matplotlib", "the report") from error
+
+__all__ = ["WIDTH_IN", "Axes", "Panel", "count_whole", "draw_panel", "fill_outlines", "mark", "write_legend"]
+
+WIDTH_IN = 4.7
+"""Width of every panel, inches; it fits a column of the page and a phone."""
+_PNG_DPI = 200
+_MOST_MARKS = 3000
+"""Maximum number of vector markers in an SVG; more are rasterised."""
+_PATH, _DECIMALS = re.compile(r' d="[^"]*"'), re.compile(r"-?\d+\.\d+")
+_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+_STYLE: dict[Any, Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": colour("muted"),
+    "axes.facecolor": colour("card"),
+    "axes.grid": True,
+    "axes.labelcolor": colour("ink"),
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": colour("ink"),
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.unicode_minus": True,
+    "figure.facecolor": colour("card"),
+    "font.family": ["DejaVu Sans"],
+    "font.size": 9,
+    "grid.color": colour("line"),
+    "grid.linewidth": 0.6,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "legend.labelcolor": colour("ink"),
+    "lines.linewidth": 1.6,
+    "patch.linewidth": 0.8,
+    "path.simplify": True,
+    "savefig.facecolor": colour("card"),
+    "svg.fonttype": "none",
+    "text.color": colour("ink"),
+    "xtick.color": colour("muted"),
+    "xtick.labelcolor": colour("ink"),
+    "xtick.labelsize": 8.5,
+    "ytick.color": colour("muted"),
+    "ytick.labelcolor": colour("ink"),
+    "ytick.labelsize": 8.5,
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Drawing as SVG and PNG."""
+
+    name: str
+    """File name without suffix, unique within a report."""
+    alt: str
+    """Alternative text."""
+    svg: str
+    png: bytes
+
+
+def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: float = 3.0) -> Panel:
+    """Draws a panel.
+
+    Args:
+        name: file name without suffix.
+        alt: alternative text.
+        paint: function that draws on the axes.
+        height_in: height of the drawing, inches; its width is `WIDTH_IN`.
+    """
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+        FigureCanvasAgg(figure)
+        paint(figure.add_subplot())
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # compute the layout once for both files
+        return Panel(name, alt, _as_svg(figure), _as_png(figure))
+
+
+def write_legend(axes: Axes, columns: int = 3, **more: Any) -> None:
+    """Draws the legend above the axes."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2, **more)
+
+
+def mark(axes: Axes, points: ArrayLike, **style: Any) -> None:
+    """Draws markers at points (K, 2)."""
+    places = np.asarray(points, np.float64).reshape(-1, 2)
+    if len(places):
+        axes.scatter(places[:, 0], places[:, 1], rasterized=len(places) > _MOST_MARKS, **style)
+
+
+def count_whole(axis: Axis) -> None:
+    """Restricts the ticks of an axis to integers."""
+    axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def fill_outlines(axes: Axes, loops: Sequence[NDArray[np.float64]], fill: str, zorder: float) -> None:
+    """Fills closed loops of points (K, 2) as one path with holes."""
+    if loops:
+        # a closed path repeats its first point, as matplotlib requires
+        parts = [Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops]
+        whole = Outline.make_compound_path(*parts)
+        axes.add_artist(PathPatch(whole, facecolor=fill, edgecolor="none", zorder=zorder))
+
+
+def _as_svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    # group ids repeat between panels, but ids of a page must be unique; no element refers to them
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    text = _PATH.sub(lambda match: _DECIMALS.sub(_shorten, match.group()), text)
+    return text.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif")
+
+
+def _shorten(match: re.Match[str]) -> str:
+    """Rounds a coordinate to hundredths of a point, which is below screen resolution."""
+    return f"{float(match.group()):.2f}".rstrip("0").rstrip(".")
+
+
+def _as_png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_PNG_DPI, metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,39 @@
+"""Formats names and numbers of figures, captions and tables. Pure."""
+
+from __future__ import annotations
+
+__all__ = ["DASH", "count", "file_part", "name", "number", "percent", "scene_label"]
+
+DASH = "–"
+
+
+def count(n: int, noun: str) -> str:
+    """Returns `1 episode`, `12 episodes`."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def name(identifier: str) -> str:
+    """Returns an identifier with spaces instead of underscores."""
+    return identifier.replace("_", " ")
+
+
+def scene_label(scene: str) -> str:
+    """Returns the name of a scene for an axis label; a long name has two lines."""
+    words = scene.split("_")
+    half = (len(words) + 1) // 2
+    return scene if len(scene) < 12 else " ".join(words[:half]) + "\n" + " ".join(words[half:])
+
+
+def file_part(identifier: str) -> str:
+    """Returns an identifier in the form used in file names."""
+    return "".join(letter if letter.isalnum() or letter in "_-" else "_" for letter in identifier)
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Returns a number with a given number of decimals, or a dash for `None`."""
+    return DASH if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """Returns a share in per cent, or a dash for `None`."""
+    return DASH if share is None else f"{100 * share:.{digits}f} %"

@@ -1,0 +1,1 @@
+"""Figures of the paper, one module each, and their registry. Each `draw` function is pure."""

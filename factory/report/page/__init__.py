@@ -1,0 +1,1 @@
+"""Composes the HTML page of a report. Pure; markup is in `factory.html`."""

@@ -1,0 +1,1 @@
+"""Layouts of the built-in scenes: rooms, walls and the placement of props."""

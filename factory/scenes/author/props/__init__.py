@@ -1,0 +1,1 @@
+"""Geometry of the props of the built-in scenes, and their catalogue."""

@@ -1,0 +1,126 @@
+"""Registry of props: model name -> builder and number of variants. A new prop needs one builder and one line here.
+
+Names of targets follow common asset names, with their misspellings; all other names match no category rule.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.random import Generator
+
+from factory.scenes.author.geometry import bounds
+from factory.scenes.author.materials import PropPiece
+from factory.scenes.author.props import clinic, clutter, office, safety, seating, storage, wall
+from schemas.support.numpy_types import Floats
+
+__all__ = ["CATALOGUE", "CatalogueEntry", "PropBuilder", "PropModel"]
+
+Builder = Callable[[int, Generator], list[PropPiece]]
+
+
+@dataclass(frozen=True)
+class CatalogueEntry:
+    """Entry of the registry: builder and number of variants."""
+
+    build: Builder
+    variants: int
+
+
+@dataclass(frozen=True)
+class PropModel:
+    """Built prop.
+
+    Attributes:
+        name: layer and prim name, such as SM_ChairOffice_A_02.
+        pieces: meshes with materials, metres, origin on the floor.
+        low: (3,) lowest corner, metres.
+        high: (3,) highest corner, metres.
+    """
+
+    name: str
+    pieces: tuple[PropPiece, ...]
+    low: Floats
+    high: Floats
+
+
+CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(
+    {
+        "SM_ChairOffice_A": CatalogueEntry(seating.task_chair, 5),
+        "SM_ChairExecutive_B": CatalogueEntry(seating.executive_chair, 3),
+        "SM_ChairVisitor_C": CatalogueEntry(seating.cantilever_chair, 5),
+        "SM_ChairWood_D": CatalogueEntry(seating.wooden_chair, 3),
+        "SM_ChairWaiting_E": CatalogueEntry(seating.waiting_chair, 5),
+        "SM_Stool_F": CatalogueEntry(seating.stool, 4),
+        "SM_Sofa_A": CatalogueEntry(seating.sofa, 6),
+        "SM_TableDesk_A": CatalogueEntry(office.desk, 12),
+        "SM_TableMeeting_B": CatalogueEntry(office.meeting_table, 4),
+        "SM_TableRound_C": CatalogueEntry(office.round_table, 6),
+        "SM_TableCoffee_D": CatalogueEntry(office.coffee_table, 4),
+        "SM_Monitor_A": CatalogueEntry(office.monitor, 3),
+        "SM_Plant_A": CatalogueEntry(office.plant, 12),
+        "SM_TrashCan_A": CatalogueEntry(office.trash_can, 12),
+        "SM_FireExtinguisher_02": CatalogueEntry(safety.fire_extinguisher, 3),
+        "SM_Whiteboard_A": CatalogueEntry(safety.whiteboard, 3),
+        "SM_RackPile_04": CatalogueEntry(storage.rack, 9),
+        "SM_ShelfSteel_A": CatalogueEntry(storage.shelf, 8),
+        "SM_BarelPlastic_A": CatalogueEntry(storage.barrel, 9),
+        "SM_CratePlastic_A": CatalogueEntry(storage.plastic_crate, 12),
+        "SM_CrateWood_B": CatalogueEntry(storage.pallet_crate, 6),
+        "SM_TypingPad": CatalogueEntry(office.keys_pad, 1),
+        "SM_Cabinet": CatalogueEntry(clutter.cabinet, 3),
+        "SM_KitchenCounter": CatalogueEntry(clutter.kitchen_counter, 3),
+        "SM_Fridge": CatalogueEntry(clutter.fridge, 1),
+        "SM_CoatStand": CatalogueEntry(clutter.coat_stand, 3),
+        "SM_FloorLamp": CatalogueEntry(clutter.floor_lamp, 1),
+        "SM_WaterCooler": CatalogueEntry(clutter.drinks_cooler, 1),
+        "SM_Printer": CatalogueEntry(clutter.printer, 1),
+        "SM_Reception": CatalogueEntry(clutter.reception, 3),
+        "SM_CardBoxPile": CatalogueEntry(clutter.carton_pile, 4),
+        "SM_PalletPile": CatalogueEntry(clutter.pallet_pile, 4),
+        "SM_PalletTruck": CatalogueEntry(clutter.pallet_truck, 3),
+        "SM_Cone": CatalogueEntry(clutter.cone, 1),
+        "SM_ImpactPost": CatalogueEntry(clutter.protection_post, 1),
+        "SM_Workbench": CatalogueEntry(clutter.workbench, 1),
+        "SM_Bed": CatalogueEntry(clinic.bed, 6),
+        "SM_Nightstand": CatalogueEntry(clinic.nightstand, 2),
+        "SM_DripStand": CatalogueEntry(clinic.drip_stand, 1),
+        "SM_Curtain": CatalogueEntry(clinic.curtain, 3),
+        "SM_HeadPanel": CatalogueEntry(clinic.head_panel, 1),
+        "SM_Trolley": CatalogueEntry(clinic.trolley, 3),
+        "SM_WheelChair": CatalogueEntry(clinic.wheelchair, 2),
+        "SM_WashUnit": CatalogueEntry(clinic.wash_unit, 1),
+        "SM_Poster": CatalogueEntry(wall.poster, 9),
+        "SM_SafetyNotice": CatalogueEntry(wall.safety_notice, 3),
+        "SM_Sign": CatalogueEntry(wall.hanging_sign, 2),
+        "SM_Television": CatalogueEntry(wall.wall_screen, 2),
+        "SM_Clock": CatalogueEntry(wall.clock, 1),
+        "SM_Window": CatalogueEntry(wall.window, 3),
+        "SM_RollerGate": CatalogueEntry(wall.roller_door, 1),
+    }
+)
+"""Model name -> catalogue entry."""
+
+
+class PropBuilder:
+    """Cache of prop models of one scene. A model depends on (seed, name, variant) only."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._models: dict[str, PropModel] = {}
+
+    def model(self, name: str, variant: int) -> PropModel:
+        """Returns the model of a prop; `variant` is taken modulo the number of variants."""
+        entry = CATALOGUE[name]
+        index = variant % entry.variants
+        full_name = f"{name}_{index:02d}"
+        if full_name not in self._models:
+            rng = np.random.default_rng([self._seed, zlib.crc32(full_name.encode())])
+            pieces = tuple(entry.build(index, rng))
+            low, high = bounds([piece.mesh for piece in pieces])
+            self._models[full_name] = PropModel(full_name, pieces, low, high)
+        return self._models[full_name]

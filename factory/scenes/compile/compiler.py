@@ -1,0 +1,311 @@
+"""Compiles a USD stage into a scene package: geometry, appearance, collider, occupancy grid, targets, spawns.
+
+Calls one module per step. The result depends only on the bytes of the stage, the rules and the target list.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.compile.geometry import Geometry, lay_out_geometry
+from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours, with_far_tier
+from factory.scenes.compile.objects import assign_objects, number_objects
+from factory.scenes.compile.shade import triangle_areas
+from factory.scenes.compile.textures import TextureBook, load_textures
+from factory.scenes.importer import Extraction, Part, extract_stage
+from factory.scenes.importer.assets import read_asset
+from factory.scenes.limits import USUAL_LIMITS, StageLimits
+from factory.scenes.navigation.collider import solid_triangles, weld
+from factory.scenes.navigation.floor import find_floor_height
+from factory.scenes.navigation.occupancy import build_occupancy
+from factory.scenes.navigation.reach import Terrain, sees_matrix
+from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.survey.spawns import MIN_SPAWNS, survey_spawns
+from factory.scenes.targets.candidates import Candidate, find_candidates
+from factory.scenes.targets.target_edits import apply_candidate_edits, apply_target_edits, recoloured
+from factory.scenes.targets.target_list import TargetList
+from factory.scenes.version import COMPILER_VERSION
+from schemas.config import SpawnConfig
+from schemas.errors import WorldError
+from schemas.scene import CompiledScene, Instance, SceneInfo, Target
+from schemas.support.numpy_types import Floats
+from workers.geometry.grid import Grid
+
+__all__ = ["compile_extraction", "compile_stage"]
+
+_SANE_RADIUS_M = 200.0
+_SANE_SPREAD = 5.0
+_FARTHEST_M = 9000.0
+_SEE_THROUGH = 0.3
+_MAX_NOTES = 200
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """Visible parts, and the object that each belongs to."""
+
+    parts: tuple[Part, ...]
+    candidates: tuple[Candidate, ...]
+    owners: tuple[str, ...]
+    ids: dict[str, int]
+    book: TextureBook
+    chosen: TargetList | None
+    """Target list of the user, if given."""
+    uncoloured: frozenset[str]
+    """Categories whose colour is never named."""
+
+    def triangles(self) -> Floats:
+        """Returns all triangles (T, 3, 3), world metres."""
+        return np.concatenate([part.triangles for part in self.parts])
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """Spawn points, and the targets that are reachable from them."""
+
+    targets: tuple[Target, ...]
+    spawns: NDArray[np.float32]
+    sees: NDArray[np.uint8]
+
+
+def compile_stage(
+    path: Path,
+    name: str,
+    source: str,
+    rules: RuleBook | None = None,
+    chosen: TargetList | None = None,
+    limits: StageLimits = USUAL_LIMITS,
+) -> CompiledScene:
+    """Compiles a USD stage.
+
+    Args:
+        path: root layer of the stage.
+        name: name of the scene.
+        source: origin of the stage, recorded in the package.
+        rules: category rules; the built-in table when `None`.
+        chosen: target list of the user; all targets that the rules find when `None`.
+        limits: limits of the import.
+
+    Raises:
+        UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
+        WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
+    """
+    return compile_extraction(path.name, extract_stage(path, limits), name, source, rules, chosen)
+
+
+def compile_extraction(
+    file: str,
+    extraction: Extraction,
+    name: str,
+    source: str,
+    rules: RuleBook | None = None,
+    chosen: TargetList | None = None,
+) -> CompiledScene:
+    """Compiles an extracted stage.
+
+    Args:
+        file: file name of the root layer, for messages.
+        extraction: visible and collision geometry of the stage.
+        name: name of the scene.
+        source: origin of the stage, recorded in the package.
+        rules: category rules; the built-in table when `None`.
+        chosen: target list of the user; all targets that the rules find when `None`.
+
+    Raises:
+        UsageError: `chosen` names prims that the stage does not have.
+        WorldError: the stage has no visible mesh, no floor or no reachable target.
+    """
+    rules = rules or load_rules()
+    notes = list(extraction.notes)
+    parts = _without_outliers(file, extraction, notes)
+    shown = _show(file, extraction, parts, (rules, chosen), notes)
+    with _told_with_sizes(file, extraction, shown.parts):
+        floor_m = find_floor_height(shown.triangles())
+        solid = solid_triangles(
+            [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
+        )
+        frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
+    grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
+    terrain = Terrain(grid, grid.connected_floor(), SpawnConfig(), _taken(shown.candidates, floor_m))
+    survey = _survey(file, terrain, shown, floor_m, notes)
+    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes)
+    info = SceneInfo(
+        name=name,
+        source=source,
+        source_sha256=_digest(extraction, rules, chosen),
+        metres_per_unit=extraction.metres_per_unit,
+        bounds_m=_bounds(shown.triangles()),
+        grid_origin_m=frame.origin_m,
+        grid_resolution_m=frame.resolution_m,
+        targets=survey.targets,
+        instances=_instances(shown),
+        texture_count=len(shown.book.layers),
+        floor_height_m=floor_m,
+        free_area_m2=_area(terrain),
+        notes=_shortened(notes),
+    )
+    return _assemble(info, shown.book, geometry, weld(solid), terrain, survey)
+
+
+def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tuple[Part, ...]:
+    """Drops parts that are implausibly far from the others, because they would inflate the bounds and the grid."""
+    parts = [part for part in extraction.parts if len(part.triangles)]
+    if not any(not part.is_collider for part in parts):
+        noted = "; ".join(extraction.notes[-4:])
+        raise WorldError(
+            f"{file} contains no visible mesh ({noted}); check payloads, references, visibility and purpose"
+        )
+    middles = np.array([part.triangles.mean(axis=(0, 1)) for part in parts])
+    centre = np.median(middles, axis=0)
+    if np.abs(centre).max() > _FARTHEST_M:
+        x, y, z = centre
+        raise WorldError(
+            f"{file} is far from the origin, around ({x:.0f}, {y:.0f}, {z:.0f}) m; move it near the origin of its stage"
+        )
+    off = np.abs(middles - centre).max(axis=1)
+    limit = max(_SANE_RADIUS_M, _SANE_SPREAD * float(np.median(off)))
+    for part, distance in zip(parts, off, strict=True):
+        if distance > limit:
+            notes.append(f"{part.path}: left out, {distance:.0f} m away from everything else")
+    kept = [part for part, distance in zip(parts, off, strict=True) if distance <= limit]
+    return tuple(sorted(kept, key=lambda part: part.path))
+
+
+def _show(
+    file: str,
+    extraction: Extraction,
+    parts: Sequence[Part],
+    wishes: tuple[RuleBook, TargetList | None],
+    notes: list[str],
+) -> _Shown:
+    visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
+    clear = sum(not part.is_collider for part in parts) - len(visible)
+    if clear:
+        notes.append(f"{clear} see-through parts are solid but not shown")
+    if not visible:
+        raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
+    rules, chosen = wishes
+    candidates = apply_candidate_edits(find_candidates(extraction, visible, rules), visible, chosen)
+    owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
+    users = {part.surface.texture: part.path for part in reversed(visible)}
+    book = load_textures(_texture_areas(visible), read_asset, users)
+    notes += book.notes
+    return _Shown(visible, candidates, owners, number_objects(owners), book, chosen, rules.uncoloured)
+
+
+@contextmanager
+def _told_with_sizes(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
+    """Adds the unit of the stage and the size of its widest prim to an error, so that a wrong unit is visible."""
+    try:
+        yield
+    except WorldError as error:
+        sizes = [np.ptp(part.triangles.reshape(-1, 3), axis=0) for part in parts]
+        widest = int(np.argmax([size[:2].max() for size in sizes]))
+        x, y, z = sizes[widest]
+        unit = f"metersPerUnit = {extraction.metres_per_unit:g}"
+        raise WorldError(
+            f"{file}, {unit}, widest prim {parts[widest].path} ({x:.4g} x {y:.4g} x {z:.4g} m): {error}"
+        ) from error
+
+
+def _texture_areas(parts: Sequence[Part]) -> dict[str, float]:
+    areas: dict[str, float] = {}
+    for part in parts:
+        if part.surface.texture:
+            known = areas.get(part.surface.texture, 0.0)
+            areas[part.surface.texture] = known + float(triangle_areas(part.triangles).sum())
+    return areas
+
+
+def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: list[str]) -> _Survey:
+    spawns = survey_spawns(terrain)
+    if len(spawns) < MIN_SPAWNS:
+        notes.append(f"only {len(spawns)} spawn points fit on {_area(terrain)} m2 of connected floor")
+    targets = apply_target_edits(list_targets(terrain, shown.candidates, shown.ids, floor_m, notes), shown.chosen)
+    if not targets:
+        raise WorldError(_why_no_target(file, shown, terrain, notes))
+    named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)
+    targets = recoloured(named, shown.chosen)
+    points = spawns.astype(np.float64)
+    sees = sees_matrix(terrain, points, targets)
+    return _Survey(with_far_tier(targets, points, sees), spawns, sees)
+
+
+def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:
+    """Returns the lower and upper corners x, y (K, 2, 2) of the candidates' boxes, without those that hang high."""
+    boxes = [candidate.box for candidate in candidates if candidate.box[0, 2] - floor_m < HIGHEST_BOTTOM_M]
+    return np.array([box[:, :2] for box in boxes]).reshape(-1, 2, 2)
+
+
+def _why_no_target(file: str, shown: _Shown, terrain: Terrain, notes: list[str]) -> str:
+    counts = Counter(candidate.category for candidate in shown.candidates)
+    if not counts:
+        paths = sorted(set(shown.owners))
+        return (
+            f"{file} has no instance of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
+            "name prims after their category or give category rules with --rules"
+        )
+    found = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
+    return (
+        f"{file} has no reachable target: found {found}, {_area(terrain)} m2 of connected floor; "
+        f"the robot needs 0.72 m wide passages ({notes[-1]})"
+    )
+
+
+def _area(terrain: Terrain) -> float:
+    return round(float(terrain.floor.sum()) * terrain.grid.resolution_m**2, 3)
+
+
+def _digest(extraction: Extraction, rules: RuleBook, chosen: TargetList | None) -> str:
+    text = f"{extraction.sha256}\n{rules.model_dump_json()}\ncompiler {COMPILER_VERSION}"
+    text += "" if chosen is None else f"\n{chosen.digest}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _bounds(triangles: Floats) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    corners = triangles.reshape(-1, 3)
+    low, high = ([round(float(value), 4) for value in corner] for corner in (corners.min(axis=0), corners.max(axis=0)))
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+def _instances(shown: _Shown) -> tuple[Instance, ...]:
+    categories = {candidate.path: candidate.category for candidate in shown.candidates}
+    return tuple(
+        Instance(id=number, prim_path=path, category=categories.get(path)) for path, number in shown.ids.items()
+    )
+
+
+def _shortened(notes: Sequence[str]) -> tuple[str, ...]:
+    unique = tuple(dict.fromkeys(notes))
+    if len(unique) <= _MAX_NOTES:
+        return unique
+    return (*unique[:_MAX_NOTES], f"and {len(unique) - _MAX_NOTES} notes more")
+
+
+def _assemble(
+    info: SceneInfo,
+    book: TextureBook,
+    geometry: Geometry,
+    collider: tuple[NDArray[np.float32], NDArray[np.int32]],
+    terrain: Terrain,
+    survey: _Survey,
+) -> CompiledScene:
+    return CompiledScene(
+        info=info,
+        **{field.name: getattr(geometry, field.name) for field in fields(geometry)},
+        textures=book.layers,
+        collider_vertices=collider[0],
+        collider_triangles=collider[1],
+        occupancy=terrain.grid.occupancy,
+        reachable=terrain.floor.astype(np.uint8),
+        spawns=survey.spawns,
+        spawn_sees=survey.sees,
+    )

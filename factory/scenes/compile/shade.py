@@ -1,0 +1,120 @@
+"""Computes vertex colours (sRGB), emission and reflectance of parts.
+
+Pure. Does not compute illumination; `scenes.light` bakes it.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.compile.colour import dominant_name, linear_of, srgb_of
+from factory.scenes.compile.textures import TextureBook
+from factory.scenes.importer import Part
+from factory.scenes.rules import split_name
+from schemas.support.numpy_types import Floats
+
+__all__ = [
+    "corner_colours",
+    "glow_brightness",
+    "glows_by_name",
+    "reflectance",
+    "target_colour",
+    "texture_layer",
+    "triangle_areas",
+]
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
+_SAMPLES = 2000
+
+
+def triangle_areas(triangles: Floats) -> Floats:
+    """Returns the area (T,) of triangles (T, 3, 3)."""
+    return np.asarray(np.linalg.norm(_crosses(triangles), axis=1) / 2)
+
+
+def _crosses(triangles: Floats) -> Floats:
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def texture_layer(part: Part, book: TextureBook) -> int:
+    """Returns the texture layer of a part, or -1 for a plain colour."""
+    return book.layer_of.get(part.surface.texture, -1) if part.uvs is not None else -1
+
+
+def _base(part: Part, book: TextureBook) -> Floats:
+    """Returns a linear colour broadcastable to (T, 3, 3): the factor of the texture, or the colour without one."""
+    surface = part.surface
+    tint = np.array(surface.colour)
+    if surface.texture and texture_layer(part, book) < 0:
+        mean = book.mean_of.get(surface.texture)
+        tint = np.array(surface.fallback) if mean is None else tint * mean
+    return tint[None, None] if part.tints is None or surface.texture else part.tints[..., :3]
+
+
+def glows_by_name(path: str) -> bool:
+    """Returns whether the name of a prim or of its parent contains lamp, light, screen or window."""
+    return any(_LAMP_WORDS.search(split_name(name)) for name in path.split("/")[-2:])
+
+
+def corner_colours(part: Part, book: TextureBook) -> NDArray[np.uint8]:
+    """Returns the sRGB colours (T, 3, 3) of the corners of a part in full light."""
+    linear = _base(part, book) + np.array(part.surface.emission)
+    srgb = np.broadcast_to(srgb_of(linear), part.triangles.shape)
+    return np.rint(srgb * 255).astype(np.uint8)
+
+
+def glow_brightness(part: Part, book: TextureBook) -> float:
+    """Returns the emitted linear luminance, 0..1, of a part: of its emission, else of its texture."""
+    colour = np.array(part.surface.emission)
+    if not colour.any():
+        colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
+    return float(np.clip(colour @ _LUMINANCE, 0.01, 1.0))
+
+
+def reflectance(part: Part, book: TextureBook) -> Floats:
+    """Returns the linear luminance (T,), 0..1, of the triangles of a part in full light; the mean for textures."""
+    linear = np.broadcast_to(_base(part, book), part.triangles.shape).mean(axis=1)
+    if texture_layer(part, book) >= 0:
+        linear = linear * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
+    return np.asarray(np.clip(linear @ _LUMINANCE, 0.0, 1.0))
+
+
+def target_colour(parts: list[Part], book: TextureBook, rng: np.random.Generator) -> str:
+    """Returns the colour name of an object, from samples on all faces that do not face down.
+
+    Args:
+        parts: parts of the object.
+        book: textures of the scene.
+        rng: random generator of the samples.
+    """
+    crosses = [_crosses(part.triangles) for part in parts]
+    areas = np.concatenate([np.linalg.norm(c, axis=1) * (c[:, 2] > -0.7 * np.linalg.norm(c, axis=1)) for c in crosses])
+    if areas.sum() <= 0:
+        return "unknown"
+    chosen = np.sort(rng.choice(len(areas), _SAMPLES, p=areas / areas.sum()))
+    firsts = np.cumsum([0, *(len(part.triangles) for part in parts)])
+    samples = []
+    for part, (first, last) in zip(parts, pairwise(firsts), strict=True):
+        inside = chosen[(chosen >= first) & (chosen < last)] - first
+        samples.append(_sample(part, book, inside, rng))
+    return dominant_name(np.concatenate(samples))
+
+
+def _sample(part: Part, book: TextureBook, triangles: NDArray[np.int64], rng: np.random.Generator) -> Floats:
+    """Returns the unlit sRGB colour, 0..1, at one random point of each given triangle."""
+    weights = rng.dirichlet((1.0, 1.0, 1.0), len(triangles))
+    base = np.broadcast_to(_base(part, book), part.triangles.shape)[triangles]
+    linear = np.einsum("nk,nkc->nc", weights, base)
+    layer = texture_layer(part, book)
+    if layer >= 0 and part.uvs is not None:
+        uv = np.einsum("nk,nkc->nc", weights, part.uvs[triangles]) % 1.0
+        side = book.layers.shape[1]
+        columns = np.minimum((uv[:, 0] * side).astype(int), side - 1)
+        rows = np.minimum(((1 - uv[:, 1]) * side).astype(int), side - 1)
+        linear = linear * linear_of(book.layers[layer][rows, columns] / 255)
+    return srgb_of(linear)

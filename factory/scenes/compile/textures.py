@@ -1,0 +1,114 @@
+"""Decodes the textures of a scene into one array of unique 512 x 512 sRGB layers.
+
+Uses Pillow. A missing or surplus texture is replaced by a plain colour, with a note.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from factory.scenes.compile.colour import linear_of
+from schemas.scene import TEXTURE_SIZE_PX
+
+__all__ = ["MAX_LAYERS", "TextureBook", "load_textures"]
+
+MAX_LAYERS = 64
+_MAX_SOURCE_PX = 16384
+_PALETTES = ("P", "PA", "LA", "RGBA")
+
+Picture = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class TextureBook:
+    """Texture layers of a scene, with the layer of each texture path."""
+
+    layers: Picture
+    """(L, 512, 512, 3) sRGB, top row first."""
+    layer_of: Mapping[str, int]
+    """Texture path -> layer index."""
+    mean_of: Mapping[str, tuple[float, float, float]]
+    """Texture path -> linear mean colour, for every readable texture."""
+    notes: tuple[str, ...]
+
+
+def load_textures(
+    areas: Mapping[str, float], read: Callable[[str], bytes | None], users: Mapping[str, str] = MappingProxyType({})
+) -> TextureBook:
+    """Decodes the textures of a scene.
+
+    Args:
+        areas: area that each texture path covers, square metres; the largest get a layer.
+        read: function that returns the bytes of a path, or `None`.
+        users: one prim that uses each texture, for the notes.
+    """
+    notes: list[str] = []
+    pictures: dict[str, Picture] = {}
+    digest_of: dict[str, str] = {}
+    for path in sorted(areas):
+        data = read(path)
+        digest = hashlib.sha256(data or b"").hexdigest()
+        picture = pictures[digest] if digest in pictures else _decode(path, data, users.get(path, ""), notes)
+        if picture is not None:
+            pictures[digest], digest_of[path] = picture, digest
+    kept = _largest(areas, digest_of, notes)
+    layers = [pictures[digest] for digest in kept]
+    shape = (0, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3)
+    return TextureBook(
+        layers=np.stack(layers) if layers else np.zeros(shape, np.uint8),
+        layer_of={path: kept.index(digest) for path, digest in digest_of.items() if digest in kept},
+        mean_of={path: _mean(pictures[digest]) for path, digest in digest_of.items()},
+        notes=tuple(notes),
+    )
+
+
+def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Picture | None:
+    name = f"{user}: texture {path.rpartition('/')[2]}".removeprefix(": ")
+    if data is None:
+        notes.append(f"{name} is missing, shown in one colour; put it where the material looks for it")
+        return None
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            if max(image.size) > _MAX_SOURCE_PX:
+                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels")
+            plain = _eight_bit(image)
+            size = (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX)
+            return np.asarray(plain if plain.size == size else plain.resize(size, Image.Resampling.LANCZOS))
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        notes.append(f"{name} cannot be read ({error}), shown in one colour; save it anew as 8-bit PNG or JPEG")
+        return None
+
+
+def _eight_bit(image: Image.Image) -> Image.Image:
+    """Converts an image to 8-bit RGB; scales 16-bit gray, which the conversion of Pillow would clip."""
+    if image.mode.startswith(("I", "F")):
+        values = np.asarray(image, np.float64)
+        top = 255.0 / max(float(values.max()), 1e-9) if image.mode == "F" else 1 / 257
+        return Image.fromarray(np.clip(values * top, 0, 255).astype(np.uint8)).convert("RGB")
+    if image.mode in _PALETTES:
+        image = image.convert("RGBA")
+    return image.convert("RGB")
+
+
+def _largest(areas: Mapping[str, float], digest_of: Mapping[str, str], notes: list[str]) -> list[str]:
+    """Returns the digests that get a layer, in a stable order."""
+    covered: dict[str, float] = {}
+    for path, digest in digest_of.items():
+        covered[digest] = covered.get(digest, 0.0) + areas[path]
+    if len(covered) > MAX_LAYERS:
+        notes.append(f"{len(covered)} textures, {MAX_LAYERS} kept by area; the others are shown in their mean colour")
+    by_area = sorted(covered, key=lambda digest: (-covered[digest], digest))[:MAX_LAYERS]
+    return sorted(by_area)
+
+
+def _mean(picture: Picture) -> tuple[float, float, float]:
+    small = linear_of(picture[::4, ::4].reshape(-1, 3) / 255).mean(axis=0)
+    return (float(small[0]), float(small[1]), float(small[2]))

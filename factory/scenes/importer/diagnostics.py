@@ -1,0 +1,70 @@
+"""Formats diagnostics of USD as single lines that are equal on every machine and in every run.
+
+Removes memory addresses and directories, which would make two imports of one stage differ. Does not call USD.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+__all__ = ["format_error", "format_warning", "text_of"]
+
+_LONGEST = 300
+_NOISE = (
+    re.compile(r"\s*\(\w+ stage on stage @[^@]*@ <0x[0-9a-f]+>\)"),
+    re.compile(r",@anon:0x[0-9a-f]+:[^@]*@"),  # the anonymous session layer
+    re.compile(r"pxrInternal_\w*?::"),
+    re.compile(r"(?<=<)/[^<>]*/(?=[^<>/]+\.usd[acz]?>)"),
+    re.compile(r"^/\S*/(?=[^/\s]+:\d+)"),
+    re.compile(r"\s*<?0x[0-9a-f]{6,}>?"),
+)
+_ASSET = re.compile(r"@([^@]*)@")
+_REMEDIES = (
+    ("cycle", "take the reference out that leads back"),
+    ("could not open asset", "put the file there or take the reference out"),
+    ("could not load sublayer", "put the file there or take the sublayer out"),
+)
+
+
+def text_of(read: Callable[[], str]) -> str:
+    """Returns a message of USD; replaces bytes that are not UTF-8, which quoted files may contain."""
+    try:
+        return read()
+    except UnicodeDecodeError as error:
+        return error.object.decode(errors="replace")
+
+
+def format_warning(text: str) -> str:
+    """Formats a warning of USD as one line, with file names instead of paths and a remedy if one is known.
+
+    Args:
+        text: commentary of a diagnostic.
+    """
+    line = _plain(text)
+    remedies = (remedy for words, remedy in _REMEDIES if words in line.lower())
+    remedy = next(remedies, "")
+    return f"{line[:_LONGEST].rstrip(' .;')}; {remedy}" if remedy else line[:_LONGEST]
+
+
+def format_error(text: str) -> str:
+    """Formats an error of USD as one line: the first error of the list, which is the root cause.
+
+    Args:
+        text: text of a `Tf.ErrorException`: errors, each with its location in the source of USD.
+    """
+    errors = [part.partition(" : '")[2].strip().removesuffix("'") for part in text.split("\n\tError in ") if part]
+    return _plain(next((error for error in errors if error), text))[:_LONGEST]
+
+
+def _plain(text: str) -> str:
+    line = " ".join(text.split())
+    for noise in _NOISE:
+        line = noise.sub("", line)
+    return _ASSET.sub(lambda asset: f"@{_file_name(asset.group(1))}@", line)
+
+
+def _file_name(asset: str) -> str:
+    """Returns the file name of an asset path, with its path in a package: `a/b.usdz[c/d.png]` is `b.usdz[c/d.png]`."""
+    file, bracket, packed = asset.partition("[")
+    return file.rpartition("/")[2] + bracket + packed

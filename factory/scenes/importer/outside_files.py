@@ -1,0 +1,47 @@
+"""Restricts an import to the folder of its stage: textures outside the folder are not read.
+
+Compares resolved paths. Reads no files.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from factory.scenes.importer.material import Surface
+
+__all__ = ["ReadableFolder"]
+
+
+@dataclass(frozen=True)
+class ReadableFolder:
+    """Folder of the root layer, from which an import may read textures."""
+
+    root_layer: Path
+    is_open: bool
+    """Whether all paths are allowed."""
+
+    def encloses(self, asset: str) -> bool:
+        """Returns whether an absolute asset path, such as `a.usdz[b.png]`, is inside the folder."""
+        file = Path(asset.partition("[")[0])
+        return self.is_open or file.resolve().is_relative_to(self.root_layer.resolve().parent)
+
+    def kept_inside(self, surface: Surface, material: str, notes: list[str]) -> Surface:
+        """Returns the surface, with a plain colour if its texture is outside the folder.
+
+        Args:
+            surface: appearance of the material.
+            material: path of the material prim.
+            notes: list that receives a note for each rejected texture.
+        """
+        texture = surface.texture
+        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # unresolved
+        if not texture or (not climbs and (not Path(texture).is_absolute() or self.encloses(texture))):
+            return surface
+        shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not climbs else texture
+        notes.append(
+            f"{material}: texture {shown} lies outside of the stage's folder, shown in one colour; "
+            "move it below the folder or allow it (--allow-outside, in a plan allow_outside = true)"
+        )
+        return replace(surface, texture="", colour=surface.fallback)

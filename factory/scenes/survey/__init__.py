@@ -1,0 +1,1 @@
+"""Surveys a compiled floor: spawn points and their quality. Pure and deterministic."""

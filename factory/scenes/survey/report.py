@@ -1,0 +1,104 @@
+"""Measures the spawn points of a compiled scene: number, spacing, floor coverage, visible targets.
+
+Pure. Does not compute spawn points; `spawns.py` does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from factory.scenes.survey.spawns import MIN_SPAWNS
+from schemas.scene import CompiledScene
+from workers.geometry.grid import Grid
+
+__all__ = ["NEAR_M", "SpawnSight", "SurveyReport", "report_survey"]
+
+NEAR_M = 2.0
+"""Distance from a spawn within which floor counts as covered, metres."""
+
+
+@dataclass(frozen=True)
+class SpawnSight:
+    """Spawn point, with the targets that are reachable from it by straight driving."""
+
+    x_m: float
+    y_m: float
+    targets: int
+    categories: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SurveyReport:
+    """Spawn survey of one scene."""
+
+    spawns: int
+    free_area_m2: float
+    nearest_min_m: float
+    """Minimum distance between two spawns, metres; 0 with fewer than two."""
+    nearest_median_m: float
+    """Median distance of a spawn to its nearest neighbour, metres; 0 with fewer than two."""
+    within_m: float
+    share_within: float
+    """Share of the connected floor within `within_m` of a spawn, 0..1."""
+    farthest_floor_m: float
+    """Maximum distance of a point of the connected floor from its nearest spawn, metres; 0 without spawns."""
+    blind: int
+    """Number of spawns from which no target is reachable by straight driving."""
+    unseen: tuple[str, ...]
+    """Ids of the targets that no spawn sees."""
+    sights: tuple[SpawnSight, ...]
+    shortcomings: tuple[str, ...]
+    """Unmet requirements of the scene, each with a remedy; empty if all are met."""
+
+
+def report_survey(scene: CompiledScene, within_m: float = NEAR_M) -> SurveyReport:
+    """Measures the spawn points of a scene.
+
+    Args:
+        scene: compiled scene.
+        within_m: distance from a spawn within which floor counts as covered, metres.
+    """
+    spawns = scene.spawns.astype(np.float64)
+    apart = cKDTree(spawns).query(spawns, k=2)[0][:, 1] if len(spawns) > 1 else np.zeros(1)
+    floor = Grid.from_scene(scene).centre_of(np.argwhere(scene.reachable > 0))
+    distance = cKDTree(spawns).query(floor)[0] if len(spawns) and len(floor) else np.full(1, np.inf)
+    return SurveyReport(
+        spawns=len(spawns),
+        free_area_m2=scene.info.free_area_m2,
+        nearest_min_m=round(float(apart.min()), 3),
+        nearest_median_m=round(float(np.median(apart)), 3),
+        within_m=within_m,
+        share_within=round(float((distance <= within_m).mean()), 4),
+        farthest_floor_m=round(float(distance.max()), 3) if np.isfinite(distance).all() else 0.0,
+        blind=int((scene.spawn_sees.sum(axis=1) == 0).sum()),
+        unseen=_unseen(scene),
+        sights=tuple(_sight(scene, row) for row in range(len(spawns))),
+        shortcomings=_shortcomings(scene),
+    )
+
+
+def _unseen(scene: CompiledScene) -> tuple[str, ...]:
+    seen = scene.spawn_sees.sum(axis=0) > 0
+    return tuple(target.target_id for target, is_seen in zip(scene.info.targets, seen, strict=True) if not is_seen)
+
+
+def _sight(scene: CompiledScene, row: int) -> SpawnSight:
+    seen = [scene.info.targets[column] for column in np.flatnonzero(scene.spawn_sees[row])]
+    x, y = (round(float(value), 3) for value in scene.spawns[row])
+    return SpawnSight(x, y, len(seen), tuple(sorted({target.category for target in seen})))
+
+
+def _shortcomings(scene: CompiledScene) -> tuple[str, ...]:
+    found = []
+    if len(scene.spawns) < MIN_SPAWNS:
+        found.append(
+            f"{len(scene.spawns)} spawn points of {MIN_SPAWNS} on {scene.info.free_area_m2:g} m2 of connected floor: "
+            "the robot must fit with three headings in four; widen passages beyond 0.72 m, join the floor to one "
+            "piece or enlarge it"
+        )
+    if len(scene.spawns) and not scene.spawn_sees.any():
+        found.append("no start point has a free straight path to a target; clear the floor around the targets")
+    return tuple(found)

@@ -1,0 +1,61 @@
+"""The start points of a scene are measured, and too few of them are reported with a reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from factory.scenes.inspection import describe_scene
+from factory.scenes.survey.report import report_survey
+from tests.builders.scene import box_room
+
+ROOM = box_room()
+
+
+def test_a_room_is_measured_by_its_spawns() -> None:
+    report = report_survey(ROOM)
+    assert report.spawns == len(ROOM.spawns) == len(report.sights)
+    assert report.nearest_min_m == report.nearest_median_m == pytest.approx(0.5)
+    assert report.share_within == 1.0
+    assert report.farthest_floor_m < 0.6
+
+
+def test_the_covered_share_falls_with_the_distance_asked_for() -> None:
+    shares = [report_survey(ROOM, within).share_within for within in (0.1, 0.25, 1.0)]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.5
+
+
+def test_each_spawn_lists_its_visible_targets() -> None:
+    report = report_survey(ROOM)
+    assert [sight.targets for sight in report.sights] == ROOM.spawn_sees.sum(axis=1).tolist()
+    assert {name for sight in report.sights for name in sight.categories} == {"crate", "barrel"}
+    assert report.unseen == ()
+
+
+def test_too_few_spawns_are_a_shortcoming_with_a_remedy() -> None:
+    few = replace(ROOM, spawns=ROOM.spawns[:3], spawn_sees=ROOM.spawn_sees[:3])
+    (reason, *_) = report_survey(few).shortcomings
+    assert "3 spawn points of 40" in reason
+    assert "0.72 m" in reason
+
+
+def test_a_scene_without_spawns_is_measured() -> None:
+    none = replace(ROOM, spawns=ROOM.spawns[:0], spawn_sees=ROOM.spawn_sees[:0])
+    report = report_survey(none)
+    assert (report.spawns, report.share_within, report.nearest_min_m) == (0, 0.0, 0.0)
+    assert report.unseen == tuple(target.target_id for target in ROOM.info.targets)
+
+
+def test_spawns_without_visible_targets_are_a_shortcoming() -> None:
+    blind = replace(ROOM, spawn_sees=np.zeros_like(ROOM.spawn_sees))
+    assert any("straight path" in reason for reason in report_survey(blind).shortcomings)
+
+
+def test_a_description_holds_extents_categories_and_targets() -> None:
+    facts = describe_scene(ROOM)
+    assert facts["extents_m"] == [8.4, 6.4, 2.6]
+    assert facts["categories"] == {"barrel": 1, "crate": 1}
+    assert {target["id"] for target in facts["targets"]} == {target.target_id for target in ROOM.info.targets}
