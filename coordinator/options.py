@@ -30,7 +30,7 @@ class CoordinatorOptions:
     settings: CoordinatorSettings = field(default_factory=CoordinatorSettings)
     """Numbers that change no byte of the dataset."""
     guard: Guard | None = None
-    """Certificates and who is admitted; `None` lets in whoever can connect."""
+    """Certificates and who is admitted; `None` admits every peer."""
     checker: Judge | None = None
     """Judges bundles and is closed with the coordinator; by default sandboxed children, one a puller."""
     clock: Callable[[], datetime] = utc_now

@@ -75,7 +75,7 @@ class Coordinator(Closing):
             handler = stack.enter_context(self._open_request_handler(run))
             self._router = stack.enter_context(_open_router(run, options, handler))
             stack.enter_context(PeriodicTasks(chores.table(self._router.admit)))
-            # a thread of its own: writing the tables of a large run takes seconds, and leases expire meanwhile
+            # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
             tables = {"write_tables": (options.settings.checkpoint_s, self._tables.write)}
             stack.enter_context(PeriodicTasks(tables))
             self.health = self._measured(run)

@@ -45,7 +45,7 @@ class ArchiveDifference:
     unknown: tuple[int, ...]
     """Listed and not recorded."""
     changed: Mapping[int, str]
-    """Listed with other contents than recorded, with the difference in words."""
+    """Listed with other contents than recorded, with a description of the difference."""
     elsewhere: tuple[int, ...]
     """Listed as recorded, and recorded at a gateway; these are no part of `same`."""
 
@@ -76,7 +76,7 @@ def diff_archive(listed: Mapping[int, ListedFile], recorded: Mapping[int, Record
 
 
 def describe_difference(found: ListedFile | None, record: RecordedFile) -> str:
-    """Returns in words what differs between a file, `None` when it is missing, and its record; empty when nothing."""
+    """Describes the difference between a file, `None` when it is missing, and its record; empty when nothing."""
     if found is None:
         return GONE
     if found.size != record.size:

@@ -45,7 +45,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
     Args:
         root: root of the dataset.
         home: local directory for part files; created if it does not exist. A dataset always needs the same home.
-        take_over: whether to delete the lock object of another home; its coordinator must have ended for good.
+        take_over: whether to delete the lock object of another home; its coordinator must have ended.
 
     Raises:
         WorldError: the home or the store cannot be written, another coordinator holds one of them, or the store

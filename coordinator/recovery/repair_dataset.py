@@ -84,7 +84,7 @@ def repair(
         checker: validator of files to adopt.
         now: time of the repair.
         apply: whether to apply the actions; otherwise the dataset is not changed.
-        take_over: whether to take over a dataset in object storage from a home whose coordinator has ended for good.
+        take_over: whether to take over a dataset in object storage from a home whose coordinator has ended.
         on_progress: progress callback with the number of examined episodes and the total.
 
     Raises:

@@ -48,8 +48,8 @@ size_categories:
 {configs}---
 # {run}
 
-{episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter is told in
-English which object to drive to, sees colour, depth and instance ids at {hz} Hz, and stops within {radius:g} m of it.
+{episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
+instruction in English that names an object, drives to it, sees colour, depth and instance ids at {hz} Hz, and stops within {radius:g} m of it.
 
 ## How it was made
 With minivla-factory {version}, simulated in PyBullet and drawn by
@@ -82,7 +82,7 @@ Categories: {categories}.
 - `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
 
 ## How to load it
-Rows and thumbnails by split, with no software of ours:
+Rows and thumbnails by split, without minivla-factory:
 
 ```python
 from datasets import load_dataset

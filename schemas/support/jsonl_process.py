@@ -31,7 +31,7 @@ _MAX_LINE_BYTES = 16 << 20
 
 
 def describe_exit(status: int) -> str:
-    """Returns an exit status as `subprocess` gives it in words: `killed by SIGKILL`, `exit status 1`."""
+    """Returns an exit status as `subprocess` describes it: `killed by SIGKILL`, `exit status 1`."""
     return f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
 
 

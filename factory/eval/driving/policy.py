@@ -76,23 +76,23 @@ class Policy(Protocol):
 
 
 class BlindPolicy(ABC):
-    """Base of a policy that declares that it uses no camera frames, so that none are rendered for it."""
+    """Base class of policies that use no camera images, so that none are rendered for them."""
 
     knows: ClassVar[str] = "nothing"
-    """What its actions depend on, for the results."""
+    """Description of the information that the policy uses, for the results."""
 
     @abstractmethod
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Begins an episode and forgets the one before."""
+        """Starts an episode and clears the state of the previous one."""
 
     @abstractmethod
     def act(self, observation: PolicyInput) -> Any:
-        """Returns an action; the observation has the instruction and the step only."""
+        """Returns an action; the observation contains the instruction and the step only."""
 
 
 @dataclass(frozen=True)
 class PrivilegedState:
-    """Privileged state for built-in policies: the running simulation, including goal and map."""
+    """Privileged state for a `PrivilegedPolicy`: the running simulation, including goal and map."""
 
     simulator: Simulator
     job: Job
@@ -102,14 +102,14 @@ class PrivilegedState:
 
 
 class PrivilegedPolicy(BlindPolicy):
-    """Base of a policy that declares more knowledge than a model has; only built-in policies may derive from it."""
+    """Base class of policies with more information than a model; only built-in policies may derive from it."""
 
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Expert of the job in its `PrivilegedState`."""
 
     @abstractmethod
-    def enter(self, situation: PrivilegedState) -> None:
-        """Takes the state; called after the simulator's reset and before the policy's own."""
+    def enter(self, state: PrivilegedState) -> None:
+        """Receives the privileged state; called after the simulator's reset and before the policy's reset."""
 
 
 class PolicyFault(StrEnum):
@@ -136,7 +136,7 @@ class ServerAway(Exception):
 
 
 def uses_camera(policy: Policy) -> bool:
-    """Returns whether a policy gets camera frames: all but those that declare that they use none."""
+    """Returns whether a policy receives camera images: all policies except those that derive from `BlindPolicy`."""
     return not isinstance(policy, BlindPolicy)
 
 

@@ -1,4 +1,7 @@
-"""One episode with one policy, from reset to result. Whatever the policy does, a result comes of it."""
+"""Runs one episode with one policy, from reset to result. Returns a result for every failure of the policy.
+
+Starts no processes and writes no files.
+"""
 
 from __future__ import annotations
 
@@ -37,67 +40,67 @@ from schemas.config import TaskConfig
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
-__all__ = ["TRACK_HZ", "PolicyCallObserver", "describe_request", "progresses", "run_episode", "thin_track"]
+__all__ = ["TRACK_HZ", "PolicyCallObserver", "progresses", "request_fields", "run_episode", "thin_track"]
 
 TRACK_HZ = 10
 
 
 class PolicyCallObserver(Protocol):
-    """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
+    """Observer of policy calls, which allows a monitoring process to distinguish a hanging policy from a simulation."""
 
     def before_call(self, simulator: Simulator, view: Observation) -> None:
-        """The policy is about to be asked about a view; the first call of an episode is its reset."""
+        """Called before a call of the policy, with the current view; the first call of an episode is its reset."""
 
     def after_call(self) -> None:
-        """The policy has answered, or failed to."""
+        """Called after a call of the policy returned or raised."""
 
 
 def run_episode(
-    task: EvalTask, policy: Policy, simulator: Simulator, place: LoadedScene, watch: PolicyCallObserver
+    task: EvalTask, policy: Policy, simulator: Simulator, loaded: LoadedScene, observer: PolicyCallObserver
 ) -> EpisodeResult:
-    """Drives an episode to its end and measures it.
+    """Runs an episode to its end and computes its metrics.
 
     Args:
-        task: what is asked, and of whom.
-        policy: who drives; a `PrivilegedPolicy` gets the running simulation.
-        simulator: open, with the settings of the set.
-        place: the scene of the spec.
-        watch: told before and after each call of the policy.
+        task: Episode, instruction and policy name.
+        policy: Policy to run; a `PrivilegedPolicy` receives the privileged state.
+        simulator: Open simulator with the settings of the spec set.
+        loaded: Scene of the spec.
+        observer: Observer of the policy calls.
 
     Raises:
-        WorldError: the spec does not fit its scene.
-        ServerAway: the policy's server cannot be reached; nothing is known about the episode.
+        WorldError: The spec does not match its scene.
+        ServerAway: The server of the policy cannot be reached; the episode has no result.
     """
-    begun = time.monotonic()
-    drive = _Drive(task, policy, simulator, watch)
-    view = simulator.reset(task.request.spec, place)
+    start_s = time.monotonic()
+    drive = _EpisodeRun(task, policy, simulator, observer)
+    view = simulator.reset(task.request.spec, loaded)
     end, detail = drive.run(view)
-    return _measured(task, simulator, end, detail, drive, time.monotonic() - begun)
+    return _measured(task, simulator, end, detail, drive, time.monotonic() - start_s)
 
 
 @dataclass
-class _Drive:
-    """A policy at the wheel; keeps the clock and the count of its answers."""
+class _EpisodeRun:
+    """One run of an episode; measures the time and the number of the policy's outputs."""
 
     task: EvalTask
     policy: Policy
     simulator: Simulator
-    watch: PolicyCallObserver
+    observer: PolicyCallObserver
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
 
     @property
     def request(self) -> EvalRequest:
-        """What is asked."""
+        """Evaluation request of the episode."""
         return self.task.request
 
     def run(self, view: Observation) -> tuple[EvalEnd, str]:
-        """Returns how the episode ended."""
+        """Runs the episode; returns its end and a description of it."""
         try:
             self._begin(view)
             while view.end is None:
-                view = self._turn(view)
+                view = self._act_once(view)
         except PolicyFailure as failure:
             return EvalEnd(failure.fault), failure.detail
         end = EvalEnd(view.end)
@@ -115,17 +118,17 @@ class _Drive:
             w_range_rps=(-settings.robot.max_yaw_rate_rps, settings.robot.max_yaw_rate_rps),
             fov_deg=settings.camera.fov_deg,
         )
-        with self._asking(view):
+        with self._policy_call(view):
             if isinstance(self.policy, PrivilegedPolicy):
                 job = spec.job(settings, self.policy.expert)
-                situation = PrivilegedState(self.simulator, job, self.task.actions)
-                self.policy.enter(situation)
+                state = PrivilegedState(self.simulator, job, self.task.actions)
+                self.policy.enter(state)
             self.policy.reset(self.request.instruction, info)
 
-    def _turn(self, view: Observation) -> Observation:
-        """Asks once and carries the answer out."""
+    def _act_once(self, view: Observation) -> Observation:
+        """Calls `act` once and executes the returned actions."""
         observation = self._observation(view)
-        with self._asking(view):
+        with self._policy_call(view):
             answer = self.policy.act(observation)
         self.answers += 1
         robot = self.simulator.settings.robot
@@ -140,17 +143,17 @@ class _Drive:
     def _observation(self, view: Observation) -> PolicyInput:
         words, step = self.request.instruction, self.simulator.steps
         if not uses_camera(self.policy):
-            return cast(PolicyInput, {"instruction": words, "step": step})  # frames would be rendered for nothing
+            return cast(PolicyInput, {"instruction": words, "step": step})  # the policy does not use images
         seen = PolicyInput(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
         if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen
 
     @contextmanager
-    def _asking(self, view: Observation) -> Iterator[None]:
-        """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
-        self.watch.before_call(self.simulator, view)
-        begun = time.monotonic()
+    def _policy_call(self, view: Observation) -> Iterator[None]:
+        """Wraps a policy call: notifies the observer, measures the time, converts exceptions to `PolicyFailure`."""
+        self.observer.before_call(self.simulator, view)
+        start_s = time.monotonic()
         try:
             yield
         except (PolicyFailure, ServerAway):
@@ -158,19 +161,19 @@ class _Drive:
         except Exception as error:
             raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error
         finally:
-            self.act_s += time.monotonic() - begun
-            self.watch.after_call()
+            self.act_s += time.monotonic() - start_s
+            self.observer.after_call()
 
 
 def describe_error(error: BaseException) -> str:
-    """Returns an exception in one line, with the place it came from."""
+    """Returns an exception in one line, with the file and line that raised it."""
     where = traceback.extract_tb(error.__traceback__)[-1:]
     place = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in where)
     return (traceback.format_exception_only(error)[-1].strip() + place)[:500]
 
 
 def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float, float, float], ...]:
-    """Returns x, y, yaw of a (frames, 7) track ten times a second, and of its last frame."""
+    """Returns x, y, yaw of a (frames, 7) track, sampled at 10 Hz and at the last frame."""
     every = max(1, round(control_hz / TRACK_HZ))
     rows = [*range(0, len(track) - 1, every), len(track) - 1]
     yaws = yaws_of(track[rows])
@@ -185,7 +188,7 @@ def _measured(
     simulator: Simulator,
     end: EvalEnd,
     detail: str,
-    drive: _Drive,
+    drive: _EpisodeRun,
     seconds: float,
 ) -> EpisodeResult:
     spec, rules, track = task.request.spec, simulator.settings.task, simulator.track
@@ -195,7 +198,7 @@ def _measured(
     is_success = end is EvalEnd.SUCCESS
     is_at_any = is_success or measure.stops_at_any(track, simulator.loaded.scene.info.targets, spec.category, rules)
     return EpisodeResult(
-        **describe_request(task),
+        **request_fields(task),
         end=end,
         detail=detail,
         success=is_success,
@@ -216,8 +219,8 @@ def _measured(
     )
 
 
-def describe_request(task: EvalTask) -> dict[str, Any]:
-    """Returns the fields of a result that are known before the drive."""
+def request_fields(task: EvalTask) -> dict[str, Any]:
+    """Returns the result fields that are known before the rollout."""
     request, spec = task.request, task.request.spec
     return {
         "spec_id": spec.spec_id,
@@ -237,7 +240,7 @@ def describe_request(task: EvalTask) -> dict[str, Any]:
 
 
 def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig) -> dict[str, Any]:
-    """Returns the three measures of progress (docs/design/task.md#measures) from distances to the target's centroid."""
+    """Returns the three progress metrics (docs/design/task.md#measures) from distances to the target's centroid."""
     radius_m = task.success_radius_m
     normalised = measure.progress(start_m - radius_m, max(0.0, least_m - radius_m)) if start_m > radius_m else 1.0
     return {

@@ -18,7 +18,7 @@ __all__ = ["ExpertPolicy"]
 
 
 class ExpertPolicy(PrivilegedPolicy):
-    """Drives as the collection's expert of that name does, from the same ground truth."""
+    """Policy that runs the expert of data collection of that name, with the same ground truth."""
 
     knows = "goal, map and instance ids"
 

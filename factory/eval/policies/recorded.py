@@ -13,13 +13,13 @@ __all__ = ["PlaybackPolicy", "ReplayPolicy"]
 
 
 class _Recorded(PrivilegedPolicy):
-    """Carries out the actions that the situation holds, then stands still."""
+    """Policy that executes the actions in the privileged state, then stops."""
 
-    def enter(self, situation: PrivilegedState) -> None:
-        """Takes the actions."""
-        if situation.actions is None:
-            raise UsageError(f"{situation.simulator.spec.spec_id} does not come from an archived episode")
-        self._actions = situation.actions
+    def enter(self, state: PrivilegedState) -> None:
+        """Stores the recorded actions."""
+        if state.actions is None:
+            raise UsageError(f"{state.simulator.spec.spec_id} does not come from an archived episode")
+        self._actions = state.actions
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Does nothing."""

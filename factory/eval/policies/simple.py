@@ -15,7 +15,7 @@ them out."""
 
 
 class StopPolicy(BlindPolicy):
-    """Never moves."""
+    """Policy that never moves."""
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Does nothing."""
@@ -26,7 +26,7 @@ class StopPolicy(BlindPolicy):
 
 
 class RandomPolicy(BlindPolicy):
-    """Uniform twists over the action range, one every half second, by the episode's seed."""
+    """Policy with uniformly random twists, one every half second, seeded by the episode."""
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:  # noqa: ARG002
         """Seeds the random generator."""

@@ -1,13 +1,14 @@
-"""Driver process (`python -m factory.eval.process.child`): simulation and policy; orders on stdin, reports on stdout.
+"""Driver process (`python -m factory.eval.process.child`): runs simulation and policy; orders on stdin, reports on
+stdout.
 
-It ends with its caller, whatever it is doing; a policy that hangs or dies takes only this process with it.
+The process exits when its parent exits. A policy that hangs or crashes affects this process only. Writes no results.
 """
 
 from __future__ import annotations
 
 import os
 
-# read when numpy and Mesa are imported: one process, one core
+# numpy and Mesa read these variables on import: one process uses one core
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -39,14 +40,12 @@ SendReport = Callable[[EvalReport], None]
 
 def main() -> int:
     """Serves orders until stdin closes."""
-    parser = argparse.ArgumentParser(
-        prog="factory.eval.process.child", description="Drives policies for an evaluation."
-    )
-    parser.add_argument("sheet", type=int, help="File descriptor of the sheet.")
+    parser = argparse.ArgumentParser(prog="factory.eval.process.child", description="Runs policies for an evaluation.")
+    parser.add_argument("status", type=int, help="File descriptor of the shared status.")
     parser.add_argument("--render-apart", action="store_true", help="Render in a separate process.")
     arguments = parser.parse_args()
     faulthandler.enable()
-    sheet = SharedStatus(arguments.sheet)
+    shared = SharedStatus(arguments.status)
     out = take_stdout()
     lines = listen(0)
 
@@ -60,12 +59,12 @@ def main() -> int:
             SceneRenderer(setup.renderer, apart=arguments.render_apart) as stage,
             Simulator(stage, setup.settings) as simulator,
         ):
-            driver = _Driver(setup, stage, simulator, sheet, tell)
+            driver = _Driver(setup, stage, simulator, shared, tell)
             tell(EvalReport(kind=EvalReportKind.READY, detail=stage.renderer.description))
             while driver.serve(order):
                 order = DriverOrder.model_validate_json(driver.wait(lines))
     except BrokenPipeError:
-        return 0  # nobody listens any more
+        return 0  # the parent has exited
     except FactoryError as error:
         tell(EvalReport(kind=EvalReportKind.REFUSED, detail=str(error), exit_code=_exit_code(error)))
         return 1
@@ -77,23 +76,23 @@ def _exit_code(error: FactoryError) -> int:
 
 
 class _Driver:
-    """Keeps the policy that was asked for last, and notes on the sheet what it is at."""
+    """Executes orders with the current policy, and updates the shared status."""
 
     def __init__(
-        self, setup: Setup, stage: SceneRenderer, simulator: Simulator, sheet: SharedStatus, tell: SendReport
+        self, setup: Setup, stage: SceneRenderer, simulator: Simulator, shared: SharedStatus, tell: SendReport
     ) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
-        self._watch = StatusWriter(sheet)
+        self._status = StatusWriter(shared)
         self._name = ""
         self._policy: Policy | None = None
 
     def wait(self, lines: queue.Queue[bytes]) -> bytes:
-        """Returns the next order."""
-        self._watch.note(Activity.IDLE)
+        """Waits for the next order and returns it."""
+        self._status.note(Activity.IDLE)
         return lines.get()
 
     def serve(self, order: DriverOrder) -> bool:
-        """Executes one order; returns whether the process is still sound."""
+        """Executes one order; returns whether the process can continue."""
         number = order.task.number
         try:
             result = self._drive(order)
@@ -102,7 +101,7 @@ class _Driver:
         except FactoryError as error:
             code = _exit_code(error)
             self._tell(EvalReport(kind=EvalReportKind.REFUSED, number=number, detail=str(error), exit_code=code))
-        except Exception as error:  # noqa: BLE001 - the worker loop: told, and the process given up
+        except Exception as error:  # noqa: BLE001 - worker loop: the error is reported and the process exits
             traceback.print_exc()
             self._tell(EvalReport(kind=EvalReportKind.DEFECT, number=number, detail=describe_error(error)))
             return False
@@ -112,35 +111,35 @@ class _Driver:
 
     def _drive(self, order: DriverOrder) -> EpisodeResult:
         policy = self._policy_of(order)
-        self._watch.begin(Activity.SIMULATING)
-        place = self._stage.load(order.package, order.task.request.spec.scene_sha256)
-        result = run_episode(order.task, policy, self._simulator, place, self._watch)
+        self._status.begin(Activity.SIMULATING)
+        loaded = self._stage.load(order.package, order.task.request.spec.scene_sha256)
+        result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end is EvalEnd.POLICY_LOST:
-            # the server may have been started again: its episode begins anew, once
-            self._watch.is_warm = False
-            self._watch.begin(Activity.SIMULATING)
-            result = run_episode(order.task, policy, self._simulator, place, self._watch)
+            # the server may have restarted: repeat the episode once
+            self._status.is_warm = False
+            self._status.begin(Activity.SIMULATING)
+            result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end in {EvalEnd.POLICY_LOST, EvalEnd.POLICY_HUNG}:
-            self._watch.is_warm = False  # its next answer comes over a new connection
+            self._status.is_warm = False  # the next reply uses a new connection
         return result
 
     def _policy_of(self, order: DriverOrder) -> Policy:
         name = order.task.policy
         if self._policy is None or name != self._name:
-            self._watch.begin(Activity.MAKING)
+            self._status.begin(Activity.MAKING)
             close = getattr(self._policy, "close", None)
             if callable(close):
                 with contextlib.suppress(Exception):
                     close()
             self._policy, self._name = None, name
-            outside = PolicyLimits(
+            limits = PolicyLimits(
                 act_timeout_s=self._setup.act_timeout_s,
                 load_timeout_s=self._setup.load_timeout_s,
                 reconnect_s=self._setup.reconnect_s,
             )
-            self._policy = make_policy(name, outside, order.policy_file)
-            self._watch.is_warm = False
-            self._watch.is_privileged = isinstance(self._policy, PrivilegedPolicy)
+            self._policy = make_policy(name, limits, order.policy_file)
+            self._status.is_warm = False
+            self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
             knows = describe_knowledge(self._policy)
             self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows))
         return self._policy
@@ -149,4 +148,4 @@ class _Driver:
 if __name__ == "__main__":
     status = main()
     sys.stderr.flush()
-    os._exit(status)  # the thread that waits for orders would keep the interpreter from ending
+    os._exit(status)  # the thread that waits for orders would block the interpreter's exit

@@ -1,9 +1,9 @@
-"""The result of an episode whose process had to be ended: measured by what stood on its sheet, worth nothing. Pure."""
+"""Builds the result of an episode whose driver process was killed or died, from its last shared status. Pure."""
 
 from __future__ import annotations
 
 from factory.eval.driving.policy import PolicyFault
-from factory.eval.driving.rollout import describe_request, progresses
+from factory.eval.driving.rollout import progresses, request_fields
 from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.process.shared_status import DriverStatus
@@ -12,20 +12,20 @@ __all__ = ["interrupted_result"]
 
 
 def interrupted_result(task: EvalTask, detail: str, fault: PolicyFault, state: DriverStatus) -> EpisodeResult:
-    """Returns the result of an episode whose driving process had to be ended.
+    """Returns the failed result of an episode whose driver process was killed or died.
 
     Args:
-        task: what it drove.
-        detail: the end in words.
-        fault: what the policy did.
-        state: what stood on its sheet.
+        task: Task of the episode.
+        detail: Description of the end.
+        fault: Kind of the policy failure.
+        state: Last shared status of the driver process.
     """
     spec = task.request.spec
     start_m = state.start_m or spec.spawn_dist_m
     now_m, least_m = (state.now_m, state.least_m) if state.start_m else (start_m, start_m)
     nothing = None if spec.geodesic_m is None else 0.0
     return EpisodeResult(
-        **describe_request(task),
+        **request_fields(task),
         end=EvalEnd(fault),
         detail=detail,
         success=False,

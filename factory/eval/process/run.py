@@ -1,6 +1,6 @@
-"""A campaign on one machine: policies x variants x episodes over driving processes, kept as they finish.
+"""Runs a campaign on one machine: policies x variants x episodes on driver processes; stores results as they finish.
 
-Owns the processes and ends them all when it ends; prints nothing, a listener is told.
+Owns the driver processes and kills them at the end. Prints nothing; a callback receives the progress.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ __all__ = ["Pace", "run_campaign"]
 
 _POLL_S = 0.05
 _TRIES = 2
-"""How often an episode is begun when the simulation, not the policy, dies."""
+"""Number of attempts at an episode when the simulation, not the policy, dies."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How far a campaign is."""
+    """Progress of one policy in a campaign."""
 
     policy: str
     done: int
-    """Of the policy, earlier runs included."""
+    """Finished episodes of the policy, including earlier runs."""
     total: int
     successes: int
 
@@ -43,31 +43,31 @@ PaceCallback = Callable[[Pace], None]
 
 
 def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: PaceCallback) -> bool:
-    """Drives every episode that is not finished yet; returns whether all are done, or `stop` was set before.
+    """Runs every unfinished episode; returns whether all are finished, which is false when `stop` was set earlier.
 
     Args:
-        campaign: what to do.
-        store: holds the finished episodes and takes the new ones.
-        stop: leave at once; nothing finished is lost.
-        tell: told after every episode.
+        campaign: Campaign to run.
+        store: Store of the finished episodes; receives the new results.
+        stop: Event that stops the campaign immediately; finished episodes are kept.
+        tell: Progress callback, called after every episode.
 
     Raises:
-        UsageError: a policy cannot be made, or the specs do not fit the dataset.
-        WorldError: a policy's server is away, or simulations die.
+        UsageError: A policy cannot be created, or the specs do not match the dataset.
+        WorldError: The server of a policy cannot be reached, or simulations die repeatedly.
     """
     places = Places(campaign.root)
     with ExitStack() as stack:
-        seats = [DriverProcess() for _ in range(campaign.processes)]
-        for seat in seats:
-            stack.callback(seat.kill)
+        drivers = [DriverProcess() for _ in range(campaign.processes)]
+        for driver in drivers:
+            stack.callback(driver.kill)
         for policy in campaign.policies:
-            if not _Round(campaign, policy, places, store, seats, stop, tell).run():
+            if not _PolicyCampaign(campaign, policy, places, store, drivers, stop, tell).run():
                 return False
     return True
 
 
-class _Round:
-    """All episodes of one policy."""
+class _PolicyCampaign:
+    """Runs all episodes of one policy."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class _Round:
         policy: str,
         places: Places,
         store: Store,
-        seats: list[DriverProcess],
+        drivers: list[DriverProcess],
         stop: threading.Event,
         tell: PaceCallback,
     ) -> None:
@@ -84,11 +84,11 @@ class _Round:
         self._packages = {
             spec.scene_sha256: places.path(spec.scene, spec.scene_sha256) for spec in campaign.specs.specs
         }
-        self._seats, self._stop, self._tell = seats, stop, tell
+        self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
 
     def run(self) -> bool:
-        """Returns whether all are done."""
+        """Runs the unfinished episodes; returns whether all are finished."""
         tasks = self._tasks
         done = {result.key: result.success for result in self._store.results(self._policy)}
         waiting = deque(task for task in tasks if task.request.key not in done)
@@ -96,26 +96,29 @@ class _Round:
         pace = Pace(self._policy, len(tasks) - len(waiting), len(tasks), successes)
         self._tell(pace)
         while pace.done < pace.total and not self._stop.is_set():
-            for result in self._turns(waiting):
+            for result in self._poll_drivers(waiting):
                 self._keep(result)
                 pace = Pace(self._policy, pace.done + 1, pace.total, pace.successes + result.success)
                 self._tell(pace)
         return pace.done >= pace.total
 
-    def _turns(self, waiting: deque[EvalTask]) -> Iterator[EpisodeResult]:
-        """Gives every idle seat a task and hears every busy one once."""
+    def _poll_drivers(self, waiting: deque[EvalTask]) -> Iterator[EpisodeResult]:
+        """Sends a task to every idle driver, polls every busy one once, and yields the results."""
         busy = 0
-        for seat in self._seats:
-            if seat.current is None and waiting:
-                seat.give(self._order(waiting.popleft()))
-            busy += seat.current is not None
-        for seat in self._seats:
-            if seat.current is None:
+        for driver in self._drivers:
+            if driver.current is None and waiting:
+                driver.give(self._order(waiting.popleft()))
+            busy += driver.current is not None
+        for driver in self._drivers:
+            if driver.current is None:
                 continue
-            heard = seat.hear(_POLL_S / max(1, busy))
-            result = self._after_end(seat, heard, waiting) if isinstance(heard, DriverEnded) else self._after(heard)
+            report = driver.hear(_POLL_S / max(1, busy))
+            if isinstance(report, DriverEnded):
+                result = self._after_end(driver, report, waiting)
+            else:
+                result = self._after(report)
             if result is not None:
-                seat.current = None
+                driver.current = None
                 yield result
 
     def _order(self, task: EvalTask) -> DriverOrder:
@@ -134,8 +137,8 @@ class _Round:
             raise RuntimeError(f"a simulation process failed: {report.detail}")
         return report.result
 
-    def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalTask]) -> EpisodeResult | None:
-        task = seat.current
+    def _after_end(self, driver: DriverProcess, ended: DriverEnded, waiting: deque[EvalTask]) -> EpisodeResult | None:
+        task = driver.current
         if task is None:
             return None
         if ended.fault is not None and self._made() is not None:
@@ -145,16 +148,16 @@ class _Round:
         self._deaths[task.number] = self._deaths.get(task.number, 0) + 1
         if self._deaths[task.number] >= _TRIES:
             raise WorldError(f"{task.request.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
-        seat.current = None
+        driver.current = None
         waiting.appendleft(task)
         return None
 
     def _made(self) -> DriverProcess | None:
-        """A seat in which the policy could be made."""
-        return next((seat for seat in self._seats if self._policy in seat.made), None)
+        """Returns a driver that has created the policy, or `None`."""
+        return next((driver for driver in self._drivers if self._policy in driver.made), None)
 
     def _keep(self, result: EpisodeResult) -> None:
-        seat = self._made()
-        if seat is not None and self._store.note_of(self._policy) is None:
-            self._store.note(note_of(self._policy, seat.made[self._policy], seat.renderer))
+        driver = self._made()
+        if driver is not None and self._store.note_of(self._policy) is None:
+            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer))
         self._store.add(result)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 
 from factory.eval.driving import measure
-from factory.eval.driving.rollout import TRACK_HZ, describe_request, progresses
+from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
 from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
@@ -34,7 +34,7 @@ def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> li
         task: what was asked, and of which policy.
         target: of the spec, as its scene has it.
     """
-    asked, settings = describe_request(task), task.setup.settings
+    asked, settings = request_fields(task), task.setup.settings
     found = [
         f"{name} is {getattr(result, name)!r}, expected {wanted!r}"
         for name, wanted in asked.items()

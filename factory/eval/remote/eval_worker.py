@@ -1,7 +1,7 @@
 """Evaluation worker (`python -m factory.eval.remote.eval_worker`), which a worker starts instead of a simulation.
 
-Takes the worker's orders, evaluates them in a driver process, and leaves results as bundles.
-Simulates nothing itself and ends with its worker.
+Receives orders from the worker, evaluates them in a driver process, and writes results as bundles.
+Runs no simulation itself; exits with its worker.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NO_IMPORTS = "this worker imports no classes; start it with --import-policies w
 def main() -> int:
     """Serves orders until stdin closes."""
     parser = argparse.ArgumentParser(
-        prog="factory.eval.remote.eval_worker", description="Drives policies for a worker."
+        prog="factory.eval.remote.eval_worker", description="Evaluates policies for a worker."
     )
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
     parser.add_argument("--import-policies", action="store_true")
@@ -53,26 +53,26 @@ def main() -> int:
         while True:
             station.serve(SimulationOrder.model_validate_json(lines.get()))
     except BrokenPipeError:
-        return 0  # nobody listens any more
+        return 0  # the worker has exited
 
 
 class _Station:
-    """Keeps one driver process."""
+    """Executes the orders of the worker with one driver process."""
 
     def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:
         self._renderer, self._may_import, self._out = renderer, may_import, out
         self._seat = DriverProcess()
 
     def tell(self, report: worker.SimulationReport) -> None:
-        """Tells the worker."""
+        """Sends a report to the worker."""
         self._out.write(worker.to_line(report))
 
     def serve(self, order: SimulationOrder) -> None:
-        """Executes one order and tells what came of it."""
+        """Executes one order and reports its result."""
         begun, seat = time.monotonic(), self._seat
         task = EvalTask.model_validate_json(order.eval_task or "")
         if is_user_class(task.policy) and not self._may_import:
-            # the name came over the network, and importing it runs whatever is there
+            # the name came over the network, and importing it would execute arbitrary code
             self.tell(failure(FailReason.CRASH, f"policy {task.policy}: {_NO_IMPORTS}"))
             return
         setup = task.setup.model_copy(update={"renderer": self._renderer})
@@ -88,7 +88,7 @@ class _Station:
             self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
 
     def _wait(self) -> Outcome | DriverEnded:
-        """Returns what came of the current task; the worker hears meanwhile that it goes on."""
+        """Returns the outcome of the current task; meanwhile, sends progress reports to the worker."""
         told, seat = time.monotonic(), self._seat
         while True:
             heard = seat.hear(_HEAR_S)
@@ -102,7 +102,7 @@ class _Station:
 def _result(
     heard: Outcome | DriverEnded, task: EvalTask, seat: DriverProcess
 ) -> EpisodeResult | worker.SimulationReport:
-    """Returns the result of a task, or what is wrong with this machine, its way to a server, or the task."""
+    """Returns the result of a task, or a failure report that attributes the error to machine, server or task."""
     if isinstance(heard, DriverEnded):
         if heard.fault is not None and task.policy in seat.made:
             return interrupted_result(task, heard.detail, heard.fault, heard.state)
@@ -115,7 +115,7 @@ def _result(
 
 
 def _seal(driven: Driven, path: Path, seconds: float) -> worker.SimulationReport:
-    """Leaves a bundle, whole or not at all."""
+    """Writes a bundle atomically."""
     part = Path(f"{path}.part")
     try:
         with part.open("w+b") as file:

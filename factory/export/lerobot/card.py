@@ -37,7 +37,7 @@ _WHERE = {
 }
 _IMAGES = {
     DEPTH: "metric depth along the optical axis as lossless 12-bit video; 0 where nothing was hit",
-    IDS: "instance ids as 16-bit PNG; what they mean stands in the original dataset's `meta.json`",
+    IDS: "instance ids as 16-bit PNG; their meaning is listed in the original dataset's `meta.json`",
 }
 
 

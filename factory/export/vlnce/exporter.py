@@ -34,7 +34,7 @@ _CARD = """
 - `goals` has the target's centroid, put on the floor, with the success radius. `reference_path` is the driven track, a
   point every 0.25 m. `info.geodesic_distance` goes to the success circle, along the floor (null where it is unknown).
 - `instruction_tokens` are indices into `instruction_vocab.word_list`, padded with 0 to {length}; one vocabulary for all
-  splits. Models with a vocabulary of their own take `instruction_text`.
+  splits. Models with their own vocabulary use `instruction_text`.
 - `scene_id` is `minivla/<scene>/<scene>.glb` below Habitat's folder of scenes: `scene_datasets/` here. The
   meshes have textures and colours, but not the baked light; Habitat computes the navigation mesh.
 """

@@ -214,7 +214,7 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
 def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[PrimPlacement]:
     """Yields the prims of every visible copy of a point instancer."""
     if str(prim.GetPath()) in walk.inside:
-        raise ValueError("a point instancer that copies itself; take it out of its own prototypes")
+        raise ValueError("a point instancer that copies itself; remove it from its own prototypes")
     walk = replace(walk, inside=(*walk.inside, str(prim.GetPath())))
     instancer = UsdGeom.PointInstancer(prim)
     prototypes = [walk.stage.GetPrimAtPath(target) for target in instancer.GetPrototypesRel().GetForwardedTargets()]
