@@ -48,7 +48,7 @@ def test_a_missing_default_prim_is_noted_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", ["0", "-1", "1e-12", "1e9"])
 def test_implausible_units_are_refused_with_the_common_ones(tmp_path: Path, value: str) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX, units=f"metersPerUnit = {value}")
-    with pytest.raises(WorldError, match=r"scene\.usda says metersPerUnit.*0\.01"):
+    with pytest.raises(WorldError, match=r"scene\.usda has metersPerUnit.*0\.01"):
         extract_stage(path)
 
 
