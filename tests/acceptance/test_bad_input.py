@@ -125,7 +125,7 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_repaired(f
 
 
 def test_a_missing_episode_is_answered_with_the_existing_ones(factory, reference):
-    assert "holds 5 episodes" in factory("replay", reference, 77, expect=2).stderr
+    assert "which has 5 episodes" in factory("replay", reference, 77, expect=2).stderr
     assert "is not a dataset" in factory("replay", reference.parent, 1, expect=2).stderr
 
 

@@ -39,7 +39,7 @@ class ProcessState:
     @classmethod
     def now(cls) -> ProcessState:
         """Reads the state of this process."""
-        handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
+        handlers = {number: signal.getsignal(number) for number in signal.valid_signals() - {signal.SIGALRM}}
         return cls(
             variables={name: value for name, value in os.environ.items() if name not in OF_PYTEST},
             folder=Path.cwd(),

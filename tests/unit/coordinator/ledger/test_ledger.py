@@ -378,7 +378,7 @@ def test_a_missing_ledger_is_named_with_the_remedy(tmp_path):
 
 
 def test_an_unknown_database_is_refused_with_the_remedy():
-    with pytest.raises(UsageError, match=r"give e\.g\. sqlite:///"):
+    with pytest.raises(UsageError, match=r"examples: sqlite:///"):
         open_writer("nosuch://place")
 
 

@@ -62,7 +62,7 @@ def test_a_crash_is_a_failed_attempt_and_the_others_go_on() -> None:
 
 
 def test_simulations_that_do_not_start_are_an_error_with_their_last_output() -> None:
-    with pytest.raises(WorldError, match=r"does not start after 3 tries.*no renderer"):
+    with pytest.raises(WorldError, match=r"did not start after 3 tries.*no renderer"):
         try_all(pilot_of(2, NOISY_DEATH, processes=1))
 
 
