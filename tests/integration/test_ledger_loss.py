@@ -221,7 +221,7 @@ def test_the_episodes_decide_between_the_plans_of_ledger_and_description(tmp_pat
     engine.dispose()
     repair_input = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert repair_input.plan == plan
-    assert "the episodes of run" in repair_input.stranger
+    assert "the episodes to run" in repair_input.stranger
     with pytest.raises(UsageError, match="the directory contains run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
