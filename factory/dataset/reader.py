@@ -8,17 +8,17 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from factory.dataset.episode import Episode, Frame
+from factory.dataset.table import read_table
 from factory.dataset.vocabulary import require_known
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError
-from schemas.storage.place import Place, place_of, table_of
+from schemas.storage.place import Place, place_of
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
 
@@ -127,9 +127,7 @@ def _as_strings(values: str | Iterable[str]) -> pa.Array:
 
 def _read_table(path: Place) -> pa.Table:
     try:
-        table = pq.read_table(table_of(path))
-        table.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
-        return table.select(_COLUMNS)  # ignores columns that a later version added
+        return read_table(path, _COLUMNS)
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{path} is missing: resume the run to rewrite it") from error
     except (pa.ArrowException, *PARSER_ERRORS) as error:

@@ -7,17 +7,18 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from coordinator.expansion.cells import cells
 from factory.dataset.reader import Dataset
+from factory.dataset.table import read_table
 from factory.stats.model import Remark
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, FailedAttempt, file_name_of
 from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE, METADATA_FILE
 from schemas.dataset_meta import DatasetMeta
-from schemas.storage.place import Place, children, table_of
+from schemas.storage.place import Place, children
+from schemas.support.foreign import PARSER_ERRORS
 from schemas.terms import Split
 
 __all__ = ["Rows", "read_rows"]
@@ -118,10 +119,10 @@ def _size_of(place: Place | None) -> int | None:
 
 def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
     try:
-        table = pq.read_table(table_of(path)).select(list(FailedAttempt.model_fields))
+        table = read_table(path, list(FailedAttempt.model_fields))
     except FileNotFoundError:
         rows.add_damage(ATTEMPTS_FILE, "is missing; attempts are not counted; resume the run to rewrite it")
-    except (pa.ArrowException, OSError, KeyError) as error:
+    except (pa.ArrowException, *PARSER_ERRORS) as error:
         rows.add_damage(
             ATTEMPTS_FILE, f"cannot be read ({error}); attempts are not counted; resume the run to rewrite it"
         )

@@ -13,7 +13,7 @@ def test_only_admitted_workers_can_finish_a_run_behind_tls(factory: FactoryCli, 
     factory("keys", "host", pki, "node-1")
     factory("keys", "host", pki, "boss", "--role", "operator")
     factory("keys", "host", pki, "gone")
-    assert "gone is out" in factory("keys", "revoke", pki, "gone").stdout
+    assert "gone is revoked" in factory("keys", "revoke", pki, "gone").stdout
     assert [host["admitted"] for host in factory.json("keys", "list", pki)] == [True, False, True, True]
 
     endpoint = free_endpoint().replace("tcp/", "tls/")

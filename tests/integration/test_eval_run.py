@@ -134,7 +134,7 @@ def test_invalid_actions_are_described_in_the_failure(drives: Dataset, specs: Sp
     details = [row.detail for row in rows]
     assert "nan" in details[0]
     assert "found (3,)" in details[1]
-    assert "found str" in details[2]
+    assert "found a str" in details[2]
 
 
 def test_a_policy_receives_only_camera_and_instruction_also_under_ablation(
@@ -197,7 +197,7 @@ def test_a_policy_that_cannot_be_constructed_stops_the_evaluation_with_the_reaso
 
 def test_a_dataset_without_its_scene_is_refused(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
     other = specs.specs[0].model_copy(update={"scene_sha256": "f" * 64})
-    with pytest.raises(WorldError, match="no package of office with SHA-256 ffff"):
+    with pytest.raises(WorldError, match="no package of scene office with SHA-256 ffff"):
         drive(tmp_path, campaign_of(drives, specs.model_copy(update={"specs": (other,)}), "stop"))
 
 
