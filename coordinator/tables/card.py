@@ -49,7 +49,8 @@ size_categories:
 # {run}
 
 {episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
-instruction in English that names an object, drives to it, sees colour, depth and instance ids at {hz} Hz, and stops within {radius:g} m of it.
+instruction in English that names an object, drives to it, sees colour, depth and instance ids at {hz} Hz, \
+and stops within {radius:g} m of it.
 
 ## How it was made
 With minivla-factory {version}, simulated in PyBullet and drawn by
