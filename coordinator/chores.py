@@ -1,4 +1,4 @@
-"""The chores of a coordinator: leases that expire, free space, barred hosts, the clock, the sandbox. Runs no thread."""
+"""Periodic tasks of a coordinator: expiry of leases, free space, barred hosts, clock, sandbox. Runs no thread."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ _BARRED_S = 5.0
 _SANDBOX_S = 1.0
 _ROOM_S = 1.0
 _LEASE_LIMIT_S = 1.0
-"""Pause between two looks for leases that are too old."""
+"""Pause between two checks of the lease limit, seconds."""
 
 log = structlog.get_logger(__name__)
 
 
 class RoomWatch:
-    """Watches the free space below which no job is given out.
+    """Checks the free space below which no job is leased.
 
     Args:
-        reserve_bytes: that space.
+        reserve_bytes: the minimum free space, bytes.
     """
 
     def __init__(self, reserve_bytes: int) -> None:
         self._reserve_bytes = reserve_bytes
         self.has_room = True
-        """Whether there was more at the last look."""
+        """Whether more space was free at the last check."""
 
     def look(self, archive: Archive) -> None:
-        """Looks again; a change is logged."""
+        """Checks the free space; logs a change."""
         free = archive.free_bytes()
         has_room = free >= self._reserve_bytes
         if has_room == self.has_room:
             return
         self.has_room = has_room
         log.warning(
-            "disk_has_room_again" if has_room else "disk_low_nothing_is_given_out",
+            "disk_space_recovered" if has_room else "disk_low_no_jobs_leased",
             free_bytes=free,
             reserve_bytes=self._reserve_bytes,
             directory=str(archive.root),
@@ -57,12 +57,12 @@ class RoomWatch:
 
 
 class RunChores:
-    """What is to be done again and again while a run goes on.
+    """Tasks that are repeated until the end of a run.
 
     Args:
         run: shared parts of the coordinator.
-        room: watches its free space.
-        elapsed: seconds that pass evenly.
+        room: checks its free space.
+        elapsed: monotonic clock, seconds.
     """
 
     def __init__(self, run: RunContext, room: RoomWatch, elapsed: Callable[[], float]) -> None:
@@ -76,10 +76,10 @@ class RunChores:
         self._noted_sandbox: tuple[str, ...] = ()
 
     def table(self, admit: Callable[[], bool]) -> Mapping[str, PeriodicTask]:
-        """Returns every chore with its interval.
+        """Returns every task with its interval.
 
         Args:
-            admit: applies changes of who is admitted; returns whether there were any.
+            admit: applies changes of the admission list; returns whether there were any.
         """
         settings = self._run.settings
         return {
@@ -92,11 +92,11 @@ class RunChores:
         }
 
     def check_free_space(self) -> None:
-        """Looks at the free space."""
+        """Checks the free space."""
         self._room.look(self._run.archive)
 
     def note_sandbox(self) -> None:
-        """Records for `factory status` what confines the validating processes, once the first one has been started."""
+        """Records the sandbox layers of the validating processes for `factory status`, after the first was started."""
         layers = sandbox_of(self._run.checker)
         if layers != self._noted_sandbox:
             self._writer.submit(lambda connection: note_sandbox(connection, layers))
@@ -112,11 +112,11 @@ class RunChores:
     def _limit_leases(self) -> None:
         self._check_clock()
         if not self._room.has_room:
-            self._limit.restart()  # no worker is to blame that its bundle waits
+            self._limit.restart()  # workers did not cause the delay of their bundles
         self._run.meters.add(Meter.EXPIRED, self._limit.enforce())
 
     def _check_clock(self) -> None:
-        """Starts all leases anew when the clock was set, for they end at times of the former one."""
+        """Restarts all leases if the wall clock was set, because their ends are times of the former clock."""
         jump_s = self._watch.jump_s()
         if jump_s:
             run = self._run
@@ -131,7 +131,7 @@ class RunChores:
         with self._run.ledger.reading() as connection:
             barred = {host.host: host for host in troubled(connection) if host.barred_at is not None}
         for name in sorted(barred.keys() - self._barred):
-            remedy = f"put it right, then `factory jobs release DIR {name}`"
+            remedy = f"repair the host, then run `factory jobs release DIR {name}`"
             log.warning(
                 "host_barred", host=name, failures=barred[name].strikes, last=barred[name].reason, remedy=remedy
             )

@@ -1,4 +1,4 @@
-"""What the parts of a running coordinator share, opened in order. Starts no network and gives out no job."""
+"""Shared parts of a running coordinator, opened in order. Starts no network and leases no job."""
 
 from __future__ import annotations
 
@@ -27,38 +27,38 @@ __all__ = ["RunContext", "open_context"]
 
 @dataclass(frozen=True)
 class RunContext:
-    """Archive, ledger and judge of one run, reconciled with each other."""
+    """Archive, ledger and validator of one run; ledger and archive are reconciled."""
 
     terms: Terms
-    """Of the run."""
+    """Terms of the run."""
     settings: CoordinatorSettings
-    """Numbers that change no byte of the dataset."""
+    """Operational settings, which do not affect the contents of the dataset."""
     archive: Archive
-    """Holds the dataset; no other coordinator can open it."""
+    """Exclusively opened dataset: no other coordinator can open it."""
     ledger: RunLedger
-    """Its writer has been started."""
+    """Ledger whose writer has been started."""
     checker: Judge
-    """Judges bundles."""
+    """Validator of bundles."""
     clock: Callable[[], datetime]
-    """The time."""
+    """Wall clock."""
     meters: Meters
-    """What is counted while the coordinator runs."""
+    """Counters of the running coordinator."""
     are_tables_owed: bool
-    """Whether the dataset's tables do not show what the ledger holds."""
+    """Whether the dataset's tables are older than the ledger."""
 
 
 def open_context(stack: ExitStack, root: Path, terms: Terms, options: CoordinatorOptions) -> RunContext:
-    """Opens the judge, the archive and the ledger of a run, and brings archive and ledger to agree.
+    """Opens the validator, the archive and the ledger of a run, and reconciles the ledger with the archive.
 
     Args:
-        stack: closes them.
+        stack: exit stack that closes them.
         root: directory of the run.
-        terms: of the run.
-        options: of the coordinator.
+        terms: terms of the run.
+        options: options of the coordinator.
 
     Raises:
-        UsageError: the directory holds another plan.
-        WorldError: another coordinator works there, or the disk refuses.
+        UsageError: the directory contains a run of another plan.
+        WorldError: another coordinator uses the directory, or the disk cannot be written.
     """
     url = ledger_url_of(root, options.ledger_url)
     checker = options.checker or Validator(options.settings.pullers)

@@ -1,4 +1,4 @@
-"""How one coordinator runs: endpoints, ledger, numbers, and what tests replace. Opens nothing."""
+"""Options of a coordinator: endpoints, ledger, settings, and parts that tests replace. Opens nothing."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 
 @dataclass(frozen=True)
 class CoordinatorOptions:
-    """Everything about a coordinator beside its directory, plan and scenes."""
+    """Options of a coordinator in addition to its directory, plan and scenes."""
 
     listen: Sequence[str] = DEFAULT_LISTEN
-    """Zenoh endpoints; port 0 takes a free one."""
+    """Zenoh endpoints; port 0 selects a free port."""
     ledger_url: str | None = None
-    """Another database than `ledger.db` in the directory."""
+    """URL of the ledger; by default `ledger.db` in the directory."""
     settings: CoordinatorSettings = field(default_factory=CoordinatorSettings)
-    """Numbers that change no byte of the dataset."""
+    """Operational settings, which do not affect the contents of the dataset."""
     guard: Guard | None = None
-    """Certificates and who is admitted; `None` admits every peer."""
+    """TLS credentials and admission list; `None` admits every peer that can connect."""
     checker: Judge | None = None
-    """Judges bundles and is closed with the coordinator; by default sandboxed children, one a puller."""
+    """Validator of bundles, closed with the coordinator; by default one sandboxed child process per puller."""
     clock: Callable[[], datetime] = utc_now
-    """The time; tests let leases run out with it."""
+    """Wall clock; tests provide one to let leases expire."""
     elapsed: Callable[[], float] = seconds_since_boot
-    """Seconds that pass evenly; a clock that was set is noticed by them."""
+    """Monotonic clock, seconds, to detect changes of the wall clock."""
     gate: Sequence[GateOutcome] = ()
-    """What a pilot found before a new run; goes into the dataset's description."""
+    """Results of the pilot before a new run, recorded in the dataset's metadata."""
     store: ObjectPath | None = None
-    """Where the dataset is stored, when in object storage."""
+    """Root of the dataset in object storage; `None` for a dataset in a directory."""
     evaluation: EvalJobs | None = None
-    """Jobs in the place of the plan's draws; their results are kept, and no tables of episodes are written."""
+    """Jobs of an evaluation, which replace the plan's draws; their results are archived without episode tables."""
     connect: Sequence[str] = ()
-    """Endpoints of other coordinators, whose workers may work for this one too."""
+    """Endpoints of other coordinators, whose workers may also execute jobs of this one."""
     nearby: Nearby = nothing_nearby
-    """Finds bundles of workers on this machine, which then need not come over the network."""
+    """Function that finds bundles of workers on this machine, to avoid the transfer over the network."""

@@ -1,6 +1,6 @@
-"""The coordinator of one run: opens context, pullers, handler and router in order and closes them in reverse.
+"""Coordinator of one run: opens context, pullers, handler and router in order and closes them in reverse order.
 
-Connects the parts; what a verb means or how a job moves is decided elsewhere.
+The module connects the parts. It does not implement verbs or state transitions of jobs.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = ["Coordinator"]
 
 _WAIT_S = 0.5
 _DEPARTURE_S = 3.0
-"""How long a finished run is announced at least: a worker may just be reconnecting."""
+"""Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 
 log = structlog.get_logger(__name__)
 
@@ -45,15 +45,14 @@ class Coordinator(Closing):
     """Running coordinator; a context manager. Closing it loses no data.
 
     Args:
-        root: dataset directory, or with `options.store` the home of what cannot be stored there; it is created, or
-            resumed.
-        plan: what to make.
-        catalog: the compiled scenes of the plan.
-        options: how to run; by default on loopback, with a ledger in the directory.
+        root: dataset directory, or with `options.store` the local home; created, or opened to resume the run.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        options: options of the coordinator; by default it listens on loopback, with a ledger in the directory.
 
     Raises:
-        UsageError: the directory holds another plan.
-        WorldError: another coordinator holds the directory, the disk cannot be written, or an endpoint is in use.
+        UsageError: the directory contains a run of another plan.
+        WorldError: another coordinator uses the directory, the disk cannot be written, or an endpoint is in use.
     """
 
     def __init__(self, root: Path, plan: Plan, catalog: Catalog, options: CoordinatorOptions | None = None) -> None:
@@ -70,7 +69,7 @@ class Coordinator(Closing):
             stack.callback(self._tables.write_splits)
             stack.callback(self._tables.write)
             self._pullers = stack.enter_context(self._open_pullers(run, options.nearby))
-            stack.callback(run.checker.close)  # before the pullers end, so that they need not wait for a long check
+            stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
             chores.check_free_space()
             handler = stack.enter_context(self._open_request_handler(run))
             self._router = stack.enter_context(_open_router(run, options, handler))
@@ -79,7 +78,7 @@ class Coordinator(Closing):
             tables = {"write_tables": (options.settings.checkpoint_s, self._tables.write)}
             stack.enter_context(PeriodicTasks(tables))
             self.health = self._measured(run)
-            """How it does."""
+            """Health and metrics of the coordinator."""
             write_address(root, plan.run, self.endpoints)
             stack.callback(remove_address, root)
             self._stack = stack.pop_all()
@@ -96,11 +95,11 @@ class Coordinator(Closing):
         return self._run.terms.plan.run
 
     def progress(self) -> Progress:
-        """Returns where the run stands."""
+        """Returns the progress of the run."""
         return self._run.ledger.progress()
 
     def is_finished(self) -> bool:
-        """Whether no job can change any more without an operator."""
+        """Returns whether no job can change any more without an admin request."""
         return self._run.ledger.is_finished()
 
     def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:

@@ -1,4 +1,4 @@
-"""Writes the dataset's tables while the run goes on and once more at its end. Decides nothing about jobs."""
+"""Writes the dataset's tables during a run and at its end. Does not change jobs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from schemas.errors import WorldError
 __all__ = ["TableWriter"]
 
 _THUMBNAILS_S = 2.0
-"""Time for thumbnails at the end of a run that is not finished."""
+"""Time limit of thumbnails when an unfinished run stops, seconds."""
 
 log = structlog.get_logger(__name__)
 
@@ -28,7 +28,7 @@ class TableWriter:
 
     Args:
         run: shared parts of the coordinator.
-        gate: what a pilot found before a new run.
+        gate: results of the pilot before a new run.
     """
 
     def __init__(self, run: RunContext, gate: Sequence[GateOutcome]) -> None:
@@ -39,11 +39,11 @@ class TableWriter:
             self._changed.set()
 
     def note_change(self) -> None:
-        """Makes the next `write` write."""
+        """Records a change, so that the next `write` writes the tables."""
         self._changed.set()
 
     def write(self) -> None:
-        """Writes the tables when something changed since the last time."""
+        """Writes the tables if a change was recorded since the last write."""
         run, terms = self._run, self._run.terms
         if not self._changed.is_set() or terms.evaluation is not None:
             return
@@ -51,16 +51,19 @@ class TableWriter:
         try:
             with run.ledger.reading() as connection:
                 is_over = not claims.has_open_jobs(connection)
-                # the first and the last time from the ledger alone, whatever became of the file meanwhile
+                # the first and the last write use the ledger only, because the file may have changed meanwhile
                 anew = is_over or not self._has_written
                 write_checkpoint(run.archive, connection, terms.plan, terms.catalog, run.clock(), self._gate, anew=anew)
             self._has_written = True
         except Exception:
-            self._changed.set()  # they are still owed
+            self._changed.set()  # the tables still have to be written
             raise
 
     def write_splits(self) -> None:
-        """Runs once, at the end, as it reads a frame of each new episode; a run that is stopped limits its time."""
+        """Writes the split tables; called once, at the end, because it reads a frame of each new episode.
+
+        The time is limited if the run is not finished.
+        """
         if self._run.terms.evaluation is not None or self._changed.is_set():
             return  # the tables that they are made from are not up to date
         try:

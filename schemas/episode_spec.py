@@ -1,4 +1,4 @@
-"""What one episode asks for: the scene, the target and the words. A model; draws nothing.
+"""Model of the planned content of an episode: scene, target and instruction. Makes no random choice.
 
 `Job` and `EvalSpec` inherit it, so that their JSON stays flat; planned draws and ledger records contain one; the rows
 of a dataset's tables take its values under their published column names.
@@ -18,7 +18,7 @@ _COLUMN_NAMES = {"tier": "spawn_tier", "category": "target_category"}
 
 
 class EpisodeSpec(Model):
-    """What one draw of one episode asks for."""
+    """Planned content of one draw of an episode."""
 
     scene: Name
     tier: Tier
@@ -37,8 +37,8 @@ class EpisodeSpec(Model):
         """Returns the spec of an object that has these eight attributes: a job, an evaluation spec, a ledger's row.
 
         Args:
-            source: where the values come from.
-            changes: fields with another value.
+            source: object with the values.
+            changes: values that replace those of `source`, by field name.
 
         Raises:
             ValidationError: a value is not valid.
@@ -47,7 +47,7 @@ class EpisodeSpec(Model):
 
 
 def columns_of(source: object, row: type[Model]) -> dict[str, Any]:
-    """Returns the values of the table columns that an episode spec decides, by their published names.
+    """Returns the values of an episode spec by the published names of their table columns.
 
     Args:
         source: has the fields of `EpisodeSpec` that the table has.

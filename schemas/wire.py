@@ -155,12 +155,12 @@ class Attachment(Model):
 
 
 class EvalPayload(Model):
-    """The task of an evaluation's job; coordinator and worker carry it and do not read the text."""
+    """Task of a job of an evaluation; coordinator and worker transfer it and do not parse its text."""
 
     task: Annotated[str, Field(max_length=MAX_EVAL_TASK_CHARS)]
     """An `EvalTask` of `factory.eval.models.messages`, as JSON."""
     attachment: Attachment | None = None
-    """File that its policy is made of."""
+    """File from which its policy is created."""
 
 
 class ClaimReply(Model):
@@ -175,7 +175,7 @@ class ClaimReply(Model):
     retry_after_s: NonNegative = 0.0
     """Time to wait before the next claim, seconds."""
     finished: bool = False
-    """Whether all jobs have ended, so that the worker may leave."""
+    """Whether all jobs have ended, so that the worker may exit."""
 
 
 class LeaseProgress(Model):
@@ -210,7 +210,7 @@ class BeatReply(Model):
     waiting: Leases = ()
     """Leases whose bundle is announced and will be pulled; the worker does not announce it again."""
     drain: bool = False
-    """Whether the worker claims no more jobs, and leaves after the current ones."""
+    """Whether the worker shall claim no more jobs and exit after the current ones."""
     finished: bool = False
     """Whether all jobs have ended; informs a worker that sends no claim because its simulations pause or start."""
 
@@ -273,7 +273,7 @@ class AdminAction(StrEnum):
 
     RETRY = "retry"  # returns failed or cancelled episodes to the queue
     CANCEL = "cancel"  # cancels episodes that have not ended
-    DRAIN = "drain"  # lets every worker finish its current jobs and leave
+    DRAIN = "drain"  # lets every worker finish its current jobs and exit
     RELEASE = "release"  # assigns jobs to barred hosts again
 
 

@@ -36,7 +36,7 @@ class RecordedFile(NamedTuple):
 
 @dataclass(frozen=True)
 class ArchiveDifference:
-    """Episode numbers by what was found, each in ascending order."""
+    """Episode numbers by finding, each in ascending order."""
 
     same: tuple[int, ...]
     """Listed as recorded."""

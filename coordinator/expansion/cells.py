@@ -17,7 +17,7 @@ Cells = dict[tuple[Split, Tier], int]
 
 
 def cells(plan: Plan, scene: ScenePlan) -> Cells:
-    """Returns the quota of every cell of a scene; zero cells are left out."""
+    """Returns the quota of every cell of a scene; cells without episodes are omitted."""
     tiers = iter(webster_sequence(_positive(plan.tiers_of(scene)), scene.episodes))
     quota: Counter[tuple[Split, Tier]] = Counter()
     for split, count in apportion(_positive(plan.splits_of(scene)), scene.episodes).items():
@@ -26,7 +26,7 @@ def cells(plan: Plan, scene: ScenePlan) -> Cells:
 
 
 def empty_splits(plan: Plan) -> tuple[Split, ...]:
-    """Returns the splits that the plan asks for and that get no episode, because it has too few."""
+    """Returns the requested splits that get no episode, because the plan has too few episodes."""
     asked = {split for scene in plan.scenes for split in _positive(plan.splits_of(scene))}
     filled = {split for scene in plan.scenes for split, _ in cells(plan, scene)}
     return tuple(split for split in Split if split in asked - filled)

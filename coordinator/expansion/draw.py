@@ -29,10 +29,10 @@ __all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possibl
 Option = TypeVar("Option")
 
 _EXPAND_STREAM, _REDRAW_STREAM = 1, 2
-_LOYAL_DRAWS = 4
-"""Draws that keep the category before the whole pool is opened."""
+_SAME_CATEGORY_DRAWS = 4
+"""Number of redraws that keep the category; later redraws use all targets of the cell."""
 _SHARED_SPECS = 1 << 14
-"""A plan of millions of episodes asks for the same few thousand specs again and again."""
+"""Size of the cache of specs: a plan of millions of episodes repeats a few thousand specs."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class PlannedJob:
     """Episode number, from 1."""
     draw: int
     episode: EpisodeSpec
-    """Shared by the jobs that ask for the same."""
+    """Content of the episode; equal jobs share one object."""
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
@@ -112,11 +112,11 @@ def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> s
         if names
     ]
     shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
-    blocked = f"; shown but out of reach: {', '.join(sorted(filter(None, shown)))}" if shown else ""
+    blocked = f"; present but not reachable: {', '.join(sorted(filter(None, shown)))}" if shown else ""
     remedy = "remove the missing categories from seen and held_out, or change the scene"
     if scene.usd is not None:
         remedy += ", its rules or its list of targets"
-    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none at all'}{blocked}; {remedy}"
+    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
 
 
 def _expand_scene(
@@ -152,8 +152,10 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
     scene = next(scene for scene in plan.scenes if scene.name == former.scene)
     options = scene_cells(plan, scene, catalog[scene.name]).pool(former.split, former.tier)
-    loyal = [target for target in options if target.category == former.category] if draw <= _LOYAL_DRAWS else []
-    fresh = [target for target in loyal or options if target.target_id != former.target_id]
+    same_category = (
+        [target for target in options if target.category == former.category] if draw <= _SAME_CATEGORY_DRAWS else []
+    )
+    fresh = [target for target in same_category or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)
     colour = _said_colour(plan, target)
     keeps = colour != "unknown" or not needs_colour(former.template_id)

@@ -1,4 +1,4 @@
-"""The jobs of an evaluation, one for each task, instead of the draws of a plan. Holds them; reads no task."""
+"""Jobs of an evaluation, one for each task, which replace the draws of a plan. Does not interpret the tasks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["EvalJobs"]
 
 @dataclass(frozen=True)
 class EvalJobs:
-    """What the coordinator of an evaluation gives out; its plan names the scenes and the settings only."""
+    """Jobs of an evaluation run; its plan defines the scenes and the settings only."""
 
     planned: tuple[PlannedJob, ...]
     """Jobs of a new ledger."""

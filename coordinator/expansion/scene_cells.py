@@ -1,4 +1,4 @@
-"""The cells of a scene in a plan: quotas and the targets that each may name, computed once per expansion. Pure."""
+"""Cells of a scene in a plan: quotas and permitted targets, computed once per expansion. Pure functions."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ __all__ = ["SceneCells", "all_sides", "categories_of", "each_scene", "scene_cell
 
 @dataclass(frozen=True)
 class SceneCells:
-    """One scene of a plan, ready to be drawn from."""
+    """Scene of a plan with the data from which its episodes are drawn."""
 
     plan: Plan
     scene: ScenePlan
     entry: SceneEntry
-    """The scene as compiled."""
+    """Compiled scene."""
     quota: Cells
-    """Episodes of each cell."""
+    """Number of episodes of each cell."""
     sides: Sides
-    """Side of each instance that is kept apart."""
+    """Side of each instance that is reserved for training or for evaluation."""
 
     def pool(self, split: Split, tier: Tier) -> tuple[Target, ...]:
-        """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
+        """Returns the permitted targets of a cell: of the split's categories and side, and startable by the expert."""
         categories = categories_of(self.scene, split)
         sides = {} if split is Split.TEST_OOD_OBJ else self.sides
         return tuple(

@@ -170,7 +170,7 @@ class Gateway(Closing):
         )
 
     def _fetch_orders(self) -> None:
-        """Fetches orders; with too little free space it requests none, and the request is a sign of life only."""
+        """Fetches orders; with too little free space it requests none, and only reports that it runs."""
         has_room = self._archive.free_bytes() >= self._settings.reserve_bytes
         free = max(0, MAX_ORDERS - self._pullers.waiting) if has_room else 0
         duty = Duty(router=self._node.router_id, most=free, busy=self._pullers.busy_hosts)

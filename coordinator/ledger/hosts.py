@@ -42,7 +42,7 @@ _FIRST_PAUSE_S = 1.0
 _BARRED_PAUSE_S = 30.0
 """Pause of a barred host before its next claim, seconds."""
 _ABSENT_S = 300.0
-"""Time without a sign of life after which a host is not considered available, seconds."""
+"""Time without a message after which a host is not considered available, seconds."""
 _HARM = tuple(reason.value for reason in FailReason if reason.is_of_the_worker)
 
 _FIND = PreparedStatement(select(*hosts.c).where(hosts.c.host == bindparam("name")))

@@ -195,7 +195,7 @@ def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: d
 
 
 def planned_of(row: Row[Any]) -> PlannedJob:
-    """Returns what a row of `jobs` asks for."""
+    """Returns the planned draw in a row of `jobs`."""
     return PlannedJob(row.idx, row.draw, EpisodeSpec.of(row))
 
 

@@ -1,4 +1,4 @@
-"""The ledger of one run while its coordinator runs: one engine writes, another reads. Decides nothing about jobs."""
+"""Ledger of a running coordinator: one engine for writing, another for reading. Does not change jobs."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ RESTART_REMEDY = "start again: the ledger is rebuilt from the episodes"
 
 
 class RunLedger(Closing):
-    """An open ledger.
+    """Open ledger of one run.
 
     Args:
-        url: of the database.
+        url: URL of the database.
         run: name of the run.
-        clock: the time.
+        clock: wall clock.
     """
 
     def __init__(self, url: str, run: str, clock: Callable[[], datetime]) -> None:
         self._url, self._run, self._clock = url, run, clock
         with ExitStack() as stack:
             self.engine = open_writer(url)
-            """Writes; used directly only before `start_writer`."""
+            """Engine for writing; used directly only before `start_writer`."""
             stack.callback(self.engine.dispose)
             self._reader = open_reader(url)
             stack.callback(self._reader.dispose)
             self._stack = stack.pop_all()
 
     def start_writer(self) -> None:
-        """Starts the one thread that writes from here on: `writer`."""
+        """Starts the thread that does all further writing: `writer`."""
         self.writer = self._stack.enter_context(Writer(self.engine))
-        """Commits in groups."""
+        """Writer thread, which commits in groups."""
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
@@ -57,20 +57,20 @@ class RunLedger(Closing):
             yield connection
 
     def progress(self) -> Progress:
-        """Returns where the run stands."""
+        """Returns the progress of the run."""
         with self.reading() as connection:
             return read_progress(connection, self._clock())
 
     def figures(self) -> tuple[Progress, int]:
-        """Returns where the run stands and how many frames are archived."""
+        """Returns the progress of the run and the number of archived frames."""
         with self.reading() as connection:
             return read_progress(connection, self._clock()), count_frames(connection)
 
     def is_finished(self) -> bool:
-        """Returns whether no job can change any more without an operator."""
+        """Returns whether no job can change any more without an admin request."""
         with self.reading() as connection:
             return not claims.has_open_jobs(connection)
 
     def close(self) -> None:
-        """Commits what is queued and closes the database."""
+        """Commits the queued work and closes the database."""
         self._stack.close()

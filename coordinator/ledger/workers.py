@@ -17,7 +17,7 @@ __all__ = ["SESSIONS", "SESSIONS_OF_HOST", "note_alive", "register"]
 SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
 """Maximum number of recorded sessions, in total and per host: twice the maximum number of connections."""
 _SILENT_S = 300.0
-"""Time without a sign of life after which a session may be removed in favour of a new one, seconds."""
+"""Time without a message after which a session may be removed in favour of a new one, seconds."""
 
 _OLDEST = func.min(workers.c.last_beat).label("oldest")
 _KNOWN: Any = select(func.count().label("known"), _OLDEST).select_from(workers)
@@ -38,7 +38,7 @@ def register(connection: Connection, hello: Hello, now: datetime) -> bool:
 
 
 def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> None:
-    """Records a sign of life of a worker, registered or not, within the maximum number of sessions."""
+    """Records the time of a message of a worker, registered or not, within the maximum number of sessions."""
     is_known = _HEARD.count(connection, {"by": sid, "now": now.timestamp()}) > 0
     if not is_known and _make_room(connection, host, now):
         connection.execute(insert(workers).values(sid=sid, host=host, slots=1, last_beat=now.timestamp()))

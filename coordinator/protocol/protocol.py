@@ -84,9 +84,9 @@ class Terms:
     is_draining: Callable[[], bool] = lambda: False
     """Function that returns whether workers shall stop after their current jobs."""
     has_room: Callable[[], bool] = lambda: True
-    """Whether the archive has room for what a new job would bring."""
+    """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None
-    """The tasks of an evaluation; `None` where episodes are collected."""
+    """Tasks of an evaluation; `None` for a collection."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: dateti
         now,
         terms.plan.budget,
         lambda planned: redraw(terms.plan, terms.catalog, planned),
-        blames_hosts=terms.evaluation is None,  # an evaluation says at once what cannot be driven, and is run again
+        blames_hosts=terms.evaluation is None,  # an evaluation reports the failure immediately; it can be repeated
     )
 
 
@@ -208,8 +208,8 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
     if not workers.register(connection, hello, now):
         return ProtocolAnswer(
             Refusal(
-                error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "
-                f"hosts together have {workers.SESSIONS}: stop some, or wait some minutes"
+                error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} recently active sessions, or all hosts "
+                f"together have {workers.SESSIONS}: stop some workers, or wait some minutes"
             )
         )
     trade = Trade.COLLECTION if terms.evaluation is None else Trade.EVALUATION

@@ -20,7 +20,7 @@ __all__ = ["client_config", "router_config"]
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000
 """Maximum number of sessions, and of connections without a session. Beyond the second limit zenoh closes new
-connections at once, including legitimate ones."""
+connections immediately, including legitimate ones."""
 _ARRIVAL_MS = 1000
 """Timeout of the handshake of a new connection, milliseconds. The handshake takes two round trips, and a client that is
 too slow reconnects. With zenoh's default of 10 s, 1,500 idle connections blocked all clients for 13 s."""

@@ -80,7 +80,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
         for index in difference.missing:
             _requeue(connection, index, now, GONE, result)
         for index in difference.elsewhere:
-            record_at_core(connection, index)  # `factory gather` was cut off between file and ledger
+            record_at_core(connection, index)  # `factory gather` was interrupted between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     changed = {index: words for index, words in difference.changed.items() if recorded[index].gateway is None}
     _settle(archive, engine, terms, now, unsure, verdicts, changed, result)
@@ -125,7 +125,7 @@ def _judge_all(
 
 
 def _judge_result(ledger: Connection, index: int, path: Place, terms: Terms, checker: Judge) -> _Verdict:
-    """Judges a result of an evaluation, which does not say which attempt it is of: the one in force."""
+    """Validates a result of an evaluation, which does not contain its attempt, against the current attempt."""
     row = current_job(ledger, index)
     if row is None:
         return "the plan has no episode of this number"

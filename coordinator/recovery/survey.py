@@ -82,7 +82,7 @@ def survey_archive(
 def _read_files(
     files: Mapping[int, Place], recorded: Mapping[int, RecordedFile], on_progress: ProgressCallback
 ) -> dict[int, ListedFile]:
-    """Returns what was found, with the digest of each file whose size is as recorded; tells each whole one."""
+    """Returns the files, with the digest if the size is as recorded; reports progress for each intact file."""
     found, done = {}, count(1)
     for index, path in files.items():
         found[index] = _read_file(path, recorded.get(index))
@@ -121,7 +121,7 @@ def _judge(
         result.adopt.append(verdict)
         return
     result.quarantine.append((path, f"{change}; {verdict}" if change else verdict))
-    if change and record is not None and record.gateway is None:  # else a gateway has it still
+    if change and record is not None and record.gateway is None:  # otherwise a gateway still has the file
         result.requeue.append((index, change))
 
 

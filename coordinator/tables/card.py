@@ -49,8 +49,8 @@ size_categories:
 # {run}
 
 {episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
-instruction in English that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and stops
-within {radius:g} m of it.
+instruction in English that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
+stops within {radius:g} m of it.
 
 ## How it was made
 With minivla-factory {version}, simulated in PyBullet and drawn by

@@ -1,7 +1,7 @@
-"""A child process that reads lines on stdin and writes one message a line on stdout.
+"""Child process that reads lines on stdin and writes one message per line on stdout.
 
-Starts it in its own process group, sends, reads with a timeout, kills the group, and keeps the end of its stderr. Knows
-no message: the owner parses each line. Restarts and time limits are decided by the owner.
+Starts it in a separate process group, sends, reads with a timeout, kills the group, and keeps the end of its stderr.
+Does not interpret messages, restart the process or set time limits; the owner does.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ def describe_exit(status: int) -> str:
 
 
 class JsonlProcess(Generic[M]):
-    """One process from its start to its end.
+    """Child process, from its start to its end.
 
     One thread sends and reads; another thread may kill.
 
     Args:
-        command: starts the process.
-        environment: of the process.
-        parse: returns the message of a line; `None` for a line that is no message, which is skipped.
+        command: command line of the process.
+        environment: environment variables of the process.
+        parse: returns the message of a line; `None` for a line that is not a message, which is skipped.
         stdin: descriptor that the process gets as stdin; by default a pipe, which `send` writes to.
         pass_fds: descriptors that the process inherits.
         keeps_stderr: keeps stderr for `last_stderr_line`; it is discarded otherwise.
-        max_line_bytes: length at which a line is cut.
+        max_line_bytes: length at which a line is truncated.
 
     Raises:
         OSError: the process cannot be started.
@@ -130,10 +130,10 @@ class JsonlProcess(Generic[M]):
             return -signal.SIGKILL
 
     def kill(self) -> int | None:
-        """Kills the process group at once and closes the pipes; killing twice is harmless.
+        """Kills the process group immediately and closes the pipes; killing twice is harmless.
 
         Returns:
-            The exit status; `None` when the process does not end, for example in a system call of a dead disk.
+            The exit status; `None` when the process does not end, for example in a system call to a failed disk.
         """
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)

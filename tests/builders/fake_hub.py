@@ -29,7 +29,7 @@ class Repository:
     files: dict[str, bytes] = field(default_factory=dict)
     commits: list[str] = field(default_factory=list)
     tags: dict[str, int] = field(default_factory=dict)
-    """Tag -> number of commits it stands behind."""
+    """Tag -> number of commits up to the tagged one."""
 
 
 class FakeHub:
@@ -146,7 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
         number = len(repository.commits) + 1
         if self.fake.fail_at_commit == number:
             self.fake.fail_at_commit = None
-            return self._answer(400, {"error": "the disk of the hub hiccuped"})
+            return self._answer(400, {"error": "temporary disk error of the hub"})
         for line in body.splitlines():
             item = json.loads(line)
             value = item["value"]

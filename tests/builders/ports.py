@@ -12,7 +12,7 @@ __all__ = ["free_endpoint", "free_port"]
 
 _LOWEST_OUTGOING = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
 _PORTS = itertools.cycle(range(max(_LOWEST_OUTGOING, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
-"""Below those of outgoing connections: none of these takes the port of a server that is closed for a moment."""
+"""Ports below the range of outgoing connections, so that none takes the port of a server during its restart."""
 _RESERVED = deque[int]()
 _MOST_RESERVED = 256
 

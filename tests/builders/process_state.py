@@ -30,7 +30,7 @@ class ProcessState:
     folder: Path
     """Working directory."""
     handlers: dict[int, Any]
-    """Python handler of each signal; signals that Python does not handle are left out."""
+    """Python handler of each signal; signals that Python does not handle are omitted."""
     levels: tuple[int, int]
     """Level of the root logger of `logging`, and the level up to which `logging` is disabled."""
     limits: dict[int, tuple[int, int]]

@@ -32,7 +32,7 @@ def _serve_all() -> None:
         _tell(SimulationReport(kind=SimulationReportKind.READY, renderer="synthetic"))
         for line in os.fdopen(0, "rb", closefd=False):
             threading.Thread(target=_serve, args=(SimulationOrder.model_validate_json(line),)).start()
-    finally:  # however the supervisor ended
+    finally:  # also after the supervisor was killed
         os._exit(0)
 
 

@@ -39,16 +39,16 @@ class StoreRelay:
         self.is_denying = False
         """Answers every request with 403."""
         self.is_cutting = False
-        """Hangs up in the middle of every upload, and passes nothing of it on."""
+        """Closes the connection in the middle of every upload and forwards nothing of it."""
         self.cuts = 0
-        """Uploads it has cut."""
+        """Number of interrupted uploads."""
         self.answers_to_lose = 0
-        """Uploads whose answer is thrown away after they were carried out."""
+        """Number of uploads that are executed and whose answer is dropped."""
         self.ignores_conditions = False
-        """Passes writes on without their conditions."""
+        """Forwards writes without their conditions."""
         self.watch: Callable[[Moment, str, str], bool] = lambda _moment, _command, _path: False
-        """Told each moment of each request, with its method and path, in the thread that relays it; returns whether the
-        sender is gone, so that nothing more of the request is relayed."""
+        """Called at each moment of each request, with its method and path, in the relaying thread; returns whether the
+        sender has disconnected, so that the rest of the request is not relayed."""
         relay = self
 
         class Handler(_Handler):

@@ -61,7 +61,7 @@ class WireWorker(Closing):
         self.sid = sid or f"{host}.{secrets.token_hex(3)}"
         self.spool: dict[tuple[int, int], tuple[Done, bytes]] = {}
         self.served: list[int] = []
-        """Offsets that were asked for."""
+        """Requested offsets."""
         self.is_frozen = False
         self.knows_router = True
         self._session = zenoh.open(client_config(endpoints, 2.0, tls))

@@ -1,4 +1,4 @@
-"""Runs a worker for a test: in a thread where the test asks for events, as a process where it sends signals."""
+"""Runs a worker for a test: in a thread for tests that read its events, as a process for tests that send signals."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def _serve_all(damage: Callable[[bytes], tuple[bytes, str]]) -> None:
         _report(kind="ready", renderer="synthetic")
         for line in os.fdopen(0, "rb", closefd=False):
             threading.Thread(target=_serve, args=(line, damage)).start()
-    finally:  # however the supervisor ended
+    finally:  # also after the supervisor was killed
         os._exit(0)
 
 

@@ -43,7 +43,7 @@ def archived(hub: Coordinator) -> int:
 def wait_for_more(hub: Coordinator, than: int) -> None:
     deadline = time.monotonic() + 120
     while archived(hub) <= than:
-        assert time.monotonic() < deadline, "the collection stands still"
+        assert time.monotonic() < deadline, "the collection makes no progress"
         time.sleep(0.1)
 
 
@@ -90,7 +90,7 @@ for line in sys.stdin:
     path = json.loads(line)["attachment_path"]
     tell(kind="failure", reason="crash", detail="given " + hashlib.sha256(open(path, "rb").read()).hexdigest())
 """
-"""A program for evaluation tasks that executes none of them and says what it was given."""
+"""A program for evaluation tasks that executes none of them and reports its input."""
 
 
 def test_workers_fetch_a_checkpoint_by_its_digest(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:

@@ -60,22 +60,22 @@ def test_a_missing_scene_gives_no_result(tmp_path: Path) -> None:
 def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -> None:
     package = tmp_path / "damaged.scene"
     package.write_bytes(b"damaged")
-    seat = DriverProcess()
+    driver = DriverProcess()
 
     def process_for(act_timeout_s: float) -> int | None:
         setup = Setup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
         request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
         task = EvalTask(number=1, policy="stop", request=request, setup=setup)
-        seat.give(DriverOrder(task=task, package=package))
-        while (heard := seat.hear(60.0)) is None:
+        driver.send(DriverOrder(task=task, package=package))
+        while (heard := driver.poll(60.0)) is None:
             pass
         assert isinstance(heard, EvalReport)
         assert (heard.kind, heard.number) == (EvalReportKind.REFUSED, task.number)
-        assert seat.made == {"stop": "nothing"}
-        return seat.pid
+        assert driver.made == {"stop": "nothing"}
+        return driver.pid
 
     try:
         first, again, other = process_for(1.0), process_for(1.0), process_for(2.0)
     finally:
-        seat.kill()
+        driver.kill()
     assert first == again != other

@@ -130,13 +130,13 @@ def test_an_invalid_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) ->
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"size": 0}, "use 1 to 2048 pixels"),
-        ({"size": 4096}, "use 1 to 2048 pixels"),
+        ({"size": 0}, "choose 1 to 2048 pixels"),
+        ({"size": 4096}, "choose 1 to 2048 pixels"),
         ({"actions": "joints"}, "tokens"),
         ({"split": "test"}, "unknown split test"),
-        ({"instruction": "words"}, "choose text, tokens, none"),
+        ({"instruction": "words"}, "valid values: text, tokens, none"),
         ({"vocabulary": ("<pad>", "<unknown>", "<any>", "go")}, "requires instruction='tokens'"),
-        ({"instruction": "tokens", "vocabulary": ("go", "to")}, "not a vocabulary"),
+        ({"instruction": "tokens", "vocabulary": ("go", "to")}, "not a valid vocabulary"),
     ],
 )
 def test_wrong_settings_are_named(drives: Dataset, changes: dict[str, Any], message: str) -> None:

@@ -38,10 +38,14 @@ EPISODES = 4
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Coordinator]:
+def url(request: pytest.FixtureRequest) -> str | None:
+    """URL of an empty PostgreSQL database, or `None` for SQLite in the dataset directory."""
+    return request.getfixturevalue("postgres_server").new_database() if request.param == "postgresql" else None
+
+
+@pytest.fixture
+def hub(url: str | None, tmp_path: Path) -> Iterator[Coordinator]:
     """A coordinator; checks at the end that the ledger of either database is valid."""
-    is_server = request.param == "postgresql"
-    url = request.getfixturevalue("postgres_server").new_database() if is_server else None
     catalog = room_catalog(tmp_path)
     with Coordinator(
         tmp_path / "out",
@@ -165,7 +169,7 @@ def test_a_restarted_worker_of_the_same_host_goes_on_with_its_lease(hub, peer):
         until(lambda: hub.progress().jobs["archived"] == 1)
 
 
-def test_a_host_that_announces_invalid_bundles_is_barred_and_can_be_released(hub, peer, tmp_path):
+def test_a_host_that_announces_invalid_bundles_is_barred_and_can_be_released(hub, peer, url, tmp_path):
     stop = threading.Event()
 
     def spoil() -> None:
@@ -195,7 +199,7 @@ def test_a_host_that_announces_invalid_bundles_is_barred_and_can_be_released(hub
         spoiling.join()
     assert hub.progress().jobs["archived"] == EPISODES
     request = AdminRequest(action=AdminAction.RELEASE, hosts=("host",))
-    assert administer(tmp_path / "out", request, datetime.now(UTC)).hosts == ("host",)
+    assert administer(tmp_path / "out", request, datetime.now(UTC), url).hosts == ("host",)
     assert hub.progress().hosts == ()
 
 

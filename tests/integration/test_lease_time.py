@@ -19,7 +19,7 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, until
 
 LATE_S = 1.0
-"""The promise: within the lease, and so much more."""
+"""Maximum delay after the end of the lease, seconds."""
 
 
 class SweptClock:

@@ -173,7 +173,7 @@ def test_a_dataset_belongs_to_one_coordinator_until_it_is_closed_or_taken_over(
 ) -> None:
     first = ObjectArchive(store, tmp_path / "first")
     said = said_by(lambda: open_archive(tmp_path / "second", store))
-    assert f"is in use by another coordinator {store}: that of {tmp_path / 'first'} on host" in said
+    assert f"{store} is in use by another coordinator, that of {tmp_path / 'first'} on host" in said
     assert f"factory repair --take-over {store}" in said
     with open_archive(tmp_path / "second", store, take_over=True):
         first.close()

@@ -217,7 +217,7 @@ def test_a_message_with_an_unknown_field_is_refused() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--to", "gnm", "--ros2"), "format gnm has no --ros2"),
+        (("--to", "gnm", "--ros2"), "--ros2 not valid for format gnm"),
         (("--to", "mcap", "--start-time", "1800000000"), "--start-time requires --ros2"),
         (("--to", "mcap", "--ros2", "--start-time", "2147483600"), "give at most 2147483527"),
         (("--to", "mcap", "--ros2", "--start-time", "0"), "--start-time: Input should be greater than or equal to 1"),

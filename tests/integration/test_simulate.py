@@ -73,13 +73,13 @@ def order_in(room: Path, folder: Path, **changes: object) -> SimulationOrder:
     return SimulationOrder(job=job_in(room, **changes), scene_path=room, bundle_path=folder / "1.1.zip", sid="host-1")
 
 
-def hear(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
+def wait_for_report(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
     """Waits for a report of one of the kinds and ignores others."""
     while True:
-        heard = simulation.receive(0.2)
-        assert not isinstance(heard, Death), heard
-        if heard is not None and heard.kind in kinds:
-            return heard
+        report = simulation.receive(0.2)
+        assert not isinstance(report, Death), report
+        if report is not None and report.kind in kinds:
+            return report
 
 
 OUTCOMES = (SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE)
@@ -91,7 +91,7 @@ def test_the_bundle_matches_its_report(room, tmp_path):
     simulation.start()
     try:
         simulation.order(order_in(room, tmp_path))
-        report = hear(simulation, *OUTCOMES)
+        report = wait_for_report(simulation, *OUTCOMES)
     finally:
         simulation.kill()
     assert report.kind is SimulationReportKind.SUCCESS, report
@@ -104,21 +104,21 @@ def test_the_bundle_matches_its_report(room, tmp_path):
 
 
 def test_a_process_survives_an_unusable_scene(room, tmp_path, simulation):
-    hear(simulation, SimulationReportKind.READY)
+    wait_for_report(simulation, SimulationReportKind.READY)
     pid = simulation.pid
     (tmp_path / "bad.scene").write_bytes(b"no scene")
     for path in (tmp_path / "bad.scene", tmp_path / "missing.scene"):
         simulation.order(order_in(room, tmp_path).model_copy(update={"scene_path": path}))
-        report = hear(simulation, *OUTCOMES)
+        report = wait_for_report(simulation, *OUTCOMES)
         assert (report.kind, report.reason) == (SimulationReportKind.FAILURE, FailReason.CRASH)
     assert simulation.pid == pid
     assert not list(tmp_path.glob("*.part"))
 
 
 def test_unforeseen_error_is_reported_and_ends_the_process(room, tmp_path, simulation):
-    hear(simulation, SimulationReportKind.READY)
+    wait_for_report(simulation, SimulationReportKind.READY)
     simulation.order(order_in(room, tmp_path, template_id="train_01", target_id="nothing_999"))
-    report = hear(simulation, *OUTCOMES)
+    report = wait_for_report(simulation, *OUTCOMES)
     assert report.reason is FailReason.CRASH
     assert "nothing_999" in report.detail
     death = None

@@ -55,7 +55,7 @@ JUDGES: dict[str, Judge] = {
     "rlds": Judge("readers", ("dataset", "paper", "rlds")),
     "rerun": Judge("readers", ("dataset", "paper", "mcap", "lerobot", "lerobot-v2.1")),
 }
-"""Name of the script without `_judge.py` -> where it runs and what it is shown."""
+"""Name of the script without `_judge.py` -> its environment and the folders that it compares."""
 
 
 class Measured(NamedTuple):
@@ -84,7 +84,9 @@ def is_content(name: str, dataset: Path, out: Path, places: dict[str, str]) -> b
     """Runs a judge and prints its rows; other output goes to stderr."""
     judge = JUDGES[name]
     if judge.environment not in places:
-        sys.stderr.write(f"judge {name} cannot be asked: give {judge.environment}=PYTHON, that of its environment\n")
+        sys.stderr.write(
+            f"judge {name} cannot run: give {judge.environment}=PYTHON with the Python of its environment\n"
+        )
         return False
     shown = [str(dataset if folder == "dataset" else out / folder) for folder in judge.shown]
     if name == "gnm" and places.get("visualnav"):

@@ -41,7 +41,7 @@ def main() -> None:
     paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
     say(export, named("pillow", "numpy"), judge_expectations(paper, export))
     if len(sys.argv) < 4:
-        sys.stderr.write("ViNT's own loader was not asked: give a checkout of robodhruv/visualnav-transformer\n")
+        sys.stderr.write("ViNT's own loader was not tested: give a checkout of robodhruv/visualnav-transformer\n")
         return
     with tempfile.TemporaryDirectory() as place:
         splits = prepare(Path(sys.argv[3]), export, Path(place))

@@ -39,7 +39,7 @@ from habitat.tasks.nav.nav import PointGoalSensor  # noqa: E402
 from habitat.utils.geometry_utils import quaternion_from_coeff, quaternion_rotate_vector  # noqa: E402
 
 FLOOR_M = 0.1
-"""How far a start may lie above or below the lowest point of what is under it."""
+"""Maximum vertical distance of a start from the lowest surface below it, metres."""
 
 
 def main() -> None:

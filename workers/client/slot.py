@@ -89,7 +89,7 @@ class Slot:
                 command = " ".join(self._host.command)
                 raise WorldError(
                     f"a simulation does not start after {_STARTS} tries of `{command}`: {report.detail}; run this "
-                    "command by hand to see why, or choose another --renderer"
+                    "command manually to see the cause, or choose another --renderer"
                 )
             self._host.pause(pause_s)
 

@@ -56,14 +56,14 @@ Outcome = Success | AttemptFailure
 
 @dataclass(frozen=True)
 class _Attempt:
-    """What holds for every start of one attempt."""
+    """Data shared by all starts of one attempt."""
 
     job: Job
     target: Target
     place: LoadedScene
     stage: SceneRenderer
     out: BinaryIO
-    """Takes the bundle."""
+    """File that the bundle is written to."""
     sid: str
     """Session id of the worker."""
     on_step: Callable[[int], None]

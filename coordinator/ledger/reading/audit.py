@@ -225,10 +225,10 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
         attempt = row.last_attempt if row.last_attempt is not None else row.former if row.draw else 1
         # the first attempt of a draw, and attempts restored by `record_failures`, increase the number without an event
         if row.attempt <= (row.settled or 0) or (attempt is not None and row.attempt < attempt):
-            yield f"is damaged: episode {row.idx} stands at attempt {row.attempt}, which has ended"
+            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)
         if row.attempt > expected:
-            yield f"is damaged: episode {row.idx} stands at attempt {row.attempt}, its records at {expected}"
+            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, but its records at {expected}"
         if row.misses > row.missed or (not row.retries and row.misses != row.missed % plan.budget.attempts_per_draw):
             yield f"is damaged: episode {row.idx} has {row.misses} misses, its records {row.missed}"
         if row.crashes > row.hurts + (plan.budget.crashes if row.retries else 0):

@@ -27,7 +27,7 @@ __all__ = ["command", "draw_progress", "watch_progress"]
 
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
-"""Time without an answer after which `--watch` gives up, seconds; a restart of a coordinator takes a few."""
+"""Time without an answer after which `--watch` gives up, seconds; a restart of a coordinator takes a few seconds."""
 _FIRST = max(map(len, BUILTIN_CATEGORIES))
 """Width of the first columns, characters, so that the numbers of all tables are aligned."""
 _REASON_CHARS = 200

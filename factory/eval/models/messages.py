@@ -18,7 +18,7 @@ __all__ = ["DriverOrder", "EvalReport", "EvalReportKind", "EvalTask", "Setup", "
 
 
 class Setup(Model):
-    """What holds for all tasks of a campaign."""
+    """Settings of all tasks of a campaign."""
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
@@ -28,25 +28,25 @@ class Setup(Model):
 
 
 class EvalTask(Model):
-    """One episode to evaluate; it has this form from the command to the driver process, on any machine."""
+    """Episode to evaluate; the command, the workers and the driver processes use this same model."""
 
     number: Annotated[int, Field(ge=1)]
-    """Place in the campaign, from 1; the index of its job on many machines."""
+    """Number in the campaign, from 1; with remote workers also the index of its job."""
     policy: str
     request: EvalRequest
     setup: Setup
     actions: Actions | None = None
-    """Those of the recorded episode that the request names; added when the task is handed out."""
+    """Actions of the recorded episode in the request; added when the task is sent."""
 
 
 class DriverOrder(Model):
-    """A task for a driver process, with the files that it needs on this machine."""
+    """Order for a driver process: a task with the paths of its files on this machine."""
 
     task: EvalTask
     package: Path
-    """The compiled scene."""
+    """Package of the compiled scene."""
     policy_file: Path | None = None
-    """What the policy is made of, where it is not at the place that its name says."""
+    """File of the policy, if its path differs from the one in the policy's name."""
 
 
 class EvalReportKind(StrEnum):

@@ -22,7 +22,7 @@ __all__ = ["CHILD", "DriverEnded", "DriverProcess"]
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
 _GRACE_S = 5.0
-"""What a policy that keeps its own time limit is given beyond it."""
+"""Additional time for a policy that enforces its time limit itself, seconds."""
 _MOST_WORDS_CHARS = 300
 
 
@@ -43,9 +43,9 @@ class DriverProcess:
         self._setup: Setup | None = None
         self._renders_apart = False
         self._process: JsonlProcess[EvalReport] | None = None
-        self._sheet: SharedStatus | None = None
+        self._status: SharedStatus | None = None
         self.current: EvalTask | None = None
-        """What it is driving."""
+        """Task in progress; `None` without one."""
         self.made: dict[str, str] = {}
         """Policy name -> description of the information it uses, for policies created in this process."""
         self.renderer = ""
@@ -59,13 +59,13 @@ class DriverProcess:
     @property
     def steps(self) -> int:
         """Number of steps of the current episode."""
-        return self._sheet.read().steps if self._sheet is not None else 0
+        return self._status.read().steps if self._status is not None else 0
 
-    def give(self, order: DriverOrder) -> None:
-        """Sends an order, to a new process where there is none; its death is heard from `hear`.
+    def send(self, order: DriverOrder) -> None:
+        """Sends an order; starts a process if none is running. `poll` reports the end of the process.
 
-        A process of another campaign is replaced, and so is one that renders by itself where the policy's libraries
-        must not meet OpenGL's.
+        A process of another campaign is replaced. A process that renders itself is also replaced if the policy's
+        libraries conflict with those of OpenGL.
         """
         task = order.task
         if task.setup != self._setup:
@@ -78,7 +78,7 @@ class DriverProcess:
         self.current = task
         self._process.send(to_line(order))
 
-    def hear(self, timeout_s: float) -> EvalReport | DriverEnded | None:
+    def poll(self, timeout_s: float) -> EvalReport | DriverEnded | None:
         """Returns the report of the current order, the end of the process, or `None` after a timeout or progress."""
         if self._process is None:
             return None
@@ -95,19 +95,19 @@ class DriverProcess:
         process, self._process = self._process, None
         if process is not None:
             process.kill()
-        if self._sheet is not None:
-            self._sheet.close()
-            self._sheet = None
+        if self._status is not None:
+            self._status.close()
+            self._status = None
 
     def _start(self) -> JsonlProcess[EvalReport]:
-        self._sheet = SharedStatus.fresh()
-        os.set_inheritable(self._sheet.descriptor, True)
+        self._status = SharedStatus.fresh()
+        os.set_inheritable(self._status.descriptor, True)
         options = ("--render-apart",) if self._renders_apart else ()
         return JsonlProcess(
-            (*CHILD, str(self._sheet.descriptor), *options),
+            (*CHILD, str(self._status.descriptor), *options),
             one_core(_environment()),
             read_report,
-            pass_fds=(self._sheet.descriptor,),
+            pass_fds=(self._status.descriptor,),
         )
 
     def _is_outcome(self, report: EvalReport) -> bool:
@@ -120,9 +120,9 @@ class DriverProcess:
         return False
 
     def _end_if_late(self, process: JsonlProcess[EvalReport]) -> DriverEnded | None:
-        if self._sheet is None or self.current is None:
+        if self._status is None or self.current is None:
             return None
-        state, setup = self._sheet.read(), self.current.setup
+        state, setup = self._status.read(), self.current.setup
         limit_s = {
             Activity.ASKING: setup.act_timeout_s + _GRACE_S * self._is_remote,
             Activity.MAKING: setup.load_timeout_s + (_GRACE_S + setup.reconnect_s) * self._is_remote,
@@ -140,8 +140,8 @@ class DriverProcess:
         return self.current is not None and self.current.policy.startswith(("ws:", "wss:"))
 
     def _reap(self, process: JsonlProcess[EvalReport]) -> DriverEnded:
-        assert self._sheet is not None
-        state, how = self._sheet.read(), describe_exit(process.wait()) + _last_output(process)
+        assert self._status is not None
+        state, how = self._status.read(), describe_exit(process.wait()) + _last_output(process)
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         whom = "the process died in the policy" if is_policy else "the driving process died"

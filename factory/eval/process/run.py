@@ -107,12 +107,12 @@ class _PolicyCampaign:
         busy = 0
         for driver in self._drivers:
             if driver.current is None and waiting:
-                driver.give(self._order(waiting.popleft()))
+                driver.send(self._order(waiting.popleft()))
             busy += driver.current is not None
         for driver in self._drivers:
             if driver.current is None:
                 continue
-            report = driver.hear(_POLL_S / max(1, busy))
+            report = driver.poll(_POLL_S / max(1, busy))
             if isinstance(report, DriverEnded):
                 result = self._after_end(driver, report, waiting)
             else:

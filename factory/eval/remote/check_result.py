@@ -27,12 +27,12 @@ _SPEED_SLACK, _PUSH_M = 1.5, 0.05
 
 
 def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> list[str]:
-    """Returns every reason for which a result cannot be that of a task; none when it may be kept.
+    """Returns all contradictions between a result and its task; empty if the result is plausible.
 
     Args:
-        result: as it came.
-        task: what was asked, and of which policy.
-        target: of the spec, as its scene has it.
+        result: result of a worker.
+        task: task with its request and policy.
+        target: target of the spec in the compiled scene.
     """
     asked, settings = request_fields(task), task.setup.settings
     found = [

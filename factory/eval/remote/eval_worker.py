@@ -29,7 +29,7 @@ from workers.process.pipes import listen, take_stdout
 
 __all__ = ["main"]
 
-_HEAR_S, _TELL_S = 0.1, 1.0
+_POLL_S, _TELL_S = 0.1, 1.0
 _NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"
 
 
@@ -61,7 +61,7 @@ class _Station:
 
     def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:
         self._renderer, self._may_import, self._out = renderer, may_import, out
-        self._seat = DriverProcess()
+        self._driver = DriverProcess()
 
     def tell(self, report: worker.SimulationReport) -> None:
         """Sends a report to the worker."""
@@ -69,7 +69,7 @@ class _Station:
 
     def serve(self, order: SimulationOrder) -> None:
         """Executes one order and reports its result."""
-        begun, seat = time.monotonic(), self._seat
+        begun, driver = time.monotonic(), self._driver
         task = EvalTask.model_validate_json(order.eval_task or "")
         if is_user_class(task.policy) and not self._may_import:
             # the name came over the network, and importing it would execute arbitrary code
@@ -77,34 +77,34 @@ class _Station:
             return
         setup = task.setup.model_copy(update={"renderer": self._renderer})
         task = task.model_copy(update={"setup": setup})
-        seat.give(DriverOrder(task=task, package=order.scene_path, policy_file=order.attachment_path))
+        driver.send(DriverOrder(task=task, package=order.scene_path, policy_file=order.attachment_path))
         heard = self._wait()
-        seat.current = None
-        result = _result(heard, task, seat)
+        driver.current = None
+        result = _result(heard, task, driver)
         if isinstance(result, worker.SimulationReport):
             self.tell(result)
         else:
-            note = note_of(task.policy, seat.made[task.policy], seat.renderer)
+            note = note_of(task.policy, driver.made[task.policy], driver.renderer)
             self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
 
     def _wait(self) -> Outcome | DriverEnded:
         """Returns the outcome of the current task; meanwhile, sends progress reports to the worker."""
-        told, seat = time.monotonic(), self._seat
+        told, driver = time.monotonic(), self._driver
         while True:
-            heard = seat.hear(_HEAR_S)
+            heard = driver.poll(_POLL_S)
             if heard is not None:
                 return heard
             if time.monotonic() - told > _TELL_S:
                 told = time.monotonic()
-                self.tell(worker.SimulationReport(kind=worker.SimulationReportKind.PROGRESS, step=seat.steps))
+                self.tell(worker.SimulationReport(kind=worker.SimulationReportKind.PROGRESS, step=driver.steps))
 
 
 def _result(
-    heard: Outcome | DriverEnded, task: EvalTask, seat: DriverProcess
+    heard: Outcome | DriverEnded, task: EvalTask, driver: DriverProcess
 ) -> EpisodeResult | worker.SimulationReport:
     """Returns the result of a task, or a failure report that attributes the error to machine, server or task."""
     if isinstance(heard, DriverEnded):
-        if heard.fault is not None and task.policy in seat.made:
+        if heard.fault is not None and task.policy in driver.made:
             return interrupted_result(task, heard.detail, heard.fault, heard.state)
         where = "" if heard.fault is None else f"policy {task.policy} cannot be created: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)

@@ -117,7 +117,7 @@ def run_fleet(
             coordinator.wait_for_departures(stop)
     if is_over:
         _require_whole(root, store)
-        shutil.rmtree(root, ignore_errors=True)  # all of it is in the results
+        shutil.rmtree(root, ignore_errors=True)  # all its content is in the results
         with contextlib.suppress(OSError):
             root.parent.rmdir()  # fails if the folder contains another campaign
     return is_over

@@ -19,12 +19,12 @@ __all__ = ["Intake"]
 
 
 class Intake:
-    """Knows which tasks are done; those that an earlier run has finished are so from the start.
+    """Record of the finished tasks, including those of earlier runs.
 
     Args:
-        store: of the results.
-        tasks: all of the campaign, by job index.
-        tell: told how far each policy is.
+        store: store of the results.
+        tasks: all tasks of the campaign, by job index.
+        tell: progress callback, called for each policy.
     """
 
     def __init__(self, store: Store, tasks: Mapping[int, EvalTask], tell: Callable[[Pace], None]) -> None:
@@ -41,7 +41,7 @@ class Intake:
 
     @property
     def left(self) -> Mapping[int, EvalTask]:
-        """The tasks whose results are still wanted."""
+        """Unfinished tasks, by job index."""
         return {index: task for index, task in self._tasks.items() if index not in self._done}
 
     def take(self, root: Path) -> None:

@@ -42,10 +42,10 @@ def result_digest(result: EpisodeResult) -> str:
 
 
 class ResultJudge:
-    """Holds what was asked.
+    """Validator of evaluation results.
 
     Args:
-        tasks: job index -> task.
+        tasks: all tasks of the campaign, by job index.
     """
 
     def __init__(self, tasks: Mapping[int, EvalTask]) -> None:

@@ -75,12 +75,12 @@ def attachments_of(campaign: Campaign) -> Attached:
 
 
 def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attached: Attached) -> Plan:
-    """Returns the plan of the run: scenes and settings as those of the specs, named after all that is asked.
+    """Returns the plan of the run: scenes and settings of the specs, and a name with a digest of all tasks.
 
     Args:
-        campaign: what to do.
-        plan: of the dataset.
-        tasks: of the campaign.
+        campaign: campaign to run.
+        plan: plan of the dataset.
+        tasks: tasks of the campaign.
         attached: files of its policies.
 
     Raises:

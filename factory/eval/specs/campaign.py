@@ -1,4 +1,4 @@
-"""What a campaign asks: its policies, variants and episodes, and the tasks that come of them. Drives nothing."""
+"""Campaign of an evaluation: policies, variants and episodes, and the tasks made from them. Runs no episodes."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ class Campaign:
 
 
 def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -> list[EvalTask]:
-    """Returns all tasks of a policy in the order of work: by variant, scene and place in the set.
+    """Returns all tasks of a policy in the order of execution: by variant, scene and position in the set.
 
     Args:
-        campaign: what to evaluate.
-        policy: one of the campaign's.
-        places: its scenes.
+        campaign: campaign of the policy.
+        policy: name of a policy of the campaign.
+        places: scenes of the campaign.
         first: number of the first task.
     """
     entry = find_policy(policy)
     specs = campaign.specs
-    # a policy that cannot hear is not asked again under other words
+    # a policy that reads no instruction runs the original variant only
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
     needs_scenes = Variant.WRONG in variants
     scenes = {
@@ -75,10 +75,10 @@ def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -
 
 
 def with_actions(task: EvalTask, root: Path) -> EvalTask:
-    """Returns the task with the actions of the episode that its request names, where it names one.
+    """Returns the task with the actions of the recorded episode in its request, if it has one.
 
     Raises:
-        ArchiveCorrupt: the dataset lacks the episode.
+        ArchiveCorrupt: the dataset does not have the episode.
     """
     recorded = task.request.recorded
     return task if recorded is None else task.model_copy(update={"actions": read_actions_of(root, recorded)})

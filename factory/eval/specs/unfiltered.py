@@ -162,7 +162,7 @@ def _draw_poses(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene)
 
 
 def _draw(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene, rng: np.random.Generator) -> Pose:
-    """One pose of the tier, as the paper draws it (Sec. III-D), with nothing asked of it."""
+    """Returns a random pose of the tier, drawn as in the paper (Sec. III-D), without any check."""
     if job.episode.tier is Tier.FAR:
         x, y = place.scene.spawns[int(rng.integers(len(place.scene.spawns)))]
         return float(x), float(y), float(rng.uniform(-math.pi, math.pi))

@@ -1,4 +1,4 @@
-"""Files and records compared: every kind of difference, and nothing else."""
+"""Files and records compared: every kind of difference is found, and no other."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ def test_an_existing_category_without_targets_is_reported_as_out_of_reach():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
     entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
     entry = replace(entry, info=entry.info.model_copy(update={"targets": entry.info.targets[:1]}))
-    assert "shown but out of reach: trash_can" in find_impossible(plan, {"hospital": entry})[0]
+    assert "present but not reachable: trash_can" in find_impossible(plan, {"hospital": entry})[0]
 
 
 def test_an_unused_held_out_category_may_be_absent():

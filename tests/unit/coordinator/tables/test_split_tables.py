@@ -45,7 +45,7 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 
 def found_in(root: Path, deep: bool = False) -> list[tuple[Kind, str]]:
-    """Returns what a verification says of the split tables."""
+    """Returns the findings of a verification about the split tables."""
     return [(found.kind, found.file) for found in verify(root, deep).findings if found.file.startswith("data/")]
 
 

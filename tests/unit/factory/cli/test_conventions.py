@@ -162,7 +162,7 @@ def test_former_spellings_are_accepted_and_not_shown() -> None:
 
 
 def parsed(*words: str) -> dict[str, object]:
-    """Returns what a command line sets, former spellings included; runs nothing."""
+    """Returns the parameters that a command line sets, also by former spellings; runs no command."""
     context, rest = cli.make_context("factory", list(words)), list(words)
     while isinstance(context.command, click.Group):
         name, command, rest = context.command.resolve_command(context, [*context._protected_args, *context.args])

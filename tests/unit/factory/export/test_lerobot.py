@@ -232,7 +232,7 @@ def test_modality_covers_the_whole_state_and_action(older: Path) -> None:
 
 
 def test_version_2_1_uses_the_list_type_of_its_readers(older: Path) -> None:
-    """`datasets` 3, which LeRobot 0.3 asks for, knows no `List`, and 4 still reads `Sequence`."""
+    """`datasets` 3, which LeRobot 0.3 requires, does not have `List`; version 4 still reads `Sequence`."""
     (path, *_) = sorted(older.glob("data/*/*.parquet"))
     described = json.loads(pq.read_schema(path).metadata[b"huggingface"])["info"]["features"]
     lists = {name for name, feature in described.items() if "length" in feature}

@@ -15,7 +15,7 @@ from tests.builders.bundle import job_for
 from tests.builders.ledger import room_catalog, room_plan
 
 QUICK = (sys.executable, "-m", "tests.builders.small_simulation", "0.01")
-"""Succeeds or stalls at once, by the number of the job."""
+"""Succeeds or stalls immediately, depending on the number of the job."""
 NOISY_DEATH = (sys.executable, "-c", "raise SystemExit('no renderer')")
 DIES_AT_WORK = (
     sys.executable,

@@ -1,4 +1,4 @@
-"""A file that is not a USD stage is refused with what is supported and the tool that converts it."""
+"""A file that is not a USD stage is refused; the message names the supported formats and a converter."""
 
 from __future__ import annotations
 

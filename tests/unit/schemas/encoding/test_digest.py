@@ -1,4 +1,4 @@
-"""Digests: what changes them and what must not."""
+"""Digests: which changes of an episode change them, and which do not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The handle on a child process that writes one message a line: real children, real signals."""
+"""Child processes that write one message per line, with real processes and signals."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from workers.client.scene_cache import SceneCache
 
 
 class Source:
-    """Serves one scene and counts what is asked."""
+    """Serves one scene and counts the requests."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data

@@ -1,4 +1,4 @@
-"""Occlusion by walls: parts completely behind a wall are left out, and no visible part is."""
+"""Occlusion by walls: parts completely behind a wall are omitted, visible parts are not."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
     ("box", "is_hidden"),
     [
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 1.0)), True),
-        (Box((3.0, -0.5, 0.0), (3.5, 2.5, 1.0)), False),  # reaches out beside the wall
+        (Box((3.0, -0.5, 0.0), (3.5, 2.5, 1.0)), False),  # extends beyond the end of the wall
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 4.0)), False),  # and above it
         (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # in front of it
         (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # intersects it

@@ -1,4 +1,4 @@
-"""The cache of prepared scenes: what it keeps and closes."""
+"""Cache of prepared scenes: which scenes it keeps, and when it closes them."""
 
 from __future__ import annotations
 

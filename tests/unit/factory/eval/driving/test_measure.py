@@ -1,4 +1,4 @@
-"""The measures of a drive against cases computed by hand."""
+"""Measures of a drive, compared with manually computed cases."""
 
 from __future__ import annotations
 

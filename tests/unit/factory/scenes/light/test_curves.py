@@ -15,7 +15,7 @@ from tests.builders.solids import box_triangles
 
 
 def drum(sides: int, radius: float = 0.3, height: float = 0.8) -> np.ndarray:
-    """The side of an upright prism, two triangles a face, counter-clockwise from outside."""
+    """The side of an upright prism, two triangles per face, counter-clockwise from outside."""
     turn = 2 * np.pi * np.arange(sides + 1) / sides
     ring = np.stack((radius * np.cos(turn), radius * np.sin(turn)), axis=1)
     faces = []
