@@ -32,4 +32,4 @@ def test_unreadable_replies_are_ignored_and_do_not_fill_the_log() -> None:
     finally:
         link.close()
         babbler.close()
-    assert 1 <= [line["event"] for line in lines].count("reply_unintelligible") < 20
+    assert 1 <= [line["event"] for line in lines].count("reply_invalid") < 20
