@@ -121,5 +121,5 @@ def test_the_second_process_waits_for_the_cache_and_decodes_no_frame(data: Datas
 
 
 def test_an_empty_selection_is_refused(data: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no such episodes"):
+    with pytest.raises(UsageError, match="has no episodes of this split, scene and tier"):
         opened(data.filter(split="test_ood_obj"), tmp_path)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from factory.eval.driving.policy import PrivilegedPolicy, uses_camera
-from factory.eval.policies import describe_knowledge, make_policy, require_at_hand
+from factory.eval.policies import describe_knowledge, make_policy, require_available
 from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.user_class import load_class
 from schemas.errors import UsageError
@@ -34,7 +34,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_missing_module_is_reported_with_the_search_path(folder: Path) -> None:
     said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
-    for judge in (require_at_hand, load_class):
+    for judge in (require_available, load_class):
         with pytest.raises(UsageError, match=said) as caught:
             judge("nowhere_pilot:Policy")
         assert "frozen" not in str(caught.value)
@@ -55,14 +55,14 @@ def test_a_missing_class_is_reported_with_the_classes_of_the_module(folder: Path
 )
 def test_an_import_error_names_the_line_of_the_module(folder: Path, text: str, said: str) -> None:
     (folder / "broken_pilot.py").write_text(text)
-    require_at_hand("broken_pilot:Policy")
+    require_available("broken_pilot:Policy")
     with pytest.raises(UsageError, match=said):
         load_class("broken_pilot:Policy")
 
 
 def test_a_module_of_the_working_directory_is_found_without_importing_it(folder: Path) -> None:
     (folder / "loud_pilot.py").write_text("raise SystemExit('imported')")
-    require_at_hand("loud_pilot:Policy")
+    require_available("loud_pilot:Policy")
 
 
 def test_every_page_names_an_existing_class_of_the_example(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
