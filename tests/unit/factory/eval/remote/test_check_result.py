@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from factory.eval.driving.rollout import describe_request, progresses
+from factory.eval.driving.rollout import progresses, request_fields
 from factory.eval.models.messages import EvalTask, Setup
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import EpisodeResult, EvalEnd
@@ -49,7 +49,7 @@ def arrived(**changes: Any) -> EpisodeResult:
     """The result of a valid drive to the success circle."""
     rows = [*range(0, STEPS - 1, 6), STEPS - 1]
     values: dict[str, Any] = {
-        **describe_request(TASK),
+        **request_fields(TASK),
         "end": EvalEnd.SUCCESS,
         "detail": "",
         "success": True,
