@@ -65,7 +65,7 @@ class EvalReport(Model):
 
     kind: EvalReportKind
     number: int = -1
-    """Of the task."""
+    """Number of the task; -1 in a report that belongs to no task."""
     detail: str = ""
     """Description: the renderer, the information used by the policy, or the error."""
     exit_code: int = 1
