@@ -42,7 +42,7 @@ DOORS = {
     "mcap": {"factory/export/mcap/exporter.py"},
     "mcap_protobuf": {"factory/export/mcap/protobuf.py"},
     "google": {"factory/export/mcap/protobuf.py"},
-    "trimesh": {"factory/export/vlnce/glb.py"},
+    "trimesh": {"factory/export/vlnce/exporter.py"},
     "rosbags": {"factory/export/mcap/ros2_cdr.py"},
     "rerun": {"factory/visualize/rerun.py"},
     "embreex": {"factory/scenes/light/rays.py"},

@@ -17,8 +17,7 @@ import structlog
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.gateway.inventory import reconcile_directory
-from coordinator.gateway.owner_file import has_owner, require_owner, write_owner
-from coordinator.gateway.remote_ledger import RemoteLedgerClient
+from coordinator.gateway.remote_ledger import RemoteLedgerClient, has_owner, require_owner, write_owner
 from coordinator.meters import Meters
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.node import ZenohNode

@@ -75,7 +75,7 @@ def test_every_page_names_an_existing_class_of_the_example(folder: Path, monkeyp
 
 
 PRIVILEGED = """
-from factory.eval.policies.experts import ExpertPolicy
+from factory.eval.policies.simple import ExpertPolicy
 class Oracle(ExpertPolicy):
     def __init__(self): super().__init__("planner")
 """
