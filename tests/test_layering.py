@@ -31,7 +31,7 @@ DOORS = {
     },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
-    "prometheus_client": {"coordinator/status/exposition.py"},
+    "prometheus_client": {"coordinator/status/pages.py"},
     "tornado": {"coordinator/status/server.py"},
     "cryptography": {"factory/keys/"},
     "pyseccomp": {"coordinator/validation/sandbox.py"},

@@ -143,8 +143,7 @@ def _create(url: str, **options: Any) -> Engine:
     except ImportError as error:
         raise UsageError(
             f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and use a "
-            "URL that begins with "
-            "postgresql+psycopg://"
+            "URL that begins with postgresql+psycopg://"
         ) from error
     except (ArgumentError, NoSuchModuleError) as error:
         raise UsageError(f"cannot open ledger {shown_url(url)}: {error}; {_EXAMPLES}") from error

@@ -147,8 +147,7 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
     if found > LEDGER_FORMAT:
         raise UsageError(
             f"the ledger has format {found}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
-            "minivla-factory "
-            "that wrote it"
+            "minivla-factory that wrote it"
         )
     plan = Plan.model_validate_json(facts["plan"])
     if (plan.digest, plan.run) != (facts["plan_digest"], facts["run"]):
@@ -241,7 +240,6 @@ def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
         if name not in catalog or catalog[name].sha256 != sha256:
             now = catalog[name].sha256[:16] if name in catalog else "none"
             raise WorldError(
-                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new "
-                "episodes would "
-                "differ from the existing ones: restore the former scene, or choose another --out"
+                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new episodes "
+                "would differ from the existing ones: restore the former scene, or choose another --out"
             )

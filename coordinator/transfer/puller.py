@@ -265,9 +265,8 @@ class Pullers(Closing):
             free, wanted = self._archive.free_bytes(), pull.size + to_come + self._settings.reserve_bytes
             if free < wanted:
                 raise TransientError(
-                    f"{free} bytes free, {wanted} required for the bundle, {to_come} bytes of other transfers and "
-                    "the reserve: "
-                    "free some space"
+                    f"{free} bytes free, {wanted} required for the bundle, {to_come} bytes of other transfers and the "
+                    "reserve: free some space"
                 )
             self._busy[pull.job.index] = pull.size
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from factory.bench.machine import StageRecorder
 from factory.bench.model import PlainPace
-from factory.bench.stage_times import StageRecorder
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene

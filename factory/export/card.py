@@ -62,8 +62,7 @@ def export_card(
     )
     origin = (
         f"{episodes} episodes of language-conditioned robot navigation, made with minivla-factory from seed "
-        f"{meta.seed} with the `{meta.plan.expert}` expert. "
-        "A Nova Carter gets an instruction in English that names an object; "
-        f"it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
+        f"{meta.seed} with the `{meta.plan.expert}` expert. A Nova Carter gets an instruction in English that names an "
+        f"object; it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
     )
     return front + origin + text.strip() + "\n"

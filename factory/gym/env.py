@@ -18,7 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from factory.eval.driving import measure
-from factory.eval.driving.odometry import odometry
+from factory.eval.driving.measure import odometry
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from factory.dataset.reader import Dataset
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import read_specs
+from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.errors import UsageError
 from schemas.storage.place import Place

@@ -6,6 +6,7 @@ nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -24,10 +25,12 @@ from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
 from schemas.plan import Plan, ScenePlan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
+from schemas.terms import BUILTIN_CATEGORIES
 
-__all__ = ["collect_scenes", "find_built", "find_package", "open_catalog", "write_target_lists"]
+__all__ = ["collect_scenes", "find_built", "find_imported", "find_package", "open_catalog", "write_target_lists"]
 
 MessageCallback = Callable[[str], None]
+_PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
 def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
@@ -138,3 +141,20 @@ def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
 
 def _limits(scene: ScenePlan) -> StageLimits:
     return StageLimits(allow_outside=scene.allow_outside)
+
+
+def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
+    """Returns the packages of imported scenes.
+
+    Args:
+        cache: Folder of packages; it need not exist.
+
+    Returns:
+        The packages by scene name, the most recently written first.
+    """
+    found: dict[str, list[tuple[int, str, Path]]] = {}
+    for path in cache.glob("*.scene.zip"):
+        named = _PACKAGE.fullmatch(path.name)
+        if named is not None and named[1] not in BUILTIN_CATEGORIES:
+            found.setdefault(named[1], []).append((path.stat().st_mtime_ns, path.name, path))
+    return {name: tuple(path for *_, path in sorted(found[name], reverse=True)) for name in sorted(found)}

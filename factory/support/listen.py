@@ -21,8 +21,7 @@ def require_loopback(endpoints: Sequence[str]) -> None:
         if host != "localhost" and not _is_loopback(host):
             raise UsageError(
                 f"{endpoint} is reachable from other machines: without --tls, only loopback addresses are allowed. "
-                "Create "
-                "certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
+                "Create certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
             )
 
 

@@ -20,10 +20,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from factory.train import preprocess
-from factory.train.augment import Batch, augment
 from factory.train.cache import FrameCache
 from factory.train.network import BcNetwork, NetworkOutput
 from factory.train.options import BcOptions
+from factory.train.preprocess import Batch, augment
 from factory.train.report import EpochMeasures
 from factory.train.vocabulary import encode
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of

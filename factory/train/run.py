@@ -124,8 +124,7 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
         if different:
             raise UsageError(
                 f"{order.out} contains a training with other options ({'; '.join(different)}): give the same options "
-                "to "
-                "continue it, or choose another --out"
+                "to continue it, or choose another --out"
             )
     with translated("write", order.out):
         order.out.mkdir(parents=True, exist_ok=True)

@@ -147,7 +147,6 @@ def _built_again(
         if made[name].sha256 != record.scenes[name]:
             raise WorldError(
                 f"{troubles[name]}; built again it has SHA-256 {made[name].sha256}, so another version built it: "
-                "restore "
-                f"the package from a backup into {SCENES}/"
+                f"restore the package from a backup into {SCENES}/"
             )
     return dict(made)

@@ -239,9 +239,7 @@ def _name_of(prim_path: str, category: str | None) -> str:
 def _describe_episode(episode: Episode) -> str:
     job, rollout = episode.meta.job, episode.meta.rollout
     return (
-        f"# {job.instruction}\n\n"
-        f"{job.episode_id}, {job.scene}, {job.split}, {job.tier}, target {job.target_id} ({job.colour}), "
-        f"template {job.template_id}, expert {job.expert}\n\n"
-        f"{rollout.num_steps} steps, start {rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, "
-        f"NE {rollout.final_ne_m:.3f} m"
+        f"# {job.instruction}\n\n{job.episode_id}, {job.scene}, {job.split}, {job.tier}, target {job.target_id} "
+        f"({job.colour}), template {job.template_id}, expert {job.expert}\n\n{rollout.num_steps} steps, start "
+        f"{rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, NE {rollout.final_ne_m:.3f} m"
     )

@@ -158,9 +158,8 @@ def _require_own_process(url: str) -> None:
         _users.append(os.getpid())
     if os.getpid() not in _users:
         raise UsageError(
-            f"{url} cannot be read after a fork of a process that has read it: start processes with the method "
-            "spawn, e.g. "
-            "DataLoader(..., multiprocessing_context='spawn')"
+            f"{url} cannot be read after a fork of a process that has read it: start processes with the method spawn, "
+            "e.g. DataLoader(..., multiprocessing_context='spawn')"
         )
 
 

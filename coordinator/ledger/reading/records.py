@@ -211,8 +211,7 @@ def _summaries(connection: Connection, query: Select[Any]) -> Iterator[EpisodeSu
         except ValidationError as error:
             raise WorldError(
                 f"the ledger's row of episode {index} cannot be read: stop the run and run `factory repair`, which "
-                "restores "
-                "it from the episode's file"
+                "restores it from the episode's file"
             ) from error
 
 

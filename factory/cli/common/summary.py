@@ -51,9 +51,8 @@ def say_missing(site: object, progress: Progress) -> None:
     counts = ", ".join(f"{count} {state}" for state, count in ends.items() if count)
     state = next((state for state, count in ends.items() if count), "failed")
     click.echo(
-        f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): "
-        f"list the reasons with `factory jobs list {site} --state {state}`, requeue an episode with "
-        f"`factory jobs retry {site} EPISODE`",
+        f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): list the reasons with "
+        f"`factory jobs list {site} --state {state}`, requeue an episode with `factory jobs retry {site} EPISODE`",
         err=True,
     )
 

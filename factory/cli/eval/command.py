@@ -23,9 +23,8 @@ from factory.cli.common.options import (
 )
 from factory.cli.common.output import json_option, print_json
 from factory.cli.common.places import DIRECTORY
-from factory.cli.eval.campaign import Asked, draw_up, open_store, pace_bars, published
+from factory.cli.eval.campaign import Asked, draw_up, eval_split_filter, open_store, pace_bars, published
 from factory.cli.eval.compare import command as compare_command
-from factory.cli.eval.options import eval_split_filter
 from factory.cli.eval.specs import command as specs_command
 from factory.cli.eval.tables import print_evaluation
 from factory.dataset.reader import Dataset

@@ -10,10 +10,9 @@ import click
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import place_argument
 from factory.cli.common.output import json_option, print_json, print_table
-from factory.cli.eval.options import eval_split_filter, splits_of
+from factory.cli.eval.campaign import eval_split_filter, splits_of
 from factory.dataset.reader import Dataset
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import write_specs
+from factory.eval.models.spec import SpecSet, write_specs
 from factory.eval.specs.from_dataset import specs_of_dataset
 from factory.eval.specs.unfiltered import unfiltered_specs
 from factory.support.logs import configure_logs

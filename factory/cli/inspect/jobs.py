@@ -14,11 +14,11 @@ from coordinator.ledger.opening import read_info
 from coordinator.ledger.reading.records import JobFilter, JobRecord, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.ledger.states import JobState
 from coordinator.protocol.tls import read_credentials
-from factory.cli.common.episodes import episode_index
 from factory.cli.common.filters import filter_option, scene_filter, split_filter, tier_filter
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import ledger_option, site_argument, tls_option
 from factory.cli.common.output import json_option, print_json, print_table, print_text
+from factory.cli.common.places import episode_index
 from factory.dataset.site import Site
 from factory.runs.ledger import read_ledger
 from schemas.episode_spec import EpisodeSpec

@@ -8,9 +8,9 @@ from typing import cast
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_path
 from factory.cli.common.options import place_argument, renderer_option
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_path
 from factory.runs.replay import Replay, replay_episode
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place

@@ -8,12 +8,12 @@ from pathlib import Path
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_path
 from factory.cli.common.options import place_argument
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_path
 from factory.runs.catalog import find_package
-from factory.visualize.contact_sheet import draw_contact_sheet
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
+from factory.visualize.panels import draw_contact_sheet
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene, decode_scene

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_index
 from factory.cli.common.options import former_option, place_argument
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_index
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import find_package
 from factory.visualize.rerun import view_episode

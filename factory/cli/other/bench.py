@@ -19,15 +19,13 @@ import click
 
 from coordinator.expansion.file import load_plan
 from factory.bench.coordinator import bench_coordinator
-from factory.bench.machine import describe_machine
+from factory.bench.machine import StageRecorder, describe_machine
 from factory.bench.memory import bench_memory
 from factory.bench.model import RenderBench, RolloutBench
 from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
-from factory.bench.sample import make_sample
-from factory.bench.stage_times import StageRecorder
-from factory.bench.work import first_attempts, narrow
+from factory.bench.sample import first_attempts, make_sample, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.groups import CommandGroup

@@ -17,8 +17,7 @@ from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
 from factory.cli.scene import targets as scene_targets
 from factory.cli.scene.choice import seed_option
-from factory.cli.scene.package import describe_package, print_others, print_package
-from factory.cli.scene.steps import next_steps, print_steps
+from factory.cli.scene.package import describe_package, next_steps, print_others, print_package, print_steps
 from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache

@@ -9,7 +9,7 @@ import click
 
 from factory.cli.common.output import json_option, print_json, print_table, print_text
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
-from factory.cli.scene.words import say_counts, say_rest
+from factory.cli.scene.package import say_counts, say_rest
 from schemas.errors import WorldError
 
 __all__ = ["command"]

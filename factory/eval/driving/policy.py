@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.request import Actions
+from factory.eval.models.messages import Actions
 from schemas.job import Job
 from schemas.terms import ExpertName
 

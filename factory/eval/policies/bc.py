@@ -79,8 +79,7 @@ class BcPolicy:
         if mine != found:
             raise UsageError(
                 f"the policy was trained at {mine[0]} Hz with a camera of {mine[1]:g} degrees, but the episodes have "
-                f"{found[0]} Hz and "
-                f"{found[1]:g} degrees: train on episodes with the same rate and camera"
+                f"{found[0]} Hz and {found[1]:g} degrees: train on episodes with the same rate and camera"
             )
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])

@@ -27,8 +27,7 @@ from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies import PolicyLimits, describe_knowledge, make_policy
-from factory.eval.process.shared_status import Activity, SharedStatus
-from factory.eval.process.status_updates import StatusWriter
+from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
 from workers.sim.scene_renderer import SceneRenderer

@@ -19,8 +19,7 @@ from factory.eval.models.messages import EvalReport as Outcome
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies import is_user_class
 from factory.eval.policies.note import note_of
-from factory.eval.process.driver_process import DriverEnded, DriverProcess
-from factory.eval.process.interrupted import interrupted_result
+from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
 from factory.eval.remote.driven import Driven, write_driven
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker

@@ -15,8 +15,7 @@ from typing import IO
 from pydantic import ValidationError
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Variant
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import read_specs, write_specs
+from factory.eval.models.spec import SpecSet, read_specs, write_specs
 from factory.eval.policies.note import PolicyNote
 from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from factory.eval.models.messages import EvalTask, Setup
-from factory.eval.models.request import Actions, EvalRequest
+from factory.eval.models.messages import Actions, EvalRequest, EvalTask, Setup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies import find_policy

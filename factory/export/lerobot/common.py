@@ -9,13 +9,12 @@ from typing import Any, TypeVar
 
 from coordinator.tables.card_configs import Configs
 from factory.dataset.episode import Episode
-from factory.export.base import Exporter, Finish
+from factory.export.base import Decimated, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.features import DEPTH, IDS, LeRobotOptions, features_of
 from factory.export.lerobot.measure import Stats
 from factory.export.lerobot.numbering import Numbering, number_pieces
 from factory.export.lerobot.piece import LeRobotFacts, write_piece
-from factory.export.options import Decimated, stride_of
 from factory.export.output import Output
 from schemas.dataset_meta import DatasetMeta
 

@@ -13,11 +13,10 @@ from typing import IO, Any
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, Finish
+from factory.export.base import Decimated, EpisodeFacts, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
-from factory.export.options import Decimated, stride_of
 from factory.runs.catalog import find_package
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError

@@ -18,8 +18,7 @@ from PIL import Image
 from factory.dataset.reader import Dataset
 from factory.export import ExportOrder, ExportPiece, Finish, find_exporter, run_export
 from factory.export.lerobot.columns import frame_columns
-from factory.export.lerobot.depth import DepthCode
-from factory.export.lerobot.features import DEPTH, IDS, RGB, LeRobotOptions
+from factory.export.lerobot.features import DEPTH, IDS, RGB, DepthCode, LeRobotOptions
 from factory.export.lerobot.piece import LeRobotFacts
 from factory.export.lerobot.v21 import MODALITY
 from factory.export.lerobot.v30 import FileLimits, write_dataset

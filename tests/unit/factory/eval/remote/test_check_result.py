@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from factory.eval.driving.rollout import progresses, request_fields
-from factory.eval.models.messages import EvalTask, Setup
-from factory.eval.models.request import EvalRequest
+from factory.eval.models.messages import EvalRequest, EvalTask, Setup
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
 from factory.eval.policies.note import PolicyNote
