@@ -1,4 +1,4 @@
-"""Dataset arguments: a directory, or a URL for commands that support object storage; episode names such as `ep_000012`."""
+"""Dataset arguments: a directory, or a URL for commands that support object storage; episode arguments: `ep_000012`."""
 
 from __future__ import annotations
 
