@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 PREPROCESS_VERSION = 1
-"""Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and checkpoints are not reused."""
+"""Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and policies are not reused."""
 SIZES = (64, 80, 128, 160)
 """Valid picture sides, pixels; each divides the frame size."""
 FAR_M = 10.0

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.options import place_argument
+from factory.cli.common.options import count_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.cli.eval.campaign import eval_split_filter, splits_of
 from factory.dataset.reader import Dataset
@@ -29,13 +29,9 @@ __all__ = ["command"]
 @click.option(
     "--unfiltered", is_flag=True, help="Sample new start states, including those where the expert would fail."
 )
-@click.option(
-    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes. Default: all; with --unfiltered: 100."
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Random seed of --unfiltered."
-)
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="JSON file to write.")
+@count_option("--episodes", None, "Number of episodes. Default: all; with --unfiltered: 100.")
+@count_option("--seed", 0, "Random seed of --unfiltered.", least=0)
+@write_option("FILE", "JSON file to write.", required=True)
 @json_option
 def command(
     root: Place,

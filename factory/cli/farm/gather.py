@@ -10,7 +10,7 @@ import click
 from coordinator.gateway.gather import GatherReport, gather
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import ledger_option
-from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.common.output import json_option, print_result, print_table
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
@@ -50,10 +50,7 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
             requeue_missing=requeue_missing,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     return 1 if report.missing and not report.requeued else 0
 
 

@@ -12,7 +12,7 @@ from coordinator.recovery.report import RepairReport
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import ledger_option, site_argument
-from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.common.output import json_option, print_result, print_table
 from factory.dataset.site import Site
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -62,10 +62,7 @@ def command(
             take_over=take_over,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     return 1 if dry_run and not report.is_sound else 0
 
 

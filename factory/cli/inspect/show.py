@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.options import place_argument
+from factory.cli.common.options import count_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.common.places import episode_path
 from factory.runs.catalog import find_package
@@ -28,21 +28,8 @@ _KINDS = (".png", ".mp4", ".gif")
 @click.command("show")
 @place_argument
 @click.argument("episode")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Output file: .png, .mp4 or .gif. Default: EPISODE.png.",
-)
-@click.option(
-    "--columns",
-    type=click.IntRange(2, 24),
-    default=6,
-    show_default=True,
-    metavar="N",
-    help="Number of frames per row of a contact sheet.",
-)
+@write_option("FILE", "Output file: .png, .mp4 or .gif. Default: EPISODE.png.", dir_okay=False)
+@count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
 @json_option
 def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
     """Write one episode as a contact sheet or a video.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import click
 
 from factory.cli.common.options import compare_option, place_argument
-from factory.cli.common.output import json_option, print_json, print_table, print_text
+from factory.cli.common.output import json_option, print_result, print_table, print_text
 from factory.stats import measure_dataset, paper
 from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow, Share, Statistics
 from factory.support.logs import configure_logs
@@ -30,10 +30,7 @@ def command(root: Place, compare_paper: bool | None, as_json: bool) -> int:
     """
     configure_logs()
     statistics = measure_dataset(root, compare_paper)
-    if as_json:
-        print_json(statistics.model_dump(mode="json"))
-    else:
-        print_statistics(statistics)
+    print_result(statistics, as_json, print_statistics)
     for remark in statistics.remarks:
         click.echo(f"{'damage' if remark.is_damage else 'note'}: {remark.file}: {remark.text}", err=True)
     return 0 if statistics.is_sound else 1

@@ -14,8 +14,8 @@ from pydantic.fields import FieldInfo
 
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import split_filter
-from factory.cli.common.options import former_option, place_argument, workers_option
-from factory.cli.common.output import json_option, print_json, say_duration, stderr
+from factory.cli.common.options import former_option, place_argument, workers_option, write_option
+from factory.cli.common.output import json_option, print_result, say_duration, stderr
 from factory.export.base import Options
 from factory.export.execution.estimate import ExportEstimate, estimate_export
 from factory.export.execution.report import ExportReport
@@ -79,14 +79,7 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
 @click.command("export")
 @place_argument
 @click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="Format of the export.")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    help="Output directory. An interrupted export with the same options is continued.",
-)
+@write_option("DIR", "Output directory. An interrupted export with the same options is continued.", required=True)
 @split_filter()
 @click.option(
     "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
@@ -137,10 +130,7 @@ def command(
     if not report.finished:
         click.echo(f"interrupted after {report.episodes} episodes; run the same command again to continue", err=True)
         return 130
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     return 0 if report.complete and not report.absent else 1
 
 
@@ -162,10 +152,7 @@ def _options(name: str, chosen: dict[str, Any]) -> Options:
 def _estimate(order: ExportOrder, as_json: bool) -> int:
     with stderr.status("measuring one episode"):
         estimate = estimate_export(order)
-    if as_json:
-        print_json(estimate.model_dump(mode="json"))
-    else:
-        _print_estimate(estimate)
+    print_result(estimate, as_json, _print_estimate)
     return 0 if estimate.fits else 1
 
 

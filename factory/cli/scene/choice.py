@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
+from factory.cli.common.options import count_option
 from factory.runs.catalog import find_imported
 from factory.scenes.stage_file import STAGE_SUFFIXES, find_fault
 from factory.support.settings import scene_cache
@@ -22,14 +23,7 @@ from schemas.terms import BUILTIN_CATEGORIES
 
 __all__ = ["chosen_scene", "open_scene", "scene_argument", "seed_option"]
 
-seed_option = click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Random seed of the layout of a built-in scene.",
-)
+seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 
 
 def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001

@@ -7,7 +7,7 @@ from typing import cast
 
 import click
 
-from factory.cli.common.options import count_option, renderer_option
+from factory.cli.common.options import count_option, renderer_option, write_option
 from factory.cli.common.output import json_option, print_json, stderr
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 from factory.support.logs import configure_logs
@@ -20,9 +20,7 @@ __all__ = ["command"]
 @click.command("render")
 @scene_argument
 @seed_option
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), metavar="DIR", help="Output folder of the images. Default: ./SCENE."
-)
+@write_option("DIR", "Output folder of the images. Default: ./SCENE.")
 @count_option("--views", 6, "Number of views from 1.5 m above the floor.", least=0, most=64)
 @count_option("--robot-views", 4, "Number of views from the robot's camera.", least=0, most=64)
 @count_option("--colours", 0, "Number of targets to show with their colour names.", least=0, most=500)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from factory.cli.common.options import write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 from schemas.errors import UsageError, WorldError
@@ -16,13 +17,7 @@ __all__ = ["command"]
 @click.command("targets")
 @scene_argument
 @seed_option
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Output file; - prints to stdout. Default: targets_SCENE.yaml.",
-)
+@write_option("FILE", "Output file; - prints to stdout. Default: targets_SCENE.yaml.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
