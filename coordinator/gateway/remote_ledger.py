@@ -16,7 +16,7 @@ from coordinator.protocol.relay import Archived, Hold, Inventory, InventoryReply
 from schemas.dataset import BundleReceipt
 from schemas.errors import UsageError
 from schemas.keys import Verb
-from schemas.storage.disk import sync_directory, sync_file, translated
+from schemas.storage.disk import replacing
 from schemas.wire import Ack, cut_detail
 
 __all__ = ["RemoteLedgerClient", "has_owner", "require_owner", "write_owner"]
@@ -97,9 +97,5 @@ def write_owner(root: Path, run: str, gateway: str) -> None:
     """
     if has_owner(root):
         return
-    part = root / f".{OWNER_FILE}.part"
-    with translated("write", root / OWNER_FILE):
+    with replacing(root / OWNER_FILE, durable=True) as part:
         part.write_text(json.dumps({"run": run, "gateway": gateway}), encoding="utf-8")
-        sync_file(part)
-        part.replace(root / OWNER_FILE)
-        sync_directory(root)

@@ -21,8 +21,9 @@ from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
 from schemas.dataset_files import SCENES, STAGING
-from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
+from schemas.errors import ArchiveCorrupt, InvalidPlan
 from schemas.plan import Plan, ScenePlan
+from schemas.storage.disk import translated
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from schemas.terms import BUILTIN_CATEGORIES
@@ -107,11 +108,9 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
             path.objects.put(path.key, text.encode())
             continue
         beside = path.parents[1] / STAGING / path.name
-        try:
+        with translated("write", path):
             beside.write_text(text, encoding="utf-8")
             beside.replace(path)
-        except OSError as error:
-            raise WorldError(f"cannot write {path} ({error.strerror}); free space and run the command again") from error
 
 
 def _packages(root: Place, name: str) -> list[Place]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -21,6 +21,7 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene
+from schemas.storage.disk import replacing
 from schemas.support.extras import missing_package
 
 __all__ = ["FloorPicture", "floor_picture", "view_episode"]
@@ -63,17 +64,8 @@ def view_episode(
         WorldError: The recording cannot be written.
     """
     rerun = _library()
-    part = None if save is None else save.with_name(f".{save.name}.part")
-    try:
+    with nullcontext() if save is None else replacing(save) as part:
         _record(rerun, episode, scene, part, stride, tell)
-        if save is not None and part is not None:
-            part.replace(save)
-    except OSError as error:
-        raise WorldError(f"cannot write {save} ({error.strerror}); free space or choose another --out") from error
-    finally:
-        if part is not None:
-            with suppress(OSError):  # the folder may not exist
-                part.unlink()
 
 
 def _record(

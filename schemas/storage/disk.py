@@ -15,7 +15,16 @@ import structlog
 
 from schemas.errors import WorldError
 
-__all__ = ["copy_hashed", "require_room", "set_aside", "sync_directory", "sync_file", "translated", "world_error"]
+__all__ = [
+    "copy_hashed",
+    "replacing",
+    "require_room",
+    "set_aside",
+    "sync_directory",
+    "sync_file",
+    "translated",
+    "world_error",
+]
 
 _COPY_BYTES = 1 << 20
 log = structlog.get_logger(__name__)
@@ -97,6 +106,31 @@ def sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
+    """Yields a part file beside `path`, which replaces it if the block exits without an error.
+
+    Args:
+        path: the file; its folder exists.
+        durable: whether to sync file and folder to disk.
+
+    Raises:
+        WorldError: the file cannot be written; the previous file is unchanged.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with translated("write", path):
+            yield part
+            if durable:
+                sync_file(part)
+            part.replace(path)
+            if durable:
+                sync_directory(path.parent)
+    finally:
+        with contextlib.suppress(OSError):  # the folder may not exist
+            part.unlink()
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from factory.cli.common.bars import Bars
+from factory.cli.common.bars import Bars, one_bar
 from factory.cli.common.filters import split_filter
 from factory.dataset.reader import Dataset
 from factory.eval.models.messages import Setup
@@ -132,7 +132,7 @@ def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
 
 def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
     """Writes all results and returns them."""
-    with _one_bar("videos of failures") as tell:
+    with one_bar("videos of failures", *_counts()) as tell:
         return publish(campaign, store, videos, tell)
 
 
@@ -142,15 +142,8 @@ def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
         splits = frozenset(map(Split, asked.splits)) if asked.splits else None
         return read_specs(asked.specs_path).only(splits, asked.episodes)
     chosen = splits_of(dataset, asked.splits)
-    with _one_bar("start states") as tell:
+    with one_bar("start states", *_counts()) as tell:
         return specs_of_dataset(dataset, chosen, tell, asked.episodes)
-
-
-@contextmanager
-def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    with Bars(*_counts(), transient=True) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
 def _counts() -> tuple[ProgressColumn, ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from factory.cli.common.bars import Bars
+from factory.cli.common.bars import one_bar
 from factory.cli.common.options import count_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.cli.eval.campaign import eval_split_filter, splits_of
@@ -49,12 +49,7 @@ def command(
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)
-    with Bars(transient=True) as bar:
-        task = bar.add_task("start states", total=None)
-
-        def tell(done: int, of: int) -> None:
-            bar.update(task, completed=done, total=of)
-
+    with one_bar("start states") as tell:
         if unfiltered:
             with SceneRenderer() as stage:
                 found = unfiltered_specs(dataset, chosen, episodes or 100, seed, stage, tell)

@@ -15,8 +15,9 @@ from factory.runs.catalog import find_package
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from factory.visualize.panels import draw_contact_sheet
 from schemas.bundle import BundleReader
-from schemas.errors import UsageError, WorldError
+from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene
+from schemas.storage.disk import translated
 from schemas.storage.place import Place
 
 __all__ = ["command"]
@@ -51,31 +52,19 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
         job = bundle.meta.job
         with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
             scene = decode_scene(package)
-        _make_room(target)
+        with translated("create", target.parent):
+            target.parent.mkdir(parents=True, exist_ok=True)
         facts = {"file": str(target), "kind": kind[1:], "episode": job.episode_id, "frames": bundle.length}
         if kind == ".png":
-            _save_sheet(target, bundle, scene, columns)
+            sheet = draw_contact_sheet(bundle, scene, columns)
+            with translated("write", target):
+                sheet.save(target)
         else:
             facts |= {"fps": float(_save_film(target, bundle, scene))}
     if as_json:
         print_json(facts | {"bytes": target.stat().st_size})
     else:
         click.echo(str(target))
-
-
-def _make_room(target: Path) -> None:
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WorldError(f"cannot create {target.parent} ({error.strerror}); choose another -o") from error
-
-
-def _save_sheet(target: Path, bundle: BundleReader, scene: CompiledScene, columns: int) -> None:
-    sheet = draw_contact_sheet(bundle, scene, columns)
-    try:
-        sheet.save(target)
-    except OSError as error:
-        raise WorldError(f"cannot write {target} ({error.strerror}); free space or choose another -o") from error
 
 
 def _save_film(target: Path, bundle: BundleReader, scene: CompiledScene) -> Fraction:

@@ -11,7 +11,7 @@ from factory.cli.common.options import write_option
 from factory.cli.common.output import json_option, print_result, print_table, print_text
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 from factory.cli.scene.package import say_counts, say_rest
-from schemas.errors import WorldError
+from schemas.storage.disk import translated
 
 __all__ = ["command"]
 
@@ -33,16 +33,10 @@ def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
 
     compiled = chosen_scene(scene, seed)
     if out is not None:
-        _write_map(out, encode_topdown(compiled))
+        with translated("write", out):
+            out.write_bytes(encode_topdown(compiled))
     facts = describe_scene(compiled)
     print_result(facts, as_json, _print)
-
-
-def _write_map(path: Path, picture: bytes) -> None:
-    try:
-        path.write_bytes(picture)
-    except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
 
 
 def _print(facts: dict[str, Any]) -> None:

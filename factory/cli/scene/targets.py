@@ -9,7 +9,8 @@ import click
 from factory.cli.common.options import write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
-from schemas.errors import UsageError, WorldError
+from schemas.errors import UsageError
+from schemas.storage.disk import translated
 
 __all__ = ["command"]
 
@@ -37,10 +38,8 @@ def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool)
         return
     if path.exists() and not force:
         raise UsageError(f"{path} exists and may contain your edits; replace it with --force")
-    try:
+    with translated("write", path):
         path.write_text(format_target_list(info), encoding="utf-8")
-    except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
     if as_json:
         print_json({"file": str(path), "scene": info.name, "targets": len(info.targets)})
     else:

@@ -15,9 +15,10 @@ from pydantic import Field, ValidationError, model_validator
 from schemas.base import Model, Name, NonNegative, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.episode_spec import EpisodeSpec
-from schemas.errors import UsageError, WorldError
+from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan, canonical_json
+from schemas.storage.disk import replacing
 from schemas.terms import ExpertName, Split
 
 __all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet", "read_specs", "spread", "write_specs"]
@@ -168,12 +169,8 @@ def write_specs(specs: SpecSet, path: Path) -> None:
     Raises:
         WorldError: The file cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")
-    try:
+    with replacing(path) as part:
         part.write_text(specs.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise WorldError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _refuse_newer(path: Path, text: str) -> None:
