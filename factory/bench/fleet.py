@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection
 
 import zenoh
 
+from coordinator.protocol.ask import query
 from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError
@@ -81,15 +82,8 @@ class BenchWorker:
         Raises:
             TransientError: The coordinator did not reply in time.
         """
-        for reply in self._session.get(
-            verb_key(self._run, self._host, verb),
-            zenoh.handlers.FifoChannel(4),
-            payload=message.model_dump_json(),
-            timeout=_ASK_S,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        ):
-            if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
+        for reply in query(self._session, verb_key(self._run, self._host, verb), message.model_dump_json(), _ASK_S):
+            return reply
         raise TransientError(f"the coordinator did not answer {verb} within {_ASK_S:.0f} s")
 
     def introduce(self) -> None:

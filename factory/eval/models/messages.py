@@ -24,6 +24,7 @@ __all__ = [
     "EvalRequest",
     "EvalTask",
     "Key",
+    "PolicyLimits",
     "Setup",
     "read_report",
     "to_line",
@@ -52,14 +53,22 @@ class EvalRequest(Model):
         return self.spec.spec_id, self.variant, self.instruction
 
 
-class Setup(Model):
+class PolicyLimits(Model):
+    """Time limits, passed to every policy on construction."""
+
+    act_timeout_s: Positive = 10.0
+    """Timeout of each action except the first, seconds."""
+    load_timeout_s: Positive = 300.0
+    """Timeout of a reset, and of the first action, which may compile models, seconds."""
+    reconnect_s: Positive = 30.0
+    """Timeout of reconnecting to a policy server, seconds."""
+
+
+class Setup(PolicyLimits):
     """Settings of all tasks of a campaign."""
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
-    act_timeout_s: Positive = 10.0
-    load_timeout_s: Positive = 300.0
-    reconnect_s: Positive = 30.0
 
 
 class EvalTask(Model):

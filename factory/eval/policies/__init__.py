@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy
+from factory.eval.models.messages import PolicyLimits
 from factory.eval.policies.bc import BcPolicy, bc_file
-from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import ExpertPolicy, PlaybackPolicy, RandomPolicy, ReplayPolicy, StopPolicy
 from factory.eval.policies.user_class import load_class, require_module
@@ -21,7 +21,6 @@ from schemas.terms import ExpertName
 __all__ = [
     "POLICIES",
     "PolicyEntry",
-    "PolicyLimits",
     "check_name",
     "describe_knowledge",
     "file_of",

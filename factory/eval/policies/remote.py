@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
-from factory.eval.policies.limits import PolicyLimits
+from factory.eval.models.messages import PolicyLimits
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package
 
