@@ -23,7 +23,7 @@ from factory.scenes.targets.target_list import TargetList, format_target_list, l
 from schemas.dataset_files import SCENES, STAGING
 from schemas.errors import ArchiveCorrupt, InvalidPlan
 from schemas.plan import Plan, ScenePlan
-from schemas.storage.disk import translated
+from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from schemas.terms import BUILTIN_CATEGORIES
@@ -107,10 +107,8 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
         if isinstance(path, ObjectPath):
             path.objects.put(path.key, text.encode())
             continue
-        beside = path.parents[1] / STAGING / path.name
-        with translated("write", path):
-            beside.write_text(text, encoding="utf-8")
-            beside.replace(path)
+        with replacing(path, part=path.parents[1] / STAGING / path.name) as part:
+            part.write_text(text, encoding="utf-8")
 
 
 def _packages(root: Place, name: str) -> list[Place]:

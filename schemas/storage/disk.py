@@ -109,17 +109,18 @@ def sync_directory(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
-    """Yields a part file beside `path`, which replaces it if the block exits without an error.
+def replacing(path: Path, *, part: Path | None = None, durable: bool = False) -> Iterator[Path]:
+    """Yields the path of a part file, which replaces `path` if the block exits without an error.
 
     Args:
         path: the file; its folder exists.
+        part: path of the part file; by default a hidden file beside `path`.
         durable: whether to sync file and folder to disk.
 
     Raises:
         WorldError: the file cannot be written; the previous file is unchanged.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = part or path.with_name(f".{path.name}.part")
     try:
         with translated("write", path):
             yield part
