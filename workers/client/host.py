@@ -20,7 +20,7 @@ from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings
 from workers.client.spool import Spool
 
-__all__ = ["Host", "LeaseBook", "Phase", "make_sid", "tidy_host"]
+__all__ = ["Backoff", "Host", "LeaseBook", "Phase", "make_sid", "tidy_host"]
 
 _MAX_HOST = 48
 _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
@@ -171,3 +171,21 @@ def tidy_host(name: str) -> str:
 def make_sid(host: str) -> str:
     """Returns a new unique session id: the host's name, which has no dot, a dot and random digits."""
     return f"{host}.{secrets.token_hex(4)}"
+
+
+class Backoff:
+    """Exponential backoff from `first_s` to `longest_s` seconds that doubles with each failure."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_s, self._longest_s = first_s, longest_s
+        self.failures = 0
+        """Number of failures since the last success."""
+
+    def fail(self) -> float:
+        """Counts a failure and returns the time to pause, seconds."""
+        self.failures += 1
+        return min(self._longest_s, self._first_s * 2.0 ** min(self.failures - 1, 32))
+
+    def succeed(self) -> None:
+        """Resets the backoff to the shortest pause."""
+        self.failures = 0
