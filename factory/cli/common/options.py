@@ -201,7 +201,7 @@ def write_option(
         required: whether there is no default.
         checks: arguments of `click.Path`.
     """
-    kind = click.Path(path_type=Path, **checks)  # type: ignore[call-overload]  # flags, passed by name
+    kind = click.Path(path_type=Path, **checks)
     return click.option("-o", "--out", name, type=kind, metavar=metavar, required=required, help=text)
 
 
