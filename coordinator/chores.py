@@ -31,8 +31,6 @@ from schemas.keys import host_of
 from schemas.terms import FailReason
 from schemas.wire import Fail
 
-__all__ = ["LeaseLimit", "RoomWatch", "RunChores"]
-
 _SHOWN_HOSTS = 10
 _BARRED_S = 5.0
 _SANDBOX_S = 1.0

@@ -21,8 +21,6 @@ from coordinator.tables.checkpoint import is_checkpoint_owed
 from coordinator.transfer.puller import Judge
 from coordinator.validation.validator import Validator
 
-__all__ = ["RunContext", "open_context"]
-
 
 @dataclass(frozen=True)
 class RunContext:

@@ -21,8 +21,6 @@ from schemas.storage.disk import copy_hashed, replacing, set_aside, sync_directo
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
 
-__all__ = ["DirectoryArchive"]
-
 
 class DirectoryArchive(Listing[Path], Closing):
     """Exclusively opened dataset directory: no other coordinator can open it until it is closed.

@@ -29,8 +29,6 @@ from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, digest_of
 from schemas.support.closing import Closing
 
-__all__ = ["ObjectArchive"]
-
 _LOCK = ".lock"
 _NAME = ".name"
 """File name in a home; the file holds the random id that the home writes into the lock object."""

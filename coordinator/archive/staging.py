@@ -20,8 +20,6 @@ from schemas.job import episode_id
 from schemas.storage.disk import translated, world_error
 from schemas.support.closing import Closing
 
-__all__ = ["Staged", "Staging", "is_held"]
-
 _LOCK = ".lock"
 _ASKED_S = 0.001
 """Pause between two attempts to take the lock, seconds."""

@@ -18,8 +18,6 @@ from schemas.errors import TransientError, WorldError
 from schemas.keys import Verb, verb_key
 from schemas.support.log_limit import Repeated
 
-__all__ = ["CoreLink"]
-
 _ANY_RUN = "*"
 _TIMEOUT_S = 5.0
 _PAUSE_S = 0.5

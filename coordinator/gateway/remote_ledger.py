@@ -19,8 +19,6 @@ from schemas.keys import Verb
 from schemas.storage.disk import replacing
 from schemas.wire import Ack, cut_detail
 
-__all__ = ["RemoteLedgerClient", "has_owner", "require_owner", "write_owner"]
-
 OWNER_FILE = "gateway.json"
 """Name of the file in the directory of a gateway."""
 

@@ -34,8 +34,6 @@ from schemas.keys import Chunk, Verb
 from schemas.support.closing import Closing
 from schemas.wire import Lease
 
-__all__ = ["Gateway"]
-
 _ORDERS_S = 0.25
 _SILENCE_S = 10.0
 

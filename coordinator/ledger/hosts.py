@@ -22,22 +22,6 @@ from schemas.keys import host_of
 from schemas.terms import FailReason
 from schemas.wire import AdminReply, Hello, HostStatus
 
-__all__ = [
-    "LONGEST_PAUSE_S",
-    "SESSIONS",
-    "SESSIONS_OF_HOST",
-    "STRIKES",
-    "has_failed_everywhere",
-    "is_alone",
-    "note_alive",
-    "pause_of",
-    "register",
-    "release",
-    "relieve",
-    "strike",
-    "troubled",
-]
-
 STRIKES = 8
 """Strikes after which a host is barred; with the pauses between them this takes at least two minutes."""
 LONGEST_PAUSE_S = 60.0

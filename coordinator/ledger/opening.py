@@ -29,19 +29,6 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 
-__all__ = [
-    "LedgerInfo",
-    "holds_run",
-    "insert_planned",
-    "ledger_url_of",
-    "note_sandbox",
-    "open_run",
-    "planned_digest",
-    "planned_of",
-    "read_info",
-    "require_plan",
-]
-
 _INSERT_ROWS = 5000
 _SCENES = TypeAdapter(dict[str, Sha256])
 _SANDBOX = "sandbox"

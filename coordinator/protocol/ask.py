@@ -16,8 +16,6 @@ from schemas.identity import TlsFiles
 from schemas.keys import Verb, any_hello_key
 from schemas.wire import Ack, AdminReply, AdminRequest, Ping, Progress, Refusal
 
-__all__ = ["OPERATOR", "ask_admin", "ask_presence", "ask_progress", "query", "read_reply"]
-
 OPERATOR = "operator"
 """Default name of a requester."""
 _TIMEOUT_S = 10.0

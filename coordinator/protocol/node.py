@@ -22,8 +22,6 @@ from schemas.keys import Chunk, bundle_selector
 from schemas.support.closing import Closing
 from schemas.wire import Lease
 
-__all__ = ["Admitted", "Configure", "ZenohNode"]
-
 Admitted = Mapping[str, Role]
 Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
 """Function of endpoints and admission list that returns the configuration."""

@@ -48,8 +48,6 @@ from schemas.wire import (
     Trade,
 )
 
-__all__ = ["ParsedRequest", "ProtocolAnswer", "Pull", "Terms", "fail_attempt", "parse", "serve"]
-
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
 _MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(

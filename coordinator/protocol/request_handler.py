@@ -30,8 +30,6 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
-__all__ = ["Load", "RequestHandler"]
-
 _HOST_SHARE = 8
 """Divisor of the total limits for the limits of one host, so that several busy hosts leave capacity for others."""
 _READS_WAITING = 16

@@ -36,8 +36,6 @@ from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
 from schemas.storage.place import Place, at_hand
 
-__all__ = ["Reconciled", "quarantine_ledger", "reconcile", "replace_unusable_ledger"]
-
 log = structlog.get_logger(__name__)
 
 _Verdict = tuple[BundleReceipt, tuple[int, int]] | str

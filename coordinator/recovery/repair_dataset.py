@@ -42,8 +42,6 @@ from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, relative_name
 
-__all__ = ["RepairInput", "repair"]
-
 _LEASE_TTL_S = 15.0
 _LISTED_CHARS = 500
 

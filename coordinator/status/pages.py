@@ -19,8 +19,6 @@ from schemas.wire import Progress
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
 
-__all__ = ["Pages", "plain_page"]
-
 _COUNTERS = (
     (Meter.CLAIMS, "minivla_claims", "Jobs leased by this process."),
     (Meter.ARCHIVED, "minivla_archived", "Episodes archived by this process."),

@@ -26,8 +26,6 @@ from coordinator.status.pages import Pages, plain_page
 from schemas.errors import UsageError, WorldError
 from schemas.support.closing import Closing
 
-__all__ = ["HttpAddress", "StatusServer", "is_own_name", "parse_address"]
-
 _MIN_TOKEN = 16
 _REQUEST_S = 5.0
 """Timeout for receiving a whole request, seconds."""

@@ -29,8 +29,6 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import Lease
 
-__all__ = ["Checker", "Judge", "LedgerClient", "Nearby", "Pullers", "nothing_nearby"]
-
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
 _TURN_S = 0.25

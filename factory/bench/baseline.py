@@ -26,8 +26,6 @@ from workers.physics.mesh_lists import mesh_lists
 from workers.physics.world import ColliderMesh, World
 from workers.render.tiny import TinyScene
 
-__all__ = ["run_baseline"]
-
 
 def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
     """Generates frames at poses spread over those given, with one physics step before each, and returns the rates.

@@ -25,16 +25,6 @@ from schemas.errors import TransientError
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
 from schemas.wire import Beat, BeatReply, Claim, Done, Hello, Lease
 
-__all__ = [
-    "BenchWorker",
-    "WorkCost",
-    "bundle_of",
-    "claim_and_announce",
-    "claim_until_stopped",
-    "deliver_together",
-    "stay_connected",
-]
-
 _LINK_LEASE_S = 60.0
 _ASK_S = 30.0
 _BEAT_S = 0.5

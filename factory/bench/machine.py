@@ -14,16 +14,6 @@ from pathlib import Path
 
 from factory.bench.model import Machine, Memory, Spread, StageCost
 
-__all__ = [
-    "StageRecorder",
-    "StageTimes",
-    "describe_machine",
-    "forget_peak",
-    "measure_memory",
-    "resident_mib",
-    "stage_costs",
-]
-
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _MIB = 1 << 20
 StageTimes = dict[str, tuple[float, float]]

@@ -16,8 +16,6 @@ from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.cull import PartBounds, visible_parts
 
-__all__ = ["bench_render", "poses_in"]
-
 _SEED = 20
 
 

@@ -29,8 +29,6 @@ from workers.geometry.pose import Pose
 from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["bench_rollout"]
-
 StepCallback = Callable[[], None]
 """Called after every attempt."""
 

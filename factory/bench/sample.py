@@ -22,8 +22,6 @@ from schemas.plan import Plan
 from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["BenchSample", "first_attempts", "make_sample", "narrow"]
-
 
 def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
     """Returns the plan with `episodes` episodes in each of these scenes, or in all scenes if `scenes` is empty.

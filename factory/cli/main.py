@@ -25,8 +25,6 @@ from schemas.support.child import SAFE_PATH
 from schemas.support.extras import EXTRA_OF, missing_package
 from workers.process.one_core import one_core
 
-__all__ = ["VERBS", "CommandEntry", "cli", "main"]
-
 _MAKE, _INSPECT, _USE, _LEARN = "Generate", "Inspect", "Export", "Train and evaluate"
 _FARM, _OTHER = "Multiple hosts", "Other"
 _MEASURED = {("bench", "rollout"), ("bench", "render"), ("bench", "memory")}

@@ -23,8 +23,6 @@ from schemas.dataset import EpisodeSummary
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
 
-__all__ = ["Decimated", "EpisodeFacts", "ExportPiece", "Exporter", "Finish", "Options", "stride_of"]
-
 
 class Options(Model):
     """Options of a format. Each field becomes a command line option with its description as help text.

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from coordinator.tables.card_configs import Configs, configs_to_yaml
 from schemas.dataset_meta import DatasetMeta
 
-__all__ = ["CARD_FILE", "TAGS", "export_card"]
-
 CARD_FILE = "README.md"
 TAGS = (
     "robotics",

@@ -26,8 +26,6 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.measure import yaw_of
 from schemas.terms import Split
 
-__all__ = ["DATASET_NAME", "GnmExporter", "GnmFacts", "GnmOptions"]
-
 DATASET_NAME = "minivla_nav"
 """Name of the dataset in `data_config.yaml` and `data_splits`."""
 _PICKLE_PROTOCOL = 2

@@ -19,8 +19,6 @@ from schemas.errors import WorldError
 from schemas.storage.disk import replacing, sync_directory, sync_file, translated, world_error
 from schemas.support.closing import Closing
 
-__all__ = ["WORK_FOLDER", "Output", "sync_tree"]
-
 WORK_FOLDER = ".export"
 _PIECES, _FACTS, _STAGING, _JOURNAL = "pieces", "facts", "staging", "finished"
 _FEW_FILES = 16

@@ -16,8 +16,6 @@ from factory.dataset.episode import Episode
 from factory.export.base import stride_of
 from factory.export.lerobot.columns import frame_columns, kept_frames
 
-__all__ = ["RldsObservation", "Step", "rlds_metadata", "rlds_steps"]
-
 
 class RldsObservation(TypedDict):
     """Observation of a step."""

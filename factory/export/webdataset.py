@@ -23,8 +23,6 @@ from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from schemas.encoding.ndarray import encode_npy
 
-__all__ = ["WebdatasetExporter", "WebdatasetFacts", "WebdatasetOptions", "shards_of"]
-
 MEMBERS_FILE = "members.tar"
 SHARDS_FILE = "shards.json"
 _GZIP_LEVEL = 3

@@ -34,8 +34,6 @@ from workers.geometry.slew import Twist
 from workers.render.process_wire import MAX_SIZE_PX
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["MiniVLANavEnv"]
-
 _FAR_AWAY_M = 10_000.0
 _SUCCESS_REWARD = 10.0
 

@@ -12,8 +12,6 @@ from schemas.storage.place import Place
 from schemas.support.suggest import did_you_mean
 from schemas.terms import Split
 
-__all__ = ["specs_for"]
-
 
 def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> SpecSet:
     """Returns the episodes of an environment.

@@ -18,8 +18,6 @@ from factory.push.files import PushPlan, batches_of
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import missing_package
 
-__all__ = ["PushResult", "push", "require_safe_endpoint"]
-
 ProgressCallback = Callable[[int, int], None]
 """Called with the number of files and bytes of each commit."""
 _AGAIN = "run the same command again; files already on the Hub are not sent again"

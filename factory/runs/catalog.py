@@ -28,8 +28,6 @@ from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from schemas.terms import BUILTIN_CATEGORIES
 
-__all__ = ["collect_scenes", "find_built", "find_imported", "find_package", "open_catalog", "write_target_lists"]
-
 MessageCallback = Callable[[str], None]
 _PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 

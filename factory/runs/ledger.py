@@ -19,8 +19,6 @@ from schemas.plan import Plan
 from schemas.storage.place import Place, children
 from schemas.wire import Progress
 
-__all__ = ["plan_of", "progress_of", "read_ledger"]
-
 
 def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Connection]:
     """Opens the ledger of a dataset for reading.

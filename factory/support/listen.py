@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 from schemas.errors import UsageError
 
-__all__ = ["require_endpoints", "require_loopback", "require_tls_endpoints"]
-
 
 def require_loopback(endpoints: Sequence[str]) -> None:
     """Raises an error unless every endpoint has the form tcp/HOST:PORT with a loopback HOST.

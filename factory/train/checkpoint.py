@@ -14,8 +14,6 @@ from factory.train.torch_import import load_torch
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import replacing
 
-__all__ = ["Checkpoint", "checkpoint_path", "parse_meta", "read_checkpoint", "write_atomically", "write_checkpoint"]
-
 MAX_BYTES = 1 << 30
 """Maximum size of a checkpoint file, bytes."""
 POLICY, STATE = "policy.pt", "state.pt"

@@ -28,8 +28,6 @@ from factory.train.report import EpochMeasures
 from factory.train.vocabulary import encode
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 
-__all__ = ["BcTraining", "TrainingLimits", "ema_decay", "learning_rate"]
-
 _FINAL_SHARE = 0.02
 _STOP_CELL = 3
 """Index of the grid cell with v = 0 and w = 0: tokens 0 and 3."""

@@ -11,18 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-__all__ = [
-    "FAR_M",
-    "PREPROCESS_VERSION",
-    "SIZES",
-    "Batch",
-    "augment",
-    "shrink_depth",
-    "shrink_mask",
-    "shrink_rgb",
-    "to_input",
-]
-
 PREPROCESS_VERSION = 1
 """Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and policies are not reused."""
 SIZES = (64, 80, 128, 160)

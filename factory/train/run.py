@@ -38,8 +38,6 @@ from schemas.terms import Split
 if TYPE_CHECKING:
     from factory.train.fit import BcTraining
 
-__all__ = ["TrainCallbacks", "TrainOrder", "train_bc"]
-
 _METRICS = "metrics.json"
 
 

@@ -22,8 +22,6 @@ from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place, at_hand
 
-__all__ = ["inspect_dataset"]
-
 MessageCallback = Callable[[str], None]
 
 

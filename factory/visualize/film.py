@@ -20,8 +20,6 @@ from schemas.scene import CompiledScene
 from schemas.storage.disk import replacing
 from schemas.support.extras import require_package
 
-__all__ = ["draw_film", "facts_of_step", "film_rate", "require_mp4", "write_gif", "write_mp4"]
-
 _TILE_PX = 320
 _CAPTION_PX = 56
 _MARGIN_PX = 10

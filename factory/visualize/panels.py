@@ -9,8 +9,6 @@ from PIL import Image, ImageDraw, ImageFont
 from schemas.bundle import BundleReader
 from schemas.scene import CompiledScene
 
-__all__ = ["DEPTH_SHOWN_M", "TrackMap", "draw_contact_sheet", "show_depth", "show_ids"]
-
 DEPTH_SHOWN_M = 10.0
 """Depth at the dark end of the colour map, metres."""
 _LEAST_SPAN_M = 8.0

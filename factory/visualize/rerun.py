@@ -24,8 +24,6 @@ from schemas.scene import CompiledScene
 from schemas.storage.disk import replacing
 from schemas.support.extras import missing_package
 
-__all__ = ["FloorPicture", "floor_picture", "view_episode"]
-
 _ROBOT_BOX_M = (
     (-0.607, -0.25, 0.06),
     (0.14, 0.25, 0.556),

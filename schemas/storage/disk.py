@@ -15,17 +15,6 @@ import structlog
 
 from schemas.errors import WorldError
 
-__all__ = [
-    "copy_hashed",
-    "replacing",
-    "require_room",
-    "set_aside",
-    "sync_directory",
-    "sync_file",
-    "translated",
-    "world_error",
-]
-
 _COPY_BYTES = 1 << 20
 log = structlog.get_logger(__name__)
 _REMEDIES = {

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
     from typing_extensions import Buffer
 
-__all__ = ["SCHEMES", "Listed", "Objects", "objects_at"]
-
 SCHEMES = ("s3", "gs", "az")
 _CLIENT: ClientConfig = {"connect_timeout": "5s", "timeout": "10m", "allow_http": True}
 """An endpoint may be http:// if the user gives it so; a bundle may take minutes on a slow connection."""

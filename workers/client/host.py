@@ -20,8 +20,6 @@ from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings
 from workers.client.spool import Spool
 
-__all__ = ["Backoff", "Host", "LeaseBook", "Phase", "make_sid", "tidy_host"]
-
 _MAX_HOST = 48
 _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
 

@@ -22,8 +22,6 @@ from workers.client.host import Backoff, Host
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
 
-__all__ = ["Slot"]
-
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _STARTS = 3

@@ -23,8 +23,6 @@ from workers.client.settings import WorkerSettings
 from workers.client.slot import Slot
 from workers.client.spool import Spool, folder_of
 
-__all__ = ["Ending", "Supervisor", "run_worker"]
-
 _POLL_S = 0.2
 _DRAIN_S = 3.5
 _JOIN_S = 2.0

@@ -18,20 +18,6 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.terms import Split, Tier
 
-__all__ = [
-    "AttemptRecord",
-    "EventRecord",
-    "JobFilter",
-    "JobRecord",
-    "LedgerEpisodes",
-    "count_jobs",
-    "list_jobs",
-    "read_archived",
-    "read_attempts",
-    "read_events",
-    "read_summaries",
-]
-
 _YIELD_ROWS = 1000
 
 

@@ -28,8 +28,6 @@ from rich.text import Text
 
 from factory.cli.common.output import stderr
 
-__all__ = ["Bars", "one_bar"]
-
 _PAUSE_S = 60.0
 _BAR_WIDTHS = (40, 20, 10)
 """Widths of the bar, characters; the first that fits is used."""

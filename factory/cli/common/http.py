@@ -13,8 +13,6 @@ from coordinator.status.health import StatusSource
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 
-__all__ = ["http_options", "status_pages"]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

@@ -18,31 +18,6 @@ from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
 from schemas.terms import ExpertName, RendererKind
 
-__all__ = [
-    "compare_option",
-    "connect_option",
-    "count_option",
-    "dataset_argument",
-    "expert_option",
-    "former_option",
-    "ledger_option",
-    "listen_option",
-    "number_option",
-    "out_option",
-    "place_argument",
-    "plan_argument",
-    "plan_seed_option",
-    "renderer_option",
-    "shrink_options",
-    "shrunk_plan",
-    "site_argument",
-    "tls_option",
-    "verbose_option",
-    "warn_of_empty_splits",
-    "workers_option",
-    "write_option",
-]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

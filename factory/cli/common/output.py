@@ -13,18 +13,6 @@ from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, JustifyMethod
 from rich.table import Table
 
-__all__ = [
-    "FittedTable",
-    "json_option",
-    "print_json",
-    "print_result",
-    "print_table",
-    "print_text",
-    "say_duration",
-    "stderr",
-    "stdout",
-]
-
 R = TypeVar("R")
 _PIPE_COLUMNS = 200
 """Width of tables without a terminal, characters."""

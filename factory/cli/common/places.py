@@ -13,8 +13,6 @@ from schemas.errors import UsageError
 from schemas.job import episode_id
 from schemas.storage.place import Place, place_of
 
-__all__ = ["DIRECTORY", "PLACE", "SITE", "episode_index", "episode_path"]
-
 
 def _folders(word: str) -> list[CompletionItem]:
     """Tells the shell to complete directory names; URLs are not completed."""

@@ -12,8 +12,6 @@ from schemas.storage.place import Place
 from schemas.terms import FailReason
 from schemas.wire import Progress
 
-__all__ = ["print_summary", "say_missing", "summarise"]
-
 _WORDS = {str(FailReason.RELEASED): "returned"}
 """Names of outcomes in the summary, where they differ from the outcome's value."""
 

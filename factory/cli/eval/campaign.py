@@ -27,8 +27,6 @@ from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.errors import UsageError
 from schemas.terms import RendererKind, Split
 
-__all__ = ["Asked", "draw_up", "eval_split_filter", "open_store", "pace_bars", "published", "splits_of"]
-
 _TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
 
 eval_split_filter = split_filter(

@@ -43,8 +43,6 @@ from factory.support.logs import configure_logs
 from schemas.errors import UsageError
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 
 @click.group("eval", cls=DefaultGroup)
 def command() -> None:

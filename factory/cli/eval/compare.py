@@ -12,8 +12,6 @@ from factory.eval.models.result import Variant
 from factory.eval.results.compare import compare
 from factory.eval.results.store import read_policy_folder
 
-__all__ = ["command"]
-
 _RESULTS = click.Path(path_type=Path)
 
 

@@ -20,8 +20,6 @@ from schemas.storage.place import Place
 from schemas.terms import Split
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["command"]
-
 
 @click.command("specs")
 @place_argument

@@ -34,8 +34,6 @@ from factory.support.settings import scene_cache
 from schemas.storage.disk import require_room
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 
 @click.group("coordinator", cls=CommandGroup)
 def command() -> None:

@@ -21,8 +21,6 @@ from schemas.storage.disk import require_room
 from workers.client.host import tidy_host
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 _LISTEN, _TLS_LISTEN = ("tcp/127.0.0.1:7448",), ("tls/0.0.0.0:7447",)
 _POLL_S = 0.5
 

@@ -15,8 +15,6 @@ from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
 
-__all__ = ["command"]
-
 _LISTED = 20
 
 

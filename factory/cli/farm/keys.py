@@ -15,8 +15,6 @@ from factory.cli.common.output import json_option, print_json, print_table
 from factory.keys import HostKeys, admit, create_authority, list_hosts, revoke
 from schemas.identity import Role
 
-__all__ = ["command"]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 _folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 

@@ -27,8 +27,6 @@ from workers.client.settings import WorkerSettings
 from workers.client.stopping import stop_at_eof, stop_on_signals
 from workers.client.supervisor import run_worker
 
-__all__ = ["command"]
-
 
 @click.command("worker")
 @count_option("--cores", 1, "Number of simulation processes, one per core.", most=1024)

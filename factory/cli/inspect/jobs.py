@@ -29,8 +29,6 @@ from schemas.job import episode_id
 from schemas.terms import Split, Tier
 from schemas.wire import MAX_INDICES, AdminAction, AdminReply, AdminRequest
 
-__all__ = ["command"]
-
 
 @click.group("jobs", cls=CommandGroup)
 def command() -> None:

@@ -16,8 +16,6 @@ from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 from schemas.terms import RendererKind
 
-__all__ = ["command"]
-
 
 @click.command("replay")
 @place_argument

@@ -16,8 +16,6 @@ from schemas.storage.place import Place
 if TYPE_CHECKING:
     from factory.report import Summary
 
-__all__ = ["command"]
-
 
 @click.command("report")
 @place_argument

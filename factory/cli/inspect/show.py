@@ -20,8 +20,6 @@ from schemas.scene import CompiledScene, decode_scene
 from schemas.storage.disk import translated
 from schemas.storage.place import Place
 
-__all__ = ["command"]
-
 _GIF_FPS = 15
 _KINDS = (".png", ".mp4", ".gif")
 

@@ -13,8 +13,6 @@ from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow,
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 
-__all__ = ["command"]
-
 _ROLLOUT = ("N", "share", "NE", "TL", "TL med", "steps", "steps med")
 _DASH = "-"
 

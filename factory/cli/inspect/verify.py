@@ -14,8 +14,6 @@ from factory.support.logs import configure_logs
 from factory.verify.dataset import VerifyReport, verify
 from schemas.storage.place import Place
 
-__all__ = ["command"]
-
 
 @click.command("verify")
 @place_argument

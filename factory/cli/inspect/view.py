@@ -19,8 +19,6 @@ from schemas.scene import decode_scene
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 
-__all__ = ["command"]
-
 
 @click.command("view")
 @place_argument

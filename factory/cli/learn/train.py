@@ -25,8 +25,6 @@ from schemas.support.closing import Closing
 from schemas.terms import Split
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 
 @click.group("train", cls=CommandGroup)
 def command() -> None:

@@ -44,8 +44,6 @@ from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["command"]
-
 _PLAIN_FRAMES = 24
 _SAMPLE_PLAN = "demo"
 _MEMORY_JOBS = 25

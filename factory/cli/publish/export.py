@@ -27,8 +27,6 @@ from schemas.errors import UsageError
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 Command = Callable[..., Any]
 _NAMED = 5
 

@@ -35,8 +35,6 @@ from schemas.terms import BUILTIN_CATEGORIES, RendererKind
 from workers.client.stopping import stop_on_signals
 from workers.experts import require_expert
 
-__all__ = ["command"]
-
 
 @click.command("gate")
 @plan_argument(default="paper")

@@ -34,8 +34,6 @@ from schemas.wire import Progress
 from workers.client.stopping import stop_on_signals
 from workers.experts import require_expert
 
-__all__ = ["command"]
-
 
 @click.command("run")
 @plan_argument(default=None)

@@ -21,8 +21,6 @@ from schemas.scene import CompiledScene, decode_scene
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES
 
-__all__ = ["chosen_scene", "open_scene", "scene_argument", "seed_option"]
-
 seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 
 

@@ -22,8 +22,6 @@ from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 
-__all__ = ["command"]
-
 
 @click.group("scene", cls=CommandGroup)
 def command() -> None:

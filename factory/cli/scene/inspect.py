@@ -13,8 +13,6 @@ from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 from factory.cli.scene.package import say_counts, say_rest
 from schemas.storage.disk import translated
 
-__all__ = ["command"]
-
 _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
 
 

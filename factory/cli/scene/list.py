@@ -16,8 +16,6 @@ from schemas.errors import FactoryError
 from schemas.scene import read_scene_info
 from schemas.terms import BUILTIN_CATEGORIES
 
-__all__ = ["command"]
-
 
 @click.command("list")
 @json_option

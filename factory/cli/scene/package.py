@@ -19,19 +19,6 @@ from factory.cli.scene.choice import open_scene
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
 from schemas.terms import Split
 
-__all__ = [
-    "Steps",
-    "describe_package",
-    "draft_plan",
-    "next_steps",
-    "print_others",
-    "print_package",
-    "print_steps",
-    "say_counts",
-    "say_rest",
-    "say_rules",
-]
-
 _IN_WORDS = ("targets", "instances", "no_target", "notes")
 _MOST_NAMES = 12
 _EPISODES = 100

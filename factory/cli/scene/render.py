@@ -14,8 +14,6 @@ from factory.support.logs import configure_logs
 from schemas.storage.disk import translated
 from schemas.terms import RendererKind
 
-__all__ = ["command"]
-
 
 @click.command("render")
 @scene_argument

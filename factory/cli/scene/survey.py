@@ -16,8 +16,6 @@ from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 if TYPE_CHECKING:
     from factory.scenes.survey.report import SpawnSight, SurveyReport
 
-__all__ = ["command", "say_survey"]
-
 
 @click.command("survey")
 @scene_argument

@@ -12,8 +12,6 @@ from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 from schemas.errors import UsageError
 from schemas.storage.disk import translated
 
-__all__ = ["command"]
-
 
 @click.command("targets")
 @scene_argument

@@ -20,18 +20,6 @@ from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 from workers.planning import geodesic_field, geodesic_m
 
-__all__ = [
-    "floor_distance_m",
-    "has_stopped_at",
-    "odometry",
-    "path_length_m",
-    "progress",
-    "soft_spl",
-    "spl",
-    "stops_at_any",
-    "yaws_of",
-]
-
 _NEARBY_M = 0.6
 """Search radius for the nearest reachable grid cell around a pose close to furniture, metres."""
 

@@ -18,20 +18,6 @@ from factory.eval.models.messages import Actions
 from schemas.job import Job
 from schemas.terms import ExpertName
 
-__all__ = [
-    "BlindPolicy",
-    "EpisodeInfo",
-    "Policy",
-    "PolicyFailure",
-    "PolicyFault",
-    "PolicyInput",
-    "PrivilegedPolicy",
-    "PrivilegedState",
-    "ServerAway",
-    "kind_of_actions",
-    "uses_camera",
-]
-
 
 class PolicyInput(TypedDict):
     """Observation passed to a policy before each action."""

@@ -39,8 +39,6 @@ from schemas.config import TaskConfig
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
-__all__ = ["TRACK_HZ", "PolicyCallObserver", "progresses", "request_fields", "run_episode", "thin_track"]
-
 TRACK_HZ = 10
 
 

@@ -16,20 +16,6 @@ from factory.eval.models.spec import EvalSettings, EvalSpec
 from schemas.base import Model, Name, Positive, Sha256
 from schemas.terms import RendererKind
 
-__all__ = [
-    "Actions",
-    "DriverOrder",
-    "EvalReport",
-    "EvalReportKind",
-    "EvalRequest",
-    "EvalTask",
-    "Key",
-    "PolicyLimits",
-    "Setup",
-    "read_report",
-    "to_line",
-]
-
 Actions = tuple[tuple[float, float], ...]
 """Actions (v, w) in m/s and rad/s, one pair per step."""
 Key = tuple[str, Variant, str]

@@ -21,8 +21,6 @@ from schemas.plan import Plan, canonical_json
 from schemas.storage.disk import replacing
 from schemas.terms import ExpertName, Split
 
-__all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet", "read_specs", "spread", "write_specs"]
-
 SPECS_FORMAT = 1
 """Format version of the file of specs. Readers accept this version and older ones; a newer one raises an error."""
 _NO_PLAN = "0" * 64

@@ -19,8 +19,6 @@ from factory.train.vocabulary import encode
 from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 
-__all__ = ["LOOKS_TO_STAND", "BcPolicy", "bc_file"]
-
 LOOKS_TO_STAND = 2
 """Consecutive stop predictions after which the robot stops. It continues to drive until then: after a single wrong
 prediction, a stopped robot would see the same view again and never move."""

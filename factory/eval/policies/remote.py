@@ -18,8 +18,6 @@ from factory.eval.models.messages import PolicyLimits
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package
 
-__all__ = ["MAX_ANSWER_BYTES", "RemotePolicy", "WireError", "pack", "unpack"]
-
 MAX_ANSWER_BYTES = 16 << 20
 _KINDS = "biuf"
 """Supported dtype kinds: bool, integers, unsigned integers and floats; no objects, records or complex numbers."""

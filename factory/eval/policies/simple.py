@@ -21,8 +21,6 @@ from schemas.terms import ExpertName
 from workers.experts import make_expert
 from workers.geometry.slew import Twist
 
-__all__ = ["ExpertPolicy", "PlaybackPolicy", "RandomPolicy", "ReplayPolicy", "StopPolicy"]
-
 _HELD_S = 0.5
 """Duration for which a random twist is held, seconds; with a new twist at every step, the slew limit would average
 them out."""

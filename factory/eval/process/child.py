@@ -32,8 +32,6 @@ from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["main"]
-
 SendReport = Callable[[EvalReport], None]
 
 

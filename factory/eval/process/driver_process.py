@@ -19,8 +19,6 @@ from schemas.support.child import SAFE_PATH, child_environment, python_module
 from schemas.support.jsonl_process import JsonlProcess, describe_exit
 from workers.process.one_core import one_core
 
-__all__ = ["CHILD", "DriverEnded", "DriverProcess", "interrupted_result"]
-
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
 _GRACE_S = 5.0

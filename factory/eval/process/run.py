@@ -20,8 +20,6 @@ from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
 from factory.eval.specs.from_dataset import Places
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["Pace", "run_campaign"]
-
 _POLL_S = 0.05
 _TRIES = 2
 """Number of attempts at an episode when the simulation, not the policy, dies."""

@@ -19,8 +19,6 @@ from typing import NamedTuple, Self
 from factory.eval.driving.simulator import Simulator
 from workers.experts.observation import Observation
 
-__all__ = ["Activity", "DriverStatus", "SharedStatus", "StatusWriter"]
-
 _LAYOUT = struct.Struct("=qdqddddq")
 _CHECK = struct.Struct("=L")
 _TRIES = 100

@@ -26,8 +26,6 @@ from workers.process import messages as worker
 from workers.process.messages import SimulationOrder, failure
 from workers.process.pipes import listen, take_stdout
 
-__all__ = ["main"]
-
 _POLL_S, _TELL_S = 0.1, 1.0
 _NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"
 

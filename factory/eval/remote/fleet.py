@@ -39,8 +39,6 @@ from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.wire import EvalPayload
 
-__all__ = ["FleetAccess", "run_fleet"]
-
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
 """Settings of the coordinator. Results are small; a policy can take its time limit for each of thousands of actions."""

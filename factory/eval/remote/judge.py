@@ -26,8 +26,6 @@ from schemas.job import Job
 from schemas.plan import canonical_json
 from schemas.scene import Target
 
-__all__ = ["EvalReceipt", "ResultJudge", "result_digest", "result_findings"]
-
 _CLOCKS = {"act_ms", "seconds"}
 """Fields that are not reproducible."""
 _TRACK_SLACK_M = 0.003

@@ -20,8 +20,6 @@ from schemas.errors import WorldError
 from schemas.storage.disk import replacing
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["PAGE_FILE", "RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
-
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 _VIDEOS = "videos"
 

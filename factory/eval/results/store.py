@@ -22,8 +22,6 @@ from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import replacing, translated
 from schemas.support.closing import Closing
 
-__all__ = ["EvalManifest", "Store", "folder_name", "read_policy_folder"]
-
 _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
 
 

@@ -15,8 +15,6 @@ from schemas.bundle import BundleReader
 from schemas.dataset import file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 
-__all__ = ["Campaign", "require_recordings", "tasks_for", "with_actions"]
-
 
 def read_actions_of(root: Path, episode: str) -> Actions:
     """Returns the recorded commands of an episode.

@@ -24,8 +24,6 @@ from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle, WorldError
 from schemas.storage.disk import translated
 
-__all__ = ["ExportTask", "PieceResult", "make_piece", "run_tasks"]
-
 Asked = TypeVar("Asked")
 Answer = TypeVar("Answer")
 _AHEAD = 2

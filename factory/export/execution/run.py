@@ -22,8 +22,6 @@ from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
 from schemas.storage.place import Place
 
-__all__ = ["ExportOrder", "ExportProgress", "plan_manifest", "run_export"]
-
 _NAMED = 5
 
 

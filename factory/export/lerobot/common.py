@@ -18,8 +18,6 @@ from factory.export.lerobot.piece import LeRobotFacts, write_piece
 from factory.export.output import Output
 from schemas.dataset_meta import DatasetMeta
 
-__all__ = ["ROBOT", "LeRobotBase", "LeRobotExport", "describe_dataset"]
-
 ROBOT = "nova_carter"
 OptionsT = TypeVar("OptionsT", bound=Decimated)
 _TEXT = """\

@@ -15,21 +15,6 @@ from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, STATE_NAMES
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, Codec
 from schemas.encoding.arrays import FRAME_SIZE_PX
 
-__all__ = [
-    "DEPTH",
-    "FILES",
-    "IDS",
-    "LARGEST_CODE",
-    "RGB",
-    "SHIFT_M",
-    "VECTORS",
-    "DepthCode",
-    "LeRobotOptions",
-    "data_schema",
-    "features_of",
-    "video_keys",
-]
-
 LARGEST_CODE = 4095
 """Largest 12-bit depth code."""
 SHIFT_M = 3.5

@@ -30,8 +30,6 @@ from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_sta
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.arrays import FRAME_SIZE_PX
 
-__all__ = ["FRAMES_FILE", "LeRobotFacts", "empty_tally", "read_columns", "stats_of_images", "write_piece"]
-
 FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _NUMBERED_LATER = ("episode_index", "index", "task_index")

@@ -18,8 +18,6 @@ from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import Numbered
 from factory.export.lerobot.piece import LeRobotFacts, read_columns
 
-__all__ = ["MODALITY", "LeRobotV21Exporter", "LeRobotV21Options"]
-
 VERSION = "v2.1"
 _CHUNK = 1000
 _DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"

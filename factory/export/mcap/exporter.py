@@ -24,8 +24,6 @@ from schemas.scene import CompiledScene, decode_scene
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 
-__all__ = ["START_TIME_S", "McapExporter", "McapOptions"]
-
 START_TIME_S = 1_767_225_600
 """Default start time of ROS 2 stamps, 2026-01-01 00:00 UTC, seconds since 1970."""
 _SPACING_S = 60

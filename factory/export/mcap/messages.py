@@ -19,19 +19,6 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.measure import yaw_of
 from schemas.scene import CompiledScene, Target
 
-__all__ = [
-    "OPTICAL_FROM_BASE",
-    "TOPICS",
-    "TopicMessage",
-    "calibration",
-    "frame_messages",
-    "measured_twists",
-    "paths_of",
-    "pose_of",
-    "stamp_of",
-    "static_messages",
-]
-
 WORLD, BASE, OPTICAL = "world", "base_link", "front_optical"
 OPTICAL_FROM_BASE = (-0.5, 0.5, -0.5, 0.5)
 """Quaternion (x, y, z, w) of the optical frame in base_link: z forward, x right, y down."""

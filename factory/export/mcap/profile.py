@@ -19,8 +19,6 @@ from factory.export.mcap.ros2_cdr import definition_of
 from factory.export.mcap.ros2_cdr import encode as encode_cdr
 from schemas.scene import CompiledScene
 
-__all__ = ["FOXGLOVE", "ROS2", "Profile"]
-
 _LATCHED_QOS = """\
 - history: 1
   depth: 1

@@ -18,8 +18,6 @@ from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibr
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene, Target
 
-__all__ = ["LATCHED", "ROS2_TOPICS", "frame_messages", "static_messages"]
-
 MAP, ODOM, BASE = "map", "odom", "base_link"
 CAMERA, OPTICAL = "front_camera_link", "front_camera_optical_frame"
 _NANOSECONDS = 1_000_000_000

@@ -26,8 +26,6 @@ from factory.runs.catalog import find_package
 from schemas.scene import CompiledScene, SceneInfo, decode_scene
 from schemas.storage.place import Place
 
-__all__ = ["VlnceExporter", "encode_glb"]
-
 PIECE_FILE = "episode.json"
 _GZIP_LEVEL = 6
 _CARD = """
