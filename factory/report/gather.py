@@ -13,18 +13,16 @@ from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.floor_map import map_of
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
-from factory.stats.rows import Rows, read_rows
+from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import decode_scene
 from schemas.storage.place import Place
 
-__all__ = ["choose_samples", "gather", "spread_evenly"]
+__all__ = ["choose_samples", "gather"]
 
 ProgressCallback = Callable[[int, int], None]
-_MOST_DRIVES = 2000
-"""Maximum number of episodes opened for tracks and actions; the statistics use all rows."""
 _TRACK_POINTS = 48
 """Number of points of a thinned track; it resolves the turns of the robot."""
 _FRAMES_TRIED = 6
@@ -55,7 +53,7 @@ def gather(
     drives = Drives()
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
-        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, _MOST_DRIVES)}
+        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, MOST_OPENED)}
         chosen = [row for row in rows.episodes if row.episode_id in opened]
         for done, row in enumerate(chosen, 1):
             _read_drive(root, row, row.episode_id in shown, drives, rows)
@@ -70,7 +68,7 @@ def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drive
         try:
             tokens, track = episode.tokens, _thin(episode.poses[:, :2])
         except ArchiveCorrupt as error:
-            rows.add_damage(name, f"skipped in trajectories, actions and frames: {_format_error(error, root)}")
+            rows.add_damage(name, f"skipped in trajectories, actions and frames: {format_error(error, root)}")
             return
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
@@ -82,7 +80,7 @@ def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: 
     try:
         drives.samples.append(_best_frame(episode))
     except ArchiveCorrupt as error:
-        rows.add_damage(name, f"skipped in the sample frames: {_format_error(error, root)}")
+        rows.add_damage(name, f"skipped in the sample frames: {format_error(error, root)}")
 
 
 def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -107,13 +105,8 @@ def _read_maps(root: Place, rows: Rows) -> dict[str, FloorMap]:
             with find_package(root, name, sha256).path.open("rb") as file:
                 found[name] = map_of(decode_scene(file))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
-            rows.add_damage(SCENES, f"the map of {name} is missing: {_format_error(error, root)}")
+            rows.add_damage(SCENES, f"the map of {name} is missing: {format_error(error, root)}")
     return found
-
-
-def _format_error(error: Exception, root: Place) -> str:
-    """Returns an error message on one line with paths relative to the dataset, so that pages are reproducible."""
-    return " ".join(str(error).replace(f"{root}/", "").split())
 
 
 def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
@@ -126,13 +119,6 @@ def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[Episo
     queues = [_in_turn([row for row in episodes if row.scene == scene]) for scene in scenes]
     mixed = [row for turn in zip_longest(*queues) for row in turn if row is not None]
     return sorted(mixed[:count], key=lambda row: (list(scenes).index(row.scene), row.index))
-
-
-def spread_evenly(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
-    """Returns all episodes, or `count` of them evenly spaced from the first to the last."""
-    if len(episodes) <= count:
-        return list(episodes)
-    return [episodes[place * (len(episodes) - 1) // max(count - 1, 1)] for place in range(count)]
 
 
 def _in_turn(episodes: Sequence[EpisodeSummary]) -> list[EpisodeSummary]:

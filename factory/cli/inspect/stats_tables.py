@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import click
 
 from factory.cli.common.output import print_table, print_text
 from factory.stats import paper
-from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow, Share, Statistics
+from factory.stats.model import (
+    AttemptRow,
+    CountRow,
+    ErrorRow,
+    FarRow,
+    Fit,
+    LanguageRow,
+    LanguageStatistics,
+    RolloutRow,
+    Share,
+    Statistics,
+)
 
-__all__ = ["print_statistics"]
+__all__ = ["print_language", "print_statistics"]
 
 _ROLLOUT = ("N", "share", "NE", "TL", "TL med", "steps", "steps med")
 _DASH = "-"
@@ -39,6 +50,34 @@ def print_statistics(statistics: Statistics) -> None:
     _print_errors(statistics.navigation_error, statistics.success_radius_m, beside)
     _print_fits((*statistics.correlation, paper.FIT) if beside else statistics.correlation)
     _print_overlap(statistics)
+    _print_far(statistics.far)
+
+
+def print_language(found: LanguageStatistics) -> None:
+    """Prints the language statistics, at most 80 columns wide for the built-in scenes."""
+    print_text(f"{found.dataset}: {found.read} of {found.episodes} episodes read, run {found.run}")
+    print_text(f"distinct instructions: {found.instructions}; shares of the episodes with 95 % intervals")
+    print_text("\nFirst frame: the target is the nearest object, the most central object, or the\nmost central of its category")
+    _print_shares(found.rows, {"nearest": "nearest", "central": "central", "of category": "central_of_category"})
+    print_text(
+        "\nThe instruction fits several objects of the scene, or in view in the first frame.\n"
+        "contradictory: the target is not in view, but another of its category is"
+    )
+    columns = {"in scene": "several_in_scene", "in view": "several_in_view", "contradictory": "contradictory"}
+    _print_shares(found.rows, columns)
+    away = found.rows[-1].not_in_front
+    print_text(
+        f"\nInstructions with 'in front of you': {away.of}; the target is not in view within 30\n"
+        f"degrees in {away.count}: {_interval(away)}"
+    )
+    print_text("\nLast frame: the target is in view")
+    body = [(row.group, str(row.in_view.of), _interval(row.in_view)) for row in found.arrivals]
+    _table(("category", "N", "in view"), body)
+
+
+def _print_shares(rows: Sequence[LanguageRow], columns: Mapping[str, str]) -> None:
+    body = [(row.group, *(_interval(getattr(row, field)) for field in columns.values())) for row in rows]
+    _table(("scene", *columns), body)
 
 
 def _print_rollouts(name: str, rows: Sequence[RolloutRow]) -> None:
@@ -146,6 +185,21 @@ def _print_overlap(statistics: Statistics) -> None:
         for row in statistics.overlap
     ]
     _table(("scene", "split", "targets", "also in train_id", "share", "episodes with shared targets"), body)
+
+
+def _print_far(rows: Sequence[FarRow]) -> None:
+    body = [
+        (row.scene, str(row.n), _number(row.mean_m), _ends(row.interval_m), _interval(row.short), _interval(row.corner))
+        for row in rows
+        if row.n
+    ]
+    columns = ("far starts", "N", "floor distance", "95 % interval", "below 5 m", "without a free line")
+    if body:
+        _table(columns, body)
+
+
+def _ends(interval: tuple[float, float] | None) -> str:
+    return _DASH if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}"
 
 
 def _table(columns: Sequence[str], body: Sequence[Sequence[str]]) -> None:
