@@ -132,7 +132,9 @@ def summarise_language(
         arrivals=tuple(
             ArrivalRow(
                 group=name,
-                in_view=_share([v for v in views if name in (ALL, v.row.target_category)], lambda v: v.is_in_view_at_end),
+                in_view=_share(
+                    [v for v in views if name in (ALL, v.row.target_category)], lambda v: v.is_in_view_at_end
+                ),
             )
             for name in (*categories, ALL)
         ),
