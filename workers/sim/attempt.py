@@ -15,6 +15,7 @@ from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
 from schemas.job import Job
 from schemas.measure import measure_track
+from schemas.referents import referents_of
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason
 from workers.experts import Expert, make_expert
@@ -144,7 +145,7 @@ def describe_episode(
         target_prim_path=target.prim_path,
         target_instance_id=target.instance_id,
         target_centroid_m=target.centroid_m,
-        phrase_is_unique=_is_unique(job, info),
+        phrase_is_unique=len(referents_of(job, info)) == 1,
         rollout=_summarise(done.arrays, target, done, draws),
         route=route,
         instances=info.instances,
@@ -152,16 +153,6 @@ def describe_episode(
         content_digest=_NO_DIGEST,
         provenance=provenance,
     )
-
-
-def _is_unique(job: Job, info: SceneInfo) -> bool:
-    says_colour = job.colour != "unknown" and job.colour in job.instruction.split()
-    alike = [
-        target
-        for target in info.targets
-        if target.category == job.category and (not says_colour or target.colour == job.colour)
-    ]
-    return len(alike) == 1
 
 
 def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -> Rollout:

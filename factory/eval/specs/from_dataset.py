@@ -17,6 +17,7 @@ from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
+from schemas.referents import ids_in_view
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
 from schemas.terms import Split
@@ -128,13 +129,8 @@ def categories_in_view(ids: NDArray[np.uint16], instances: Sequence[Instance], m
         instances: Instances of the ids.
         min_pixels: Minimum number of pixels of an object in view.
     """
-    counts = np.bincount(ids.ravel())
-    seen = {
-        instance.category
-        for instance in instances
-        if instance.category is not None and instance.id < len(counts) and counts[instance.id] >= min_pixels
-    }
-    return tuple(sorted(seen))
+    in_view = ids_in_view(ids, min_pixels)
+    return tuple(sorted({each.category for each in instances if each.category is not None and each.id in in_view}))
 
 
 def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
