@@ -19,13 +19,12 @@ from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Rem
 from factory.stats.rollouts import ALL
 from schemas.config import CameraConfig
 from schemas.dataset import EpisodeSummary
-from schemas.language import TEMPLATES, needs_colour
-from schemas.scene import SceneInfo
+from schemas.referents import ids_in_view
 
-__all__ = ["FRONT_RAD", "EpisodeView", "SeenObject", "fitting_ids", "summarise_language", "see_objects"]
+__all__ = ["FRONT_RAD", "EpisodeView", "SeenObject", "see_objects", "summarise_language"]
 
 FRONT_RAD = math.radians(30)
-"""Largest bearing of a target that is in front of the robot, radians."""
+"""Largest angle between the heading and the direction to a target that is "in front of you", radians."""
 _FRONT = "in front of you"
 
 
@@ -43,7 +42,7 @@ class SeenObject:
 
 @dataclass(frozen=True)
 class EpisodeView:
-    """Objects of an episode that its instruction can mean, and those in view."""
+    """Objects that the instruction of an episode fits, and those in view."""
 
     row: EpisodeSummary
     target: int
@@ -56,17 +55,6 @@ class EpisodeView:
     """Objects with a category in view in the first frame."""
     is_in_view_at_end: bool
     """Whether the target is in view in the last frame."""
-
-
-def fitting_ids(info: SceneInfo, row: EpisodeSummary) -> frozenset[int]:
-    """Returns the ids of the objects of a scene that the words of an instruction fit.
-
-    A template with a colour fits the targets of that category and colour; the colour of other objects is not recorded.
-    """
-    if row.template_id in TEMPLATES and needs_colour(row.template_id):
-        alike = [each for each in info.targets if (each.category, each.colour) == (row.target_category, row.colour)]
-        return frozenset(target.instance_id for target in alike)
-    return frozenset(instance.id for instance in info.instances if instance.category == row.target_category)
 
 
 def see_objects(
@@ -85,8 +73,7 @@ def see_objects(
         camera: Camera of the image.
         min_pixels: Smallest mask of an object in view, pixels.
     """
-    counts = np.bincount(ids.ravel(), minlength=max(objects, default=0) + 1)
-    found = sorted(number for number in objects if counts[number] >= min_pixels)
+    found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
     if not found:
         return ()
     # tangents of the angles from the optical axis to the centres of the pixels of a row or column
@@ -181,5 +168,7 @@ def _target(view: EpisodeView) -> SeenObject | None:
 
 
 def _is_in_front(view: EpisodeView) -> bool:
-    target = _target(view)
-    return target is not None and abs(target.bearing_rad) <= FRONT_RAD
+    row = view.row
+    direction = math.atan2(row.goal_y_m - row.spawn_y_m, row.goal_x_m - row.spawn_x_m)
+    bearing = math.remainder(direction - row.spawn_yaw_rad, 2 * math.pi)
+    return _target(view) is not None and abs(bearing) <= FRONT_RAD

@@ -174,7 +174,10 @@ class Fit(Model):
 
 
 class FarRow(Model):
-    """Distances along the floor of the far starts of a scene: the shortest path to the success circle plus its radius."""
+    """Distances along the floor of the far starts of a scene, to the centroid of the target.
+
+    A distance is the shortest path to the success circle plus its radius.
+    """
 
     scene: str
     n: Count
@@ -259,7 +262,7 @@ class LanguageRow(Model):
     contradictory: Share
     """The target is not in view at the start, but another object of its category is."""
     not_in_front: Share
-    """The target is not in view within 30 degrees at the start; of the instructions with `in front of you`."""
+    """The target is not in view, or more than 30 degrees from the heading; of the starts with `in front of you`."""
 
 
 class ArrivalRow(Model):

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 
 from factory.dataset.episode import Episode
 from factory.runs.catalog import find_package
-from factory.stats.language import EpisodeView, fitting_ids, see_objects, summarise_language
+from factory.stats.language import EpisodeView, see_objects, summarise_language
 from factory.stats.model import LanguageStatistics
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.measure import target_in_view
+from schemas.referents import referents, referents_of
 from schemas.scene import SceneInfo
 from schemas.storage.place import Place
 
@@ -68,8 +69,8 @@ def read_view(episode: Episode, infos: Mapping[str, SceneInfo]) -> EpisodeView |
     return EpisodeView(
         row=episode.summary,
         target=target,
-        of_category=frozenset(each.id for each in info.instances if each.category == episode.summary.target_category),
-        fitting=fitting_ids(info, episode.summary),
+        of_category=referents(info, meta.job.category),
+        fitting=referents_of(meta.job, info),
         seen=see_objects(episode.ids(0), episode.depth(0), objects, meta.job.camera, min_pixels),
         is_in_view_at_end=target_in_view(episode.ids(-1), target, min_pixels),
     )

@@ -69,8 +69,8 @@ def print_language(found: LanguageStatistics) -> None:
     _print_shares(found.rows, columns)
     away = found.rows[-1].not_in_front
     print_text(
-        f"\nInstructions with 'in front of you': {away.of}; the target is not in view within 30\n"
-        f"degrees in {away.count}: {_interval(away)}"
+        f"\nInstructions with 'in front of you': {away.of}; the target is not in view, or more than\n"
+        f"30 degrees from the heading, in {away.count}: {_interval(away)}"
     )
     print_text("\nLast frame: the target is in view")
     body = [(row.group, str(row.in_view.of), _interval(row.in_view)) for row in found.arrivals]
@@ -78,8 +78,8 @@ def print_language(found: LanguageStatistics) -> None:
 
 
 def _print_shares(rows: Sequence[LanguageRow], columns: Mapping[str, str]) -> None:
-    body = [(row.group, *(_interval(getattr(row, field)) for field in columns.values())) for row in rows]
-    _table(("scene", *columns), body)
+    body = [(row.group, str(row.n), *(_interval(getattr(row, field)) for field in columns.values())) for row in rows]
+    _table(("scene", "N", *columns), body)
 
 
 def _print_rollouts(name: str, rows: Sequence[RolloutRow]) -> None:

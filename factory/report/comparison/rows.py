@@ -158,9 +158,9 @@ def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
         numbers = (row.steps_mean, said.steps_mean, said.source)
         yield from _compare("tier_statistics", what, kind, *numbers, *why, interval=row.steps_interval)
         if row.group != ALL:
-            what, numbers = f"NE mean, {row.group}", (row.ne_mean_m, said.ne_mean_m, said.source)
-            error = (reasons.explain_error, material.statistics)
-            yield from _compare("tier_statistics", what, "NE", *numbers, *error, interval=row.ne_interval_m)
+            what, ours = f"NE mean, {row.group}", row.ne_mean_m
+            error = (said.source, reasons.explain_error, material.statistics)
+            yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, *error, interval=row.ne_interval_m)
 
 
 def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:

@@ -54,7 +54,7 @@ def draw(material: ReportInput) -> Figure:
         "smallest bearing, or that of its category with the smallest bearing, so that it can be found without language "
         "or without spatial reasoning. Yellow: category and colour of the instruction fit several objects. "
         "Red: the target is not in view in the first frame but another object of its category is (contradictory), or "
-        "the instruction has “in front of you” and the target is not in view within 30 degrees."
+        "the instruction has “in front of you” and the target is not in view or more than 30 degrees from the heading."
     )
     panel = draw_panel(
         "language",
