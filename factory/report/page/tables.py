@@ -30,7 +30,7 @@ class ComparisonCells:
     """95 % interval of `ours`, or empty."""
     published: str
     target: str
-    """Range that agrees with the paper, or empty."""
+    """Range that agrees with the paper; empty if the paper prints it."""
     source: str
     difference: str
     verdict: str
@@ -61,7 +61,7 @@ def format_comparison(row: PaperComparison) -> ComparisonCells:
         _format_value(row, row.ours),
         _format_ends(row, row.interval),
         published,
-        _format_ends(row, row.target),
+        "" if row.published_high is not None else _format_ends(row, row.target),
         row.source,
         _difference(row),
         row.verdict or "",
