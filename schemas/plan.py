@@ -46,7 +46,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "tiers", "splits"})
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "tiers", "splits", "ambiguous"})
 _LATER_PLAN_KEYS = frozenset({"disjoint_instances", "instructions"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
@@ -74,6 +74,8 @@ class ScenePlan(Model):
     allow_outside: bool = False
     """Whether textures of a custom scene may be stored outside its folder."""
 
+    ambiguous: tuple[Name, ...] = ()
+    """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
     tiers: dict[Tier, Fraction] = Field(default_factory=dict)
     """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
     splits: dict[Split, Fraction] = Field(default_factory=dict)
@@ -115,6 +117,9 @@ class ScenePlan(Model):
         both = sorted(set(seen) & set(held_out))
         if both:
             raise ValueError(f"categories both seen and held out: {', '.join(both)}")
+        unnamed = sorted(set(self.ambiguous) - {*seen, *held_out})
+        if unnamed:
+            raise ValueError(f"`ambiguous` lists categories that are neither seen nor held out: {', '.join(unnamed)}")
         if not seen:
             raise ValueError("a scene with `usd` needs `seen = [...]`, the categories to train on")
         return self

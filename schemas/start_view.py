@@ -35,6 +35,11 @@ class StartView(Model):
     alike: InstanceIds = ()
     """Other objects of the target's category. Each is in view only together with the target."""
 
+    @property
+    def shows_target(self) -> bool:
+        """Whether the target is in view."""
+        return bool(self.rivals) or self.within_rad is not None
+
 
 def start_view_findings(
     view: StartView, target: int, bearing_rad: float, ids: NDArray[np.uint16], min_pixels: int
@@ -56,7 +61,7 @@ def start_view_findings(
     if target in shown:
         others = sorted(shown.intersection(view.rivals))
         return [*found, f"objects {others} are in view, which the instruction fits as well"] if others else found
-    if view.rivals or view.within_rad is not None:
+    if view.shows_target:
         found.append("the target is not in view")
     others = sorted(shown.intersection(view.alike))
     return [*found, f"objects {others} of the target's category are in view, the target is not"] if others else found

@@ -48,7 +48,9 @@ def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
         Split.TEST_OOD_OBJ: held_out,
     }
     episodes = sum(numbers.values())
-    return ScenePlan(name=name, episodes=episodes, splits={split: n / episodes for split, n in numbers.items()})
+    shares = {split: number / episodes for split, number in numbers.items()}
+    ambiguous = tuple(category for category in BUILTIN_CATEGORIES[name].seen if category == "rack")
+    return ScenePlan(name=name, episodes=episodes, splits=shares, ambiguous=ambiguous)
 
 
 _BALANCED = Plan(

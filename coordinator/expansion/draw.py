@@ -133,7 +133,7 @@ def _ambiguous_message(cells: SceneCells, ambiguous: Set[str]) -> str:
     return (
         f'instructions.unique is "scene", but no instruction fits only one {" or ".join(sorted(ambiguous))}; '
         f"unique there: {unique or 'nothing'}; remove the other categories from seen and held_out, or set "
-        'instructions.unique to "view"'
+        'instructions.unique to "view", or list them in `ambiguous` of the scene'
     )
 
 
@@ -221,8 +221,9 @@ def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView 
     if plan.instructions.unique == "off":
         return None if within_rad is None else StartView(within_rad=within_rad)
     target = {info.target(episode.target_id).instance_id}
-    rivals = referents_of(episode, info) - target
     alike = referents(info, episode.category) - target
+    is_exempt = any(scene.name == episode.scene and episode.category in scene.ambiguous for scene in plan.scenes)
+    rivals = frozenset() if is_exempt else referents_of(episode, info) - target
     return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
 
 

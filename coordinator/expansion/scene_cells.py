@@ -31,7 +31,7 @@ class SceneCells:
     @cached_property
     def wording(self) -> Wording:
         """Words that instructions may use in the scene."""
-        return Wording(self.plan, self.entry.info)
+        return Wording(self.plan, self.scene, self.entry.info)
 
     @cached_property
     def sides(self) -> Sides:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from schemas.language import needs_colour, say_category, templates_for
-from schemas.plan import Plan
+from schemas.plan import Plan, ScenePlan
 from schemas.referents import referents
 from schemas.scene import SceneInfo, Target
 from schemas.terms import Split
@@ -14,22 +14,23 @@ __all__ = ["Wording"]
 class Wording:
     """Words that the instructions of a plan may use in a scene.
 
-    With `instructions.unique = "scene"`, category and named colour fit exactly one object of the scene. A new kind of
-    words, such as a relation to another object, adds its own set of referents here.
+    With `instructions.unique = "scene"`, category and named colour fit exactly one object of the scene, except for
+    categories that the scene's plan lists as ambiguous. Another kind of words, such as a relation to another object,
+    is one more way to identify a target here.
     """
 
-    def __init__(self, plan: Plan, info: SceneInfo) -> None:
+    def __init__(self, plan: Plan, scene: ScenePlan, info: SceneInfo) -> None:
         self._is_coloured = plan.colors == "on"
-        self._needs_unique = plan.instructions.unique == "scene"
+        self._ambiguous = None if plan.instructions.unique != "scene" else scene.ambiguous
         words = {(each.category, colour) for each in info.targets for colour in (None, self.colour_of(each))}
         self._unique = {
             (category, colour)
             for category, colour in words
-            if self._needs_unique and colour != "unknown" and len(referents(info, category, colour)) == 1
+            if self._needs_unique(category) and colour != "unknown" and len(referents(info, category, colour)) == 1
         }
         self.targets = tuple(each for each in info.targets if self.templates(Split.TRAIN_ID, each))
-        """Targets for which a template is permitted. The split has no effect, because the templates of training and
-        the paraphrased ones both have some with and some without a colour."""
+        """Targets for which a template is permitted, in training or paraphrased: both kinds have templates with and
+        without a colour."""
 
     def colour_of(self, target: Target) -> str:
         """Returns the colour word that instructions may use for a target, or `unknown`."""
@@ -39,11 +40,14 @@ class Wording:
         """Returns the ids of the templates that a split may use for a target, in the paper's order."""
         colour = self.colour_of(target)
         found = templates_for(split, colour)
-        if not self._needs_unique:
+        if not self._needs_unique(target.category):
             return found
         return tuple(
             each for each in found if (target.category, colour if needs_colour(each) else None) in self._unique
         )
+
+    def _needs_unique(self, category: str) -> bool:
+        return self._ambiguous is not None and category not in self._ambiguous
 
     @property
     def unique(self) -> tuple[str, ...]:

@@ -111,11 +111,8 @@ def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> 
         return True
     x, y, _ = target.centroid_m
     bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
-    if job.start_view.within_rad is not None and abs(bearing_rad) > job.start_view.within_rad:
-        return False
     ids = renderer.render_depth_and_ids(pose).ids
-    found = start_view_findings(job.start_view, target.instance_id, bearing_rad, ids, job.gains.min_mask_px)
-    return not found
+    return not start_view_findings(job.start_view, target.instance_id, bearing_rad, ids, job.gains.min_mask_px)
 
 
 def _pose_text(pose: Pose) -> str:

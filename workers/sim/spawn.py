@@ -126,7 +126,7 @@ def _draw_fitting(
         return
     rejected = 0
     for _ in range(job.spawn.grid_draws):
-        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
+        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, job, target, rng)
         fits = np.flatnonzero(_can_start(job, target, place, poses))[:_PREDICTIONS]
         before = rejected
         for x, y, yaw in poses[fits].tolist():
@@ -149,9 +149,14 @@ def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
     return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
 
 
-def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> Poses:
-    x, y = points[int(rng.integers(len(points)))]
-    return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
+def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
+    """Returns one pose with any heading, or with a heading that may show the target if the job requires this."""
+    x, y = points[int(rng.integers(len(points)))].tolist()
+    if job.start_view is None or not job.start_view.shows_target:
+        return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
+    within_rad = job.start_view.within_rad or math.radians(job.camera.fov_deg) / 2
+    towards = math.atan2(target.centroid_m[1] - y, target.centroid_m[0] - x)
+    return np.array([[x, y, math.remainder(towards + rng.uniform(-within_rad, within_rad), 2 * math.pi)]])
 
 
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
