@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from schemas.referents import ids_in_view
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
 from schemas.terms import Split
+from workers.geometry.pose import Pose
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
@@ -144,13 +144,11 @@ def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
 def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, float] | None:
     """Redraws the start pose of the attempt; returns `None` if this version draws another pose."""
     target = place.scene.info.target(meta.job.target_id)
-    draws = draw_poses(meta.job, target, place, meta.job.rng())
-    pose = next(itertools.islice(draws, meta.rollout.spawn_draws - 1, None), None)
-    if pose is None:
-        return None
     x, y, yaw = meta.rollout.spawn_pose
-    is_same = (
-        math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
-        and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
-    )
-    return (pose.x, pose.y, pose.yaw) if is_same else None
+
+    def is_recorded(pose: Pose) -> bool:
+        is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
+        return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
+
+    found = next(draw_poses(meta.job, target, place, meta.job.rng(), is_recorded), None)
+    return None if found is None else (found.x, found.y, found.yaw)
