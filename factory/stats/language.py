@@ -19,13 +19,11 @@ from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Rem
 from factory.stats.rollouts import ALL
 from schemas.config import CameraConfig
 from schemas.dataset import EpisodeSummary
+from schemas.language import TEMPLATES, says_in_front
 from schemas.referents import ids_in_view
+from schemas.start_view import IN_FRONT_RAD
 
-__all__ = ["FRONT_RAD", "EpisodeView", "SeenObject", "see_objects", "summarise_language"]
-
-FRONT_RAD = math.radians(30)
-"""Largest angle between the heading and the direction to a target that is "in front of you", radians."""
-_FRONT = "in front of you"
+__all__ = ["EpisodeView", "SeenObject", "see_objects", "summarise_language"]
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ def summarise_language(
 
 
 def _row(group: str, views: Sequence[EpisodeView]) -> LanguageRow:
-    in_front = [view for view in views if _FRONT in view.row.instruction]
+    in_front = [view for view in views if view.row.template_id in TEMPLATES and says_in_front(view.row.template_id)]
     return LanguageRow(
         group=group,
         n=len(views),
@@ -171,4 +169,4 @@ def _is_in_front(view: EpisodeView) -> bool:
     row = view.row
     direction = math.atan2(row.goal_y_m - row.spawn_y_m, row.goal_x_m - row.spawn_x_m)
     bearing = math.remainder(direction - row.spawn_yaw_rad, 2 * math.pi)
-    return _target(view) is not None and abs(bearing) <= FRONT_RAD
+    return _target(view) is not None and abs(bearing) <= IN_FRONT_RAD

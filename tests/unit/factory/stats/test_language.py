@@ -111,13 +111,12 @@ def test_a_target_in_front_is_in_view_and_within_30_degrees_of_the_heading(
     degrees: float, is_seen: bool, wrong: int
 ) -> None:
     seen = (SeenObject(7, 1.0, 0.0),) if is_seen else ()
-    text = instruction("train_11", "chair", "red")
-    row = all_of([view(seen, instruction=text, spawn_yaw_rad=math.radians(degrees)), view(())])
+    row = all_of([view(seen, template_id="train_11", spawn_yaw_rad=math.radians(degrees)), view(())])
     assert counted(row.not_in_front) == (wrong, 1)
 
 
 def test_rows_are_grouped_by_scene_and_arrivals_by_category() -> None:
-    views = [view((), arrives=False), view(()), view((), scene="hospital", target_category="sofa")]
+    views = [view((), arrives=False), view(()), view((), scene="hospital", target_category="sofa", template_id="own")]
     found = summarise_language("data", "run", ["office", "hospital"], 3, views)
     assert [(row.group, row.n) for row in found.rows] == [("office", 2), ("hospital", 1), ("all", 3)]
     assert [(row.group, *counted(row.in_view)) for row in found.arrivals] == [
