@@ -58,12 +58,12 @@ def print_language(found: LanguageStatistics) -> None:
     print_text(f"{found.dataset}: {found.read} of {found.episodes} episodes read, run {found.run}")
     print_text(f"distinct instructions: {found.instructions}; shares of the episodes with 95 % intervals")
     print_text(
-        "\nFirst frame: the target is the nearest object, the most central object, or the\nmost central of its category"
+        "\nThe target is the nearest object in view at the start, the most central object,\nor the most central of its category"
     )
     _print_shares(found.rows, {"nearest": "nearest", "central": "central", "of category": "central_of_category"})
     print_text(
-        "\nThe instruction fits several objects in the scene, or in view in the first\nframe; "
-        "contradictory: the target is not in view, but another of its category"
+        "\nThe instruction fits several objects in the scene, or in view at the start.\n"
+        "contradictory: another object of the category is in view, but not the target"
     )
     columns = {"in scene": "several_in_scene", "in view": "several_in_view", "contradictory": "contradictory"}
     _print_shares(found.rows, columns)

@@ -122,7 +122,7 @@ def _verdict(material: ReportInput, comparisons: Sequence[PaperComparison]) -> s
     verdicts = Counter(row.verdict for row in comparisons if row.verdict)
     return (
         f"{len(comparisons)} numbers of the paper are compared with this dataset; {len(away)} differ noticeably; their "
-        f"reasons are next to the figures. {verdicts.total()} of them have a 95 % interval. The interval is inside the "
+        f"reasons are next to the figures. {verdicts.total()} of the numbers have a 95 % interval: it is inside the "
         f"target for {verdicts['inside']}, outside for {verdicts['outside']}, and overlaps its edge for "
         f"{verdicts['undecided']}, which are undecided. {means}"
     )
