@@ -58,7 +58,8 @@ def print_language(found: LanguageStatistics) -> None:
     print_text(f"{found.dataset}: {found.read} of {found.episodes} episodes read, run {found.run}")
     print_text(f"distinct instructions: {found.instructions}; shares of the episodes with 95 % intervals")
     print_text(
-        "\nThe target is the nearest object in view at the start, the most central object,\nor the most central of its category"
+        "\nThe target is the nearest object in view at the start, the most central object,\n"
+        "or the most central of its category"
     )
     _print_shares(found.rows, {"nearest": "nearest", "central": "central", "of category": "central_of_category"})
     print_text(
