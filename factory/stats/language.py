@@ -23,8 +23,6 @@ from schemas.language import TEMPLATES, says_in_front
 from schemas.referents import ids_in_view
 from schemas.start_view import IN_FRONT_RAD
 
-__all__ = ["EpisodeView", "SeenObject", "see_objects", "summarise_language"]
-
 
 @dataclass(frozen=True)
 class SeenObject:

@@ -17,8 +17,6 @@ from schemas.referents import referents, referents_of
 from schemas.scene import SceneInfo
 from schemas.storage.place import Place
 
-__all__ = ["measure_language", "read_view"]
-
 ProgressCallback = Callable[[int, int], None]
 
 

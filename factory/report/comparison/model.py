@@ -7,8 +7,6 @@ from typing import Literal
 from factory.stats.model import Interval
 from schemas.base import Model
 
-__all__ = ["PaperComparison", "Verdict", "verdict_of"]
-
 Verdict = Literal["inside", "outside", "undecided"]
 """Position of a 95 % interval relative to a target: wholly inside, wholly outside, or partly inside."""
 

@@ -12,8 +12,6 @@ from factory.report.drawing.text import count, interval, name
 from factory.stats.language import summarise_language
 from factory.stats.model import LanguageRow, LanguageStatistics, Share
 
-__all__ = ["draw"]
-
 _MEASURES = {
     "nearest": ("target is nearest", "won"),
     "central": ("target is most central", "won"),
