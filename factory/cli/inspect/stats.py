@@ -22,6 +22,7 @@ from factory.stats.model import (
     Share,
     Statistics,
 )
+from factory.stats.views import measure_language
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 
@@ -58,8 +59,6 @@ def command(root: Place, language: bool, compare_paper: bool | None, as_json: bo
 
 
 def _measure_language(root: Place) -> LanguageStatistics:
-    from factory.stats.views import measure_language  # opens scene packages, which takes a second to import
-
     with Bars(transient=True) as bar:
         task = bar.add_task("episodes", total=None)
         return measure_language(root, lambda done, total: bar.update(task, completed=done, total=total))
