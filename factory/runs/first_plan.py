@@ -14,13 +14,13 @@ __all__ = ["draft_plan"]
 _EPISODES = 100
 
 
-def draft_plan(entry: SceneEntry, usd: str, **files: str | bool) -> Plan | None:
+def draft_plan(entry: SceneEntry, usd: str, **files: object) -> Plan | None:
     """Returns a feasible plan of a scene; holds out the rarest category if the scene has two or more.
 
     Args:
         entry: Scene.
         usd: Path of the root layer of the stage.
-        files: `rules`, `targets` and `allow_outside` of the scene, if used for the import.
+        files: `rules`, `targets`, `allow_outside` and `ceiling_m` of the scene, if used for the import.
 
     Returns:
         The plan, or `None` when no target has a valid start pose for the expert.

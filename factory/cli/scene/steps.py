@@ -25,14 +25,14 @@ class Steps:
     """A first plan as TOML; `None` if no target has a feasible start."""
 
 
-def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, str | bool]) -> Steps:
+def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, object]) -> Steps:
     """Returns the next steps for a scene package.
 
     Args:
         package: file of the scene package.
         usd: the stage's root layer.
         is_in_cache: True if the package is in the cache, where it is found by name.
-        files: files and flags of the import, as in the scene of a plan.
+        files: files and other options of the import, as in the scene of a plan.
     """
     entry = read_entry(package)
     name = entry.info.name
