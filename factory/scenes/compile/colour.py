@@ -1,7 +1,7 @@
 """Converts colours between sRGB, linear light and CIELAB, and assigns basic colour names.
 
-The eleven names are those of Berlin and Kay (Basic Color Terms, 1969). Their sectors of lightness, chroma and hue follow
-the names that people gave in the XKCD colour survey (Munroe 2010, blog.xkcd.com/2010/05/03/color-survey-results).
+The eleven names are those of Berlin and Kay (Basic Color Terms, 1969). Their sectors of lightness, chroma and hue
+follow the XKCD colour survey (Munroe 2010, blog.xkcd.com/2010/05/03/color-survey-results).
 Pure. Does not choose the surfaces to sample.
 """
 

@@ -82,9 +82,7 @@ def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles
     return (reached * counts).sum(axis=0) / total, counts.T
 
 
-def lamp_light(
-    caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, rays: Rays
-) -> tuple[Floats, Floats]:
+def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, rays: Rays) -> tuple[Floats, Floats]:
     """Returns (N,) the unoccluded light of the lamps at each texel, and the share that its open spots see."""
     middle = texels.points.mean(axis=1)
     cells = np.column_stack((np.floor(middle / _CELL_M), texels.is_bent))
@@ -124,7 +122,10 @@ def _lit(
         along, across = (numbers[:, ray, side].take(pattern) for side in (0, 1))
         spot = ray % SPOTS
         gap = [
-            corner[k].take(lamp) + along * sides[0, k].take(lamp) + across * sides[1, k].take(lamp) - origins[spot, :, k]
+            corner[k].take(lamp)
+            + along * sides[0, k].take(lamp)
+            + across * sides[1, k].take(lamp)
+            - origins[spot, :, k]
             for k in range(3)
         ]
         length = np.maximum(np.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]), np.float32(1e-6))

@@ -111,8 +111,15 @@ def test_the_width_of_a_footprint_does_not_depend_on_its_rotation(degrees: float
 
 
 def test_a_bed_is_no_bed_without_its_size_and_its_name_may_be_a_synonym(tmp_path: Path) -> None:
-    sizes = {"Fridge": (0.7, 0.7, 1.8), "TV_01": (1.2, 0.1, 0.7), "BunkBed": (2.0, 1.0, 1.7), "Bed_Toy": (0.2, 0.1, 0.1)}
-    body = "".join(TEXT.box(name, (5.0 * k, 0, 0), (5.0 * k + s[0], s[1], s[2])) for k, (name, s) in enumerate(sizes.items()))
+    sizes = {
+        "Fridge": (0.7, 0.7, 1.8),
+        "TV_01": (1.2, 0.1, 0.7),
+        "BunkBed": (2.0, 1.0, 1.7),
+        "Bed_Toy": (0.2, 0.1, 0.1),
+    }
+    body = "".join(
+        TEXT.box(name, (5.0 * k, 0, 0), (5.0 * k + s[0], s[1], s[2])) for k, (name, s) in enumerate(sizes.items())
+    )
     assert sorted(found(tmp_path, body)) == [("BunkBed", "bed"), ("Fridge", "refrigerator"), ("TV_01", "television")]
 
 
