@@ -19,12 +19,14 @@ from factory.cli.common.http import http_options, status_pages
 from factory.cli.common.options import (
     ledger_option,
     listen_option,
+    number_option,
     out_option,
     plan_argument,
     shrink_options,
     tls_option,
     verbose_option,
 )
+from factory.cli.common.output import say_building
 from factory.cli.common.summary import say_missing
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, write_target_lists
@@ -32,8 +34,6 @@ from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.storage.disk import require_room
 from workers.client.stopping import stop_on_signals
-
-__all__ = ["command"]
 
 
 @click.group("coordinator", cls=CommandGroup)
@@ -49,14 +49,13 @@ def command() -> None:
     "--tls: tls/0.0.0.0:7447."
 )
 @ledger_option
-@click.option(
+@number_option(
+    "SECONDS",
     "--lease",
+    CoordinatorSettings().lease_ttl_s,
+    "Lease time of a job, seconds. A worker that sends no heartbeat for this time loses its job.",
     "lease_ttl_s",
-    type=click.FloatRange(1.0),
-    default=CoordinatorSettings().lease_ttl_s,
-    show_default=True,
-    metavar="SECONDS",
-    help="Lease time of a job, seconds. A worker that sends no heartbeat for this time loses its job.",
+    least=1.0,
 )
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
@@ -90,7 +89,7 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        catalog = open_catalog(plan, site.place, scene_cache(), say_building)
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)

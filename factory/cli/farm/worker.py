@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -13,6 +13,7 @@ from factory.cli.common.options import (
     connect_option,
     count_option,
     former_option,
+    number_option,
     renderer_option,
     tls_option,
     verbose_option,
@@ -25,8 +26,6 @@ from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
 from workers.client.stopping import stop_at_eof, stop_on_signals
 from workers.client.supervisor import run_worker
-
-__all__ = ["command"]
 
 
 @click.command("worker")
@@ -43,14 +42,13 @@ __all__ = ["command"]
     metavar="DIR",
     help="Directory of finished bundles that the coordinator has not fetched yet. Default: in the user's cache.",
 )
-@click.option(
+@number_option(
+    "SECONDS",
     "--connect-timeout",
+    30.0,
+    "Timeout for the first connection to a coordinator, seconds.",
     "wait_s",
-    type=click.FloatRange(0.0),
-    default=30.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Timeout for the first connection to a coordinator, seconds.",
+    least=0.0,
 )
 @former_option("--wait", "wait_s", "--connect-timeout", type=click.FloatRange(0.0))
 @click.option("--import-policies", is_flag=True, help="Allow evaluations to import policy classes on this host.")
@@ -60,7 +58,7 @@ __all__ = ["command"]
 def command(
     cores: int,
     connect: tuple[str, ...],
-    renderer: str,
+    renderer: RendererKind,
     spool: Path | None,
     wait_s: float,
     import_policies: bool,
@@ -81,7 +79,7 @@ def command(
     settings = WorkerSettings(
         connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
         cores=cores,
-        renderer=cast(RendererKind, renderer),
+        renderer=renderer,
         wait_s=wait_s,
         eval_command=_eval_command(renderer, import_policies),
         **more,
@@ -92,7 +90,7 @@ def command(
         return run_worker(settings, stop, at_once)
 
 
-def _eval_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
+def _eval_command(renderer: RendererKind, import_policies: bool) -> tuple[str, ...]:
     return python_module(
         "factory.eval.remote.eval_worker", "--renderer", renderer, *["--import-policies"] * import_policies
     )

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import cast
 
 import click
 
-from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_path
+from factory.cli.common.bars import one_bar
 from factory.cli.common.options import place_argument, renderer_option
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_path
 from factory.runs.replay import Replay, replay_episode
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 from schemas.terms import RendererKind
-
-__all__ = ["command"]
 
 
 @click.command("replay")
@@ -24,21 +21,15 @@ __all__ = ["command"]
 @click.argument("episode")
 @renderer_option
 @json_option
-def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
+def command(root: Place, episode: str, renderer: RendererKind, as_json: bool) -> int:
     """Simulate one episode again and compare its content.
 
     EPISODE is a name or number: ep_000001 or 1. Exits with 1 if the content differs.
     """
     configure_logs()
     path = episode_path(root, episode)
-    with Bars(transient=True) as bar:
-        task = bar.add_task(f"replaying {path.stem}", total=None)
-        outcome = replay_episode(
-            root,
-            path,
-            cast(RendererKind, renderer),
-            lambda step, steps: bar.update(task, completed=step, total=steps),
-        )
+    with one_bar(f"replaying {path.stem}") as tell:
+        outcome = replay_episode(root, path, renderer, tell)
     if as_json:
         print_json({**asdict(outcome), "identical": outcome.is_identical})
     else:

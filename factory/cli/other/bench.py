@@ -13,33 +13,29 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar, cast
 
 import click
 
 from coordinator.expansion.file import load_plan
 from factory.bench.coordinator import bench_coordinator
-from factory.bench.machine import describe_machine
+from factory.bench.machine import StageRecorder, describe_machine
 from factory.bench.memory import bench_memory
 from factory.bench.model import RenderBench, RolloutBench
 from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
-from factory.bench.sample import make_sample
-from factory.bench.stage_times import StageRecorder
-from factory.bench.work import first_attempts, narrow
+from factory.bench.sample import first_attempts, make_sample, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import count_option, former_option, plan_argument, renderer_option, workers_option
-from factory.cli.common.output import json_option, print_json
+from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
 from factory.cli.other.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from schemas.base import Model
 from schemas.config import CameraConfig
 from schemas.plan import Plan
 from schemas.storage.place import Place
@@ -47,15 +43,11 @@ from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["command"]
-
 _PLAIN_FRAMES = 24
 _SAMPLE_PLAN = "demo"
 _MEMORY_JOBS = 25
 """Number of different jobs of each scene; they are repeated in turn."""
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-Report = TypeVar("Report", bound=Model)
 
 _repeats_option = count_option("--repeats", 3, "Number of timed runs; the result is their median.")
 
@@ -86,7 +78,7 @@ def rollout(
     repeats: int,
     against: str | None,
     frames: int,
-    renderer: str,
+    renderer: RendererKind,
     as_json: bool,
 ) -> None:
     """Measure the speed of collection on one core.
@@ -101,13 +93,13 @@ def rollout(
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(cast(RendererKind, renderer), recorder) as stage:
+            with SceneRenderer(renderer, recorder) as stage:
                 jobs = first_attempts(plan, catalog, name)
                 plain_frames = frames if against else 0
                 results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
                 described = stage.renderer.description
     report = RolloutBench(machine=machine, renderer=described, plan=plan.name, repeats=repeats, scenes=results)
-    _print(report, as_json, show_rollout)
+    print_result(report, as_json, show_rollout)
 
 
 @command.command("render")
@@ -116,7 +108,7 @@ def rollout(
 @_repeats_option
 @renderer_option
 @json_option
-def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
+def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: RendererKind, as_json: bool) -> None:
     """Measure the speed of rendering.
 
     All runs render the same random poses of each scene.
@@ -127,12 +119,14 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(cast(RendererKind, renderer), recorder) as stage:
+            with SceneRenderer(renderer, recorder) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
                 results[name] = bench_render(scene, stage.renderer, recorder, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
             tell()
-    _print(RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render)
+    print_result(
+        RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render
+    )
 
 
 @command.command("memory")
@@ -140,7 +134,7 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
 @count_option("--episodes", 200, "Total number of episodes; most are ended early.", least=20)
 @renderer_option
 @json_option
-def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json: bool) -> None:
+def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: RendererKind, as_json: bool) -> None:
     """Measure the memory of a simulation over many episodes.
 
     The process switches to another scene after each episode.
@@ -150,9 +144,9 @@ def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json
         catalog = open_catalog(plan, folder, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
         jobs = [job for turn in turns for job in turn]
-        command = WorkerSettings(connect=(), renderer=cast(RendererKind, renderer)).simulation_command
+        command = WorkerSettings(connect=(), renderer=renderer).simulation_command
         report = bench_memory(jobs, catalog, command, episodes, tell)
-    _print(report, as_json, show_memory)
+    print_result(report, as_json, show_memory)
 
 
 @command.command("coordinator")
@@ -185,7 +179,7 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
             bundle_bytes=bundle_mb * 1_000_000,
             repeats=repeats,
         )
-    _print(report, as_json, show_coordinator)
+    print_result(report, as_json, show_coordinator)
 
 
 @command.command("read")
@@ -207,7 +201,7 @@ def read(
             root = made = folder / "sample"
             _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), folder)
         report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
-    _print(report, as_json, show_read)
+    print_result(report, as_json, show_read)
 
 
 def _make_sample(root: Path, plan: Plan, folder: Path) -> None:
@@ -227,10 +221,3 @@ def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
     with Bars(refresh_per_second=1) as bar:
         task = bar.add_task(f"bench {name}", total=total)
         yield lambda: bar.advance(task)
-
-
-def _print(report: Report, as_json: bool, show: Callable[[Report], None]) -> None:
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        show(report)
