@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from factory.cli.verbs import VERBS
+from factory.cli.main import VERBS
 from tests.builders.fork_server import ForkServer
 
 TINY_PLAN = """
