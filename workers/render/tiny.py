@@ -27,8 +27,6 @@ from workers.render import DepthAndIds, RenderedFrame
 from workers.render.shelf import SceneShelf
 from workers.render.sky import SkyPainter
 
-__all__ = ["TinyRenderer", "TinyScene"]
-
 _KEPT_SCENES = 2
 _TEXTURE_PX = 128
 """Size to which textures are reduced, pixels: TinyRenderer samples single texels, which flicker at full resolution."""
