@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from schemas.config import InstructionConfig
-from schemas.plan import Plan, ScenePlan
+from schemas.plan import Budget, Plan, ScenePlan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
 
 __all__ = ["BUILTIN_PLANS", "is_paper_plan"]
@@ -60,10 +60,11 @@ _BALANCED = Plan(
     balance="categories_overall",
     disjoint_instances=True,
     instructions=InstructionConfig(unique="view"),
+    budget=Budget(attempts_per_draw=3),
 )
 """1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
 training and evaluation, instructions that fit one object. The numbers of the scenes are the evenest ones with which
-the office still names all its categories (docs/decisions/0136-*.md)."""
+the office still names all its categories (docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 
