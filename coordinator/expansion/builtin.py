@@ -58,8 +58,8 @@ _BALANCED = Plan(
     budget=Budget(attempts_per_draw=3),
 )
 """1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
-training and evaluation, instructions that fit one object. The numbers of the scenes are the evenest ones with which
-the office still names all its categories (docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
+training and evaluation, instructions that fit one object. The numbers of the scenes permit equal shares and let each
+scene name all its categories (docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 

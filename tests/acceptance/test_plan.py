@@ -114,7 +114,7 @@ def test_a_plan_is_shown_with_its_categories_templates_and_expected_ambiguity(fa
     shown = factory("plan", "show", plan).stdout
     assert "share of the three most frequent categories: 100.0%" in shown
     assert "expected ambiguity: 50.0% of the instructions fit several objects of the scene" in shown
-    assert "50.0% get a start that shows only the target, 0.0% any start" in shown
+    assert "50.0% get a start that shows only the target, 0.0% do not" in shown
     content = factory.json("plan", "show", plan)["content"]
     assert {row["category"]: (row["episodes"], row["share"]) for row in content["categories"]} == {
         "chair": (20, 0.5),

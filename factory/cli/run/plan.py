@@ -159,7 +159,7 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
     print_text(
         f"expected ambiguity: {content.ambiguous / total:.1%} of the instructions fit several objects of the scene\n"
         f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
-        f"{(content.ambiguous - content.shown_alone) / total:.1%} any start"
+        f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
     )
 
 
