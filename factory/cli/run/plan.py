@@ -51,7 +51,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     mistakes = None if unknown else find_impossible(plan, found)
     content = summarise(plan, found) if mistakes == [] else None
     if as_json:
-        told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
+        told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
         told |= {"content": None if content is None else _content_data(content)}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
