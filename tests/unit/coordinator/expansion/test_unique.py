@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import tomllib
 
 import pytest
 
 from coordinator.expansion.draw import expand, find_impossible, redraw, to_job
+from coordinator.expansion.file import parse_plan
 from coordinator.expansion.nearest import find_nearest
+from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.summary import summarise
 from schemas.job import Job
 from schemas.language import needs_colour
@@ -90,6 +93,14 @@ def test_categories_listed_as_ambiguous_are_exempt_from_uniqueness():
     assert {job.target_id for job in jobs} == {"monitor_001", "monitor_002", "plant_001"}
     shown = [job.start_view for job in _jobs(_plan("view", seen=("monitor",), ambiguous=("monitor",)))]
     assert all(view is not None and view.rivals == () and view.alike in {(5,), (6,)} for view in shown)
+
+
+def test_the_nearest_plan_exempts_only_categories_that_it_names():
+    plan = _plan("view", seen=("chair", "sofa"), ambiguous=("chair", "sofa"))
+    nearest = find_nearest(plan, {"office": ENTRY}).plan
+    assert nearest is not None
+    assert (nearest.scenes[0].seen, nearest.scenes[0].ambiguous) == (("chair",), ("chair",))
+    assert parse_plan(tomllib.loads(plan_to_toml(nearest)), "nearest") == nearest
 
 
 def test_ambiguous_categories_must_be_named_by_the_scene():
