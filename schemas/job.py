@@ -14,8 +14,6 @@ from schemas.plan import MAX_EPISODES
 from schemas.start_view import StartView
 from schemas.terms import ExpertName
 
-__all__ = ["EPISODE_ID_FORMAT", "Job", "episode_id"]
-
 EPISODE_ID_FORMAT = "ep_{:06d}"
 
 

@@ -15,8 +15,6 @@ from coordinator.expansion.file import shrink
 from schemas.plan import Plan
 from schemas.referents import referents_of
 
-__all__ = ["MOST_SUMMARISED", "PlanSummary", "summarise"]
-
 MOST_SUMMARISED = 6_000
 """Largest number of expanded episodes; a larger plan is reduced to it in the same proportions."""
 
