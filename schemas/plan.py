@@ -46,7 +46,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "tiers", "splits", "disjoint_instances", "ambiguous"})
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -72,6 +72,8 @@ class ScenePlan(Model):
     """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
     allow_outside: bool = False
     """Whether textures of a custom scene may be stored outside its folder."""
+    ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
+    """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
 
     ambiguous: tuple[Name, ...] = ()
     """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
