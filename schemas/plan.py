@@ -47,7 +47,6 @@ PAPER_SPLITS = MappingProxyType(
     }
 )
 _LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous"})
-_LATER_PLAN_KEYS = frozenset({"disjoint_instances", "instructions"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -167,8 +166,10 @@ class Plan(Model):
     categories of all scenes first."""
     disjoint_instances: bool = False
     """Whether training and the evaluation of seen categories use different instances if a scene has enough of them."""
-    instructions: InstructionConfig = InstructionConfig()
-    """Parameters of the instructions."""
+    instructions: InstructionConfig = Field(
+        default=InstructionConfig(), exclude_if=lambda wanted: wanted == InstructionConfig()
+    )
+    """Parameters of the instructions; omitted if they are the defaults."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -187,8 +188,7 @@ class Plan(Model):
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        unused = {key for key in _LATER_PLAN_KEYS if getattr(self, key) == type(self).model_fields[key].default}
-        return {key: value for key, value in data.items() if key not in unused}
+        return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
 
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:

@@ -101,8 +101,9 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
                     FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_pose_text(start)}", 0
                 )
             return _drive_and_seal(attempt, world, expert, planned, draws)
-    detail = f"no valid start pose for {job.target_id} in tier {job.tier} in {job.spawn.physics_draws} draws"
-    return AttemptFailure(FailReason.SPAWN, detail, 0)
+    conditions = "" if job.start_view is None else ", whose view meets the conditions of the instruction,"
+    tries = f"in tier {job.tier} in {job.spawn.physics_draws} draws"
+    return AttemptFailure(FailReason.SPAWN, f"no valid start pose{conditions} for {job.target_id} {tries}", 0)
 
 
 def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:

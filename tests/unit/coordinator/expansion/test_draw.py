@@ -109,8 +109,8 @@ def test_colour_templates_are_left_out_when_colours_are_off():
     assert sum(name.startswith("train") for name in drawn) == 14
 
 
-def test_balanced_plans_draw_categories_as_evenly_as_whole_numbers_allow():
-    plan = shrink(BUILTIN_PLANS["balanced"], episodes=240)
+def test_plans_balanced_by_scene_draw_categories_as_evenly_as_whole_numbers_allow():
+    plan = shrink(BUILTIN_PLANS["demo"], episodes=240)
     episodes = [job.episode for job in expand(plan, make_catalog(plan))]
     counts = Counter(e.category for e in episodes if e.scene == "office" and e.split is not Split.TEST_OOD_OBJ)
     assert max(counts.values()) - min(counts.values()) <= 1

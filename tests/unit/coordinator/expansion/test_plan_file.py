@@ -89,6 +89,16 @@ def test_an_unknown_split_is_named(tmp_path):
         load_plan(str(path))
 
 
+def test_an_unknown_uniqueness_or_balance_is_refused_with_the_valid_values(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('balance = "even"\n[instructions]\nunique = "always"\n[[scenes]]\nname = "office"\nepisodes = 2\n')
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    text = "\n".join(caught.value.findings)
+    assert "instructions.unique: Input should be 'scene', 'view' or 'off' (found 'always')" in text
+    assert "balance: Input should be 'instances', 'categories' or 'categories_overall' (found 'even')" in text
+
+
 def test_invalid_toml_is_reported(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text("name = [")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,8 +12,9 @@ import pytest
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.job import Job
+from schemas.start_view import StartView
 from schemas.terms import EndReason, Split, Tier
-from tests.builders.bundle import TARGET_ID, BundleParts, bundle_bytes, job_for, parts_for
+from tests.builders.bundle import FLOOR_ID, TARGET_ID, WALL_ID, BundleParts, bundle_bytes, job_for, parts_for
 from tests.builders.dataset import chair
 
 Breaker = Callable[[BundleParts], BundleParts]
@@ -119,6 +121,39 @@ FRAMES = {
     "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: contains NaN"),
     "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 frames"),
 }
+START = {
+    "a second object that the instruction fits": (StartView(rivals=(WALL_ID,)), "start: objects [2] are in view"),
+    "a target beside the heading": (StartView(within_rad=0.0), ""),
+    "no other object of the category": (StartView(alike=(WALL_ID,)), ""),
+}
+
+
+@pytest.mark.parametrize(("view", "text"), START.values(), ids=START)
+def test_first_frame_is_checked_against_the_conditions_of_the_job(view: StartView, text: str) -> None:
+    found = findings_of(parts_for(job_for(start_view=view)), job_for(start_view=view))
+    assert found.startswith(text)
+    assert bool(found) == bool(text)
+
+
+def test_start_without_the_target_in_view_is_refused() -> None:
+    job = job_for(start_view=StartView(alike=(WALL_ID,), within_rad=math.radians(30)))
+    found = findings_of(with_image(parts_for(job), 0, 2, slice(280, 360), FLOOR_ID), job)
+    assert "start: the target is not in view\nstart: objects [2] of the target's category are in view" in found
+
+
+def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> None:
+    job = job_for(start_view=StartView(within_rad=math.radians(30)))
+    turned = parts_for(job)
+    poses = turned.arrays.poses.copy()
+    poses[:, 3], poses[:, 6] = math.cos(0.3), math.sin(0.3)  # a heading of 0.6 rad
+    assert "start: the target is 34.4 degrees from the heading, above 30" in findings_of(
+        turned.with_arrays(poses=poses)
+    )
+
+
+def test_worker_that_drops_the_conditions_is_refused() -> None:
+    leased = job_for(start_view=StartView(rivals=(WALL_ID,)))
+    assert "job.start_view: the bundle says None" in findings_of(parts_for(), leased)
 
 
 def test_smallest_bundle_has_no_findings() -> None:
