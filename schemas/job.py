@@ -8,7 +8,15 @@ import numpy as np
 from pydantic import Field
 
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
-from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import (
+    CameraConfig,
+    DemonstrationConfig,
+    ExpertConfig,
+    PlannerConfig,
+    RobotConfig,
+    SpawnConfig,
+    TaskConfig,
+)
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName
@@ -56,6 +64,10 @@ class Job(EpisodeSpec):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
 
     @property
     def episode_id(self) -> str:

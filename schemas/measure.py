@@ -6,11 +6,13 @@ Rollout, validation and evaluation share these formulas. Pure functions without 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.goal import footprint_distances
 from schemas.support import portable
 
 __all__ = ["TrackMeasure", "measure_track", "target_in_view", "yaw_of"]
@@ -31,6 +33,10 @@ class TrackMeasure(NamedTuple):
     """Navigation error with the height of the centroid, metres."""
     min_ne_m: float
     """Smallest distance to the target's centroid, metres."""
+    spawn_surface_m: float | None
+    """Distance from the first pose to the target's footprint, metres; `None` without footprint."""
+    final_surface_m: float | None
+    """Distance from the last pose to the target's footprint, metres; `None` without footprint."""
 
 
 def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -39,11 +45,22 @@ def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
     return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, float]) -> TrackMeasure:
-    """Returns the measures of a track of (T, 7) poses and a target's centroid, both in the world frame, metres."""
+def measure_track(
+    poses: NDArray[np.float32],
+    centroid_m: tuple[float, float, float],
+    footprint_m: Sequence[tuple[float, float]] = (),
+) -> TrackMeasure:
+    """Returns the measures of a track.
+
+    Args:
+        poses: (T, 7) poses of base_link in the world frame.
+        centroid_m: centroid of the target in the world frame, metres.
+        footprint_m: vertices of the target's convex footprint, counter-clockwise, metres; empty if it is unknown.
+    """
     track = poses[:, :3].astype(np.float64)
     to_goal = np.linalg.norm(track[:, :2] - np.asarray(centroid_m[:2]), axis=1)
     steps = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
+    surface = footprint_distances(track[[0, -1], :2], footprint_m).tolist() if footprint_m else (None, None)
     return TrackMeasure(
         spawn_pose=(float(track[0, 0]), float(track[0, 1]), float(yaw_of(poses[:1])[0])),
         spawn_dist_m=float(to_goal[0]),
@@ -51,6 +68,8 @@ def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, fl
         final_ne_m=float(to_goal[-1]),
         final_ne_3d_m=math.dist(track[-1].tolist(), centroid_m),
         min_ne_m=float(to_goal.min()),
+        spawn_surface_m=surface[0],
+        final_surface_m=surface[1],
     )
 
 

@@ -22,7 +22,15 @@ from pydantic import (
 )
 
 from schemas.base import Fraction, Model, Name
-from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import (
+    CameraConfig,
+    DemonstrationConfig,
+    ExpertConfig,
+    PlannerConfig,
+    RobotConfig,
+    SpawnConfig,
+    TaskConfig,
+)
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
@@ -157,6 +165,10 @@ class Plan(Model):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:

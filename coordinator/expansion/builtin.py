@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from schemas.config import DemonstrationConfig, TaskConfig
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, SuccessMeasure, Tier
 
 __all__ = ["BUILTIN_PLANS", "is_paper_plan"]
+
+_BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 _DEMO = Plan(
     name="demo",
@@ -15,6 +18,7 @@ _DEMO = Plan(
     tiers={Tier.NEAR: 1.0},
     splits=dict.fromkeys((Split.TRAIN_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD, Split.TEST_OOD_OBJ), 0.25),
     balance="categories",
+    task=_BY_SURFACE,
 )
 """16 near episodes: four per scene, one of each split except val_id. It takes minutes on two cores and under 1 GB."""
 
@@ -35,8 +39,11 @@ _BALANCED = Plan(
     expert=ExpertName.PLANNER,
     balance="categories",
     disjoint_instances=True,
+    task=_BY_SURFACE,
+    demonstration=DemonstrationConfig(max_contact_steps=0, target_in_view=True),
 )
-"""Equal scenes and categories, planner expert, colours on, disjoint instances for training and evaluation."""
+"""Equal scenes and categories, planner expert, colours on, disjoint instances for training and evaluation, no contact
+and the target in view on arrival."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 

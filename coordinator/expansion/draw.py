@@ -22,7 +22,7 @@ from schemas.job import Job
 from schemas.language import instruction, needs_colour, templates_for
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
-from schemas.terms import Split, Tier
+from schemas.terms import Split, SuccessMeasure, Tier
 
 __all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]
 
@@ -92,6 +92,13 @@ def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
 def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
     scene, entry = cells.scene, cells.entry
     present = {target.category for target in entry.info.targets}
+    if present and cells.plan.task.success is SuccessMeasure.SURFACE and not entry.info.has_footprints:
+        yield (
+            f"scenes[{number}] {scene.name}: its package is of an older version and has no footprints of targets, "
+            'which task.success = "surface" needs; create it again with `factory scene build` or `factory scene '
+            'import`, or set task.success = "centroid"'
+        )
+        return
     named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
         yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
@@ -184,6 +191,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         spawn=plan.spawn,
         gains=plan.gains,
         planner=plan.planner,
+        demonstration=plan.demonstration,
     )
 
 

@@ -13,6 +13,7 @@ from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.floor_map import map_of
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
+from factory.stats.rollouts import by_measure
 from factory.stats.rows import Rows, read_rows
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import EPISODES, SCENES
@@ -61,7 +62,8 @@ def gather(
             _read_drive(root, row, row.episode_id in shown, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
-    return ReportInput(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
+    episodes = by_measure(rows.episodes, rows.meta.plan.task.success)
+    return ReportInput(rows.meta, statistics, episodes, rows.failures, drives, maps)
 
 
 def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:

@@ -6,8 +6,9 @@ from collections import Counter
 
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.expansion.nearest import find_nearest
+from schemas.config import TaskConfig
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
-from schemas.terms import Split
+from schemas.terms import Split, SuccessMeasure
 
 __all__ = ["draft_plan"]
 
@@ -32,7 +33,9 @@ def draft_plan(entry: SceneEntry, usd: str, **files: str | bool) -> Plan | None:
         {"name": entry.info.name, "usd": usd, "seen": seen, "held_out": held_out, "episodes": _EPISODES, **files}
     )
     splits = PAPER_SPLITS if held_out else _without_held_out()
-    return find_nearest(Plan(name=entry.info.name, scenes=(scene,), splits=dict(splits)), {entry.info.name: entry}).plan
+    task = TaskConfig(success=SuccessMeasure.SURFACE)
+    plan = Plan(name=entry.info.name, scenes=(scene,), splits=dict(splits), task=task)
+    return find_nearest(plan, {entry.info.name: entry}).plan
 
 
 def _without_held_out() -> dict[Split, float]:

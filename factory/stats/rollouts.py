@@ -11,13 +11,27 @@ from factory.stats import paper
 from factory.stats.measures import deviation_of, fit_line, mean_of, median_of, quantiles_of, share_of
 from factory.stats.model import ErrorRow, Fit, Published, RolloutRow
 from schemas.dataset import EpisodeSummary
-from schemas.terms import Split, Tier
+from schemas.terms import Split, SuccessMeasure, Tier
 
-__all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "navigation_errors"]
+__all__ = ["ALL", "by_measure", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "navigation_errors"]
 
 ALL = "all"
 """Name of the group of all episodes."""
 Episodes = Sequence[EpisodeSummary]
+
+
+def by_measure(episodes: Episodes, success: SuccessMeasure) -> list[EpisodeSummary]:
+    """Returns the episodes with `spawn_dist_m` and `final_ne_m` by a success measure.
+
+    Omits episodes that do not record the measure: those in scenes of older versions have no distance to the footprint.
+    """
+    if success is SuccessMeasure.CENTROID:
+        return list(episodes)
+    return [
+        row.model_copy(update={"spawn_dist_m": row.spawn_surface_m, "final_ne_m": row.final_surface_m})
+        for row in episodes
+        if row.spawn_surface_m is not None and row.final_surface_m is not None
+    ]
 
 
 def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:

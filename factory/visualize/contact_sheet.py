@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from factory.visualize.panels import TrackMap, show_depth, show_ids
+from factory.visualize.panels import TrackMap, describe_error, show_depth, show_ids
 from schemas.bundle import BundleReader
 from schemas.scene import CompiledScene
 
@@ -49,7 +49,7 @@ def _write_head(sheet: Image.Image, episode: BundleReader) -> None:
     words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {job.instruction}"
     facts = (
         f"{job.target_id} ({job.colour})  attempt {job.attempt}  {rollout.num_steps} steps  "
-        f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  NE {rollout.final_ne_m:.3f} m"
+        f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  {describe_error(rollout)}"
     )
     _write_line(sheet, 0.28, words, _WORDS_SHARE)
     _write_line(sheet, 0.72, facts, _FACTS_SHARE)

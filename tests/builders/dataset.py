@@ -58,9 +58,10 @@ def make_dataset(
     splits: Sequence[Split] = (Split.TRAIN_ID,),
     failures: Sequence[FailedAttempt] | None = None,
     with_split_tables: bool = True,
+    plan: Plan | None = None,
 ) -> Plan:
     """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned."""
-    plan = small_plan(planned or episodes)
+    plan = plan or small_plan(planned or episodes)
     package = office_package()
     sha256 = hashlib.sha256(package).hexdigest()
     source = root.with_name(f"{root.name}.scene")

@@ -25,7 +25,6 @@ __all__ = [
     "Grid",
     "are_within",
     "body_centre",
-    "straight_end",
 ]
 
 DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
@@ -190,17 +189,6 @@ class Grid:
             wanted = int(np.bincount(parts.ravel())[1:].argmax()) + 1
         floor: Bools = parts == wanted
         return floor
-
-
-def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -> Floats:
-    """Returns the points (..., 2) at which straight lines from spawns to the centroid enter the success circle.
-
-    For a spawn inside the circle, returns the spawn.
-    """
-    spawn, centroid = np.asarray(spawn_xy, float), np.asarray(centroid_xy, float)
-    away = spawn - centroid
-    distance = np.linalg.norm(away, axis=-1, keepdims=True)
-    return np.where(distance > radius_m, centroid + away * (radius_m / np.maximum(distance, 1e-9)), spawn)
 
 
 def are_within(points: Floats, boxes: Floats) -> Bools:

@@ -27,7 +27,6 @@ from workers.sim.spawn import draw_poses, is_spawn_stable
 
 __all__ = ["AttemptFailure", "Outcome", "Success", "run_attempt"]
 
-_FAIL_REASON = {EndReason.COLLISION: FailReason.COLLISION, EndReason.TIMEOUT: FailReason.TIMEOUT}
 _NO_DIGEST = "0" * 32
 
 
@@ -123,8 +122,8 @@ def _drive_and_seal(
     )
     if done.end_reason is not EndReason.SUCCESS:
         writer.abandon()
-        return AttemptFailure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
-    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task.success_radius_m)
+        return AttemptFailure(FailReason(done.end_reason), done.end, len(done.arrays.poses))
+    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
@@ -144,6 +143,7 @@ def describe_episode(
         target_prim_path=target.prim_path,
         target_instance_id=target.instance_id,
         target_centroid_m=target.centroid_m,
+        target_footprint_m=target.footprint_m,
         phrase_is_unique=_is_unique(job, info),
         rollout=_summarise(done.arrays, target, done, draws),
         route=route,
@@ -165,7 +165,7 @@ def _is_unique(job: Job, info: SceneInfo) -> bool:
 
 
 def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -> Rollout:
-    track = measure_track(arrays.poses, target.centroid_m)
+    track = measure_track(arrays.poses, target.centroid_m, target.footprint_m)
     return Rollout(
         end_reason=done.end_reason,
         num_steps=len(arrays.poses),
@@ -178,4 +178,7 @@ def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -
         min_ne_m=track.min_ne_m,
         collision_count=done.contact_steps,
         steps_visible=done.steps_visible,
+        spawn_surface_m=track.spawn_surface_m,
+        final_surface_m=track.final_surface_m,
+        target_in_view=done.target_in_view,
     )

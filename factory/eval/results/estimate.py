@@ -14,7 +14,7 @@ from pydantic import Field
 
 from schemas.base import Model
 
-__all__ = ["RESAMPLES", "IntervalEstimate", "mcnemar_p", "mean_of", "means_of"]
+__all__ = ["NO_VALUES", "RESAMPLES", "IntervalEstimate", "mcnemar_p", "mean_of", "means_of"]
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -31,6 +31,9 @@ class IntervalEstimate(Model):
     low: float | None
     high: float | None
     """Ends of the interval; `None` for fewer than two values, or where BCa is not defined."""
+
+
+NO_VALUES = IntervalEstimate(n=0, mean=None, low=None, high=None)
 
 
 def mean_of(values: Sequence[float | None]) -> IntervalEstimate:
@@ -69,7 +72,7 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
 def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
     """Returns the estimate of equal values, whose interval is a point, of a single value, or of none."""
     if len(values) == 0:
-        return IntervalEstimate(n=0, mean=None, low=None, high=None)
+        return NO_VALUES
     mean = float(values[0])
     ends = mean if len(values) > 1 else None
     return IntervalEstimate(n=len(values), mean=mean, low=ends, high=ends)
