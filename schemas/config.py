@@ -12,16 +12,6 @@ from pydantic import ConfigDict, Field
 from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
 from schemas.terms import SuccessMeasure
 
-__all__ = [
-    "CameraConfig",
-    "DemonstrationConfig",
-    "ExpertConfig",
-    "PlannerConfig",
-    "RobotConfig",
-    "SpawnConfig",
-    "TaskConfig",
-]
-
 
 class TaskConfig(Model):
     """Parameters of the end of an episode (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""

@@ -21,8 +21,6 @@ from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from schemas.terms import SuccessMeasure
 
-__all__ = ["Goal", "footprint_distances"]
-
 _HALVINGS = 36
 """Bisection steps; they divide a line of 100 m into parts below 1e-8 m."""
 _OUTLINE_POINTS = 97

@@ -13,8 +13,6 @@ import numpy as np
 from schemas.scene import Footprint
 from schemas.support.numpy_types import Floats
 
-__all__ = ["footprint_of"]
-
 _PER_METRE = 10_000
 _MOST_VERTICES = 64
 
