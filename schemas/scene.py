@@ -105,6 +105,10 @@ class Target(Model):
             return self.surface_connected_tiers if by_path else self.surface_straight_tiers
         return self.connected_tiers if by_path else self.straight_tiers
 
+    def is_reachable(self, success: SuccessMeasure) -> bool:
+        """Returns whether the robot can reach the target from a start in any tier."""
+        return bool(self.tiers(success, by_path=True) or self.tiers(success, by_path=False))
+
     @property
     def taken_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Lower and upper corner x, y of the floor area that the target covers, where no episode starts, metres."""

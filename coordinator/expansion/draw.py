@@ -91,14 +91,15 @@ def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
 
 def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
     scene, entry = cells.scene, cells.entry
-    present = {target.category for target in entry.info.targets}
-    if present and cells.plan.task.success is SuccessMeasure.SURFACE and not entry.info.has_footprints:
+    success = cells.plan.task.success
+    if success is SuccessMeasure.SURFACE and not entry.info.has_footprints:
         yield (
             f"scenes[{number}] {scene.name}: its package is of an older version and has no footprints of targets, "
             'which task.success = "surface" needs; create it again with `factory scene build` or `factory scene '
             'import`, or set task.success = "centroid"'
         )
         return
+    present = {target.category for target in entry.info.targets if target.is_reachable(success)}
     named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
         yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
