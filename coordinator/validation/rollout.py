@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
-from schemas.goal import Goal
-from schemas.measure import TrackMeasure, measure_track
+from schemas.measure import Goal, TrackMeasure, measure_track
 from schemas.terms import TIER_RANGE_M, EndReason
 from schemas.tokens import tokens_of
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.terms import ExpertName
 
 __all__ = ["route_findings"]

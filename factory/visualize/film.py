@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from factory.visualize.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 from schemas.storage.disk import replacing
 from schemas.support.extras import require_package

@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from schemas.bundle import BundleReader
 from schemas.episode import Rollout
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 
 DEPTH_SHOWN_M = 10.0

@@ -20,7 +20,7 @@ from factory.visualize.panels import DEPTH_SHOWN_M, describe_error, show_ids
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import WorldError
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 from schemas.storage.disk import replacing
 from schemas.support.extras import missing_package

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from schemas.config import CameraConfig
-from schemas.goal import Goal
 from schemas.job import Job
+from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene
 from workers.experts.sight import see

@@ -10,9 +10,8 @@ import pytest
 
 from coordinator.validation.motion import motion_findings
 from schemas.config import CameraConfig, DemonstrationConfig, PlannerConfig, TaskConfig
-from schemas.goal import footprint_distances
 from schemas.job import Job
-from schemas.measure import yaw_of
+from schemas.measure import footprint_distances, yaw_of
 from schemas.scene import CompiledScene
 from schemas.terms import EndReason, ExpertName, SuccessMeasure, Tier
 from tests.builders.bundle import job_for

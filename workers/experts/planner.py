@@ -7,7 +7,10 @@ Uses the map and not the image. Near the goal it applies the speed law and the s
 
 from __future__ import annotations
 
+import itertools
+
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from workers.experts.base import Senses
 from workers.geometry.grid import Grid
@@ -16,13 +19,25 @@ from workers.geometry.slew import Twist
 from workers.planning import Waypoint, plan_path
 from workers.planning.follow import Follower
 
-__all__ = ["PlannerExpert"]
+__all__ = ["STOPPED_M", "PlannerExpert", "arrival_pose"]
 
 _LAST_MARGIN_M = 0.01
 """Distance to the edge of the success region, inside it, at which the robot may stop at the end of a path, metres."""
+STOPPED_M = 0.055
+"""Distance to the edge of the success region, inside it, at which the robot stands after braking, metres; measured."""
 _AHEAD_RAD = 0.6
 """Largest bearing of the target's centroid at which the robot stops before the end of its path, if the target must be
 in view, radians; the edge of the image is at 0.79."""
+
+
+def arrival_pose(path: tuple[Waypoint, ...], goal: Goal, stop_m: float) -> Waypoint:
+    """Returns the pose on a path at which the robot comes within `stop_m` of its target, or else the last pose."""
+    for before, after in itertools.pairwise(path):
+        far, near = goal.distance(before.x, before.y), goal.distance(after.x, after.y)
+        if near <= stop_m < far:
+            share = (far - stop_m) / (far - near)
+            return Waypoint(before.x + share * (after.x - before.x), before.y + share * (after.y - before.y), after.yaw)
+    return path[-1]
 
 
 class PlannerExpert:

@@ -15,7 +15,7 @@ import scipy  # loads a submodule at its first use: commands that only read need
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import PlannerConfig, TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support import portable
 from workers.geometry.grid import DISC_RADIUS_M, Grid

@@ -14,10 +14,11 @@ from typing import BinaryIO
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
 from schemas.job import Job
-from schemas.measure import measure_track
+from schemas.measure import Goal, measure_track, target_in_view
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason
 from workers.experts import Expert, make_expert
+from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
@@ -93,9 +94,23 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
                 return AttemptFailure(
                     FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_pose_text(start)}", 0
                 )
+            if planned and job.demonstration.target_in_view and not _shows_target(attempt, planned):
+                detail = f"the path from {_pose_text(start)} ends without {job.target_id} in view"
+                return AttemptFailure(FailReason.NOT_IN_VIEW, detail, 0)
             return _drive_and_seal(attempt, world, expert, planned, draws)
     detail = f"no valid start pose for {job.target_id} in tier {job.tier} in {job.spawn.physics_draws} draws"
     return AttemptFailure(FailReason.SPAWN, detail, 0)
+
+
+def _shows_target(attempt: _Attempt, planned: tuple[Waypoint, ...]) -> bool:
+    """Returns whether the target is in view at the end of a path: a frame instead of a drive that has to fail."""
+    job, target = attempt.job, attempt.target
+    goal = Goal.of(target, job.task)
+    x, y, yaw = arrival_pose(planned, goal, goal.radius_m - STOPPED_M)
+    end = Pose.planar(x, y, yaw, z=attempt.place.scene.info.floor_height_m)
+    return target_in_view(
+        attempt.stage.renderer.render_depth_and_ids(end).ids, target.instance_id, job.gains.min_mask_px
+    )
 
 
 def _pose_text(pose: Pose) -> str:

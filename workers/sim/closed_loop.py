@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
-from schemas.goal import Goal
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.terms import EndReason
 from schemas.tokens import tokens_of

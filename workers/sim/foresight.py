@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.goal import Goal
 from schemas.job import Job
+from schemas.measure import Goal
 from workers.geometry.appearance import Appearance
 from workers.geometry.slew import Twist, slew
 

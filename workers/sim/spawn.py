@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.goal import Goal
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from schemas.config import TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid

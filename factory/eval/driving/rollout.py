@@ -36,7 +36,7 @@ from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
-from schemas.goal import Goal, footprint_distances
+from schemas.measure import Goal, footprint_distances
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 

@@ -22,8 +22,8 @@ from factory.eval.models.spec import EvalSettings
 from factory.eval.remote.driven import read_driven
 from schemas.base import Model, Sha256
 from schemas.errors import InvalidBundle
-from schemas.goal import Goal, footprint_distances
 from schemas.job import Job
+from schemas.measure import Goal, footprint_distances
 from schemas.plan import canonical_json
 from schemas.scene import Target
 
@@ -168,7 +168,7 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
         yield f"driven {result.trajectory_length_m:.3f} m, the track alone is {sum(gaps):.3f} m long"
     first, last = track[0][:2], track[-1][:2]
     goal = Goal.of(target, settings.task)
-    distances = {
+    distances: dict[str, float | None] = {
         "spawn_dist_m": goal.distance(*first),
         "final_ne_m": goal.distance(*last),
         "final_centroid_m": math.dist(last, target.centroid_m[:2]),
@@ -176,5 +176,7 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
     }
     for name, seen in distances.items():
         said = getattr(result, name)
-        if said is not None and (seen is None or abs(said - seen) > _TRACK_SLACK_M):
-            yield f"{name} is {said:.3f} m, by the track {seen} m"
+        if said is not None and seen is None:
+            yield f"{name} is {said:.3f} m, but the scene records no footprint"
+        elif said is not None and seen is not None and abs(said - seen) > _TRACK_SLACK_M:
+            yield f"{name} is {said:.3f} m, by the track {seen:.3f} m"

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from factory.eval.models.result import EpisodeResult
 from factory.visualize.film import Rgb
 from schemas.config import CameraConfig, TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
 from workers.render import Renderer

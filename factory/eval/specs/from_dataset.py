@@ -17,7 +17,7 @@ from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
 from schemas.terms import Split

@@ -20,7 +20,7 @@ from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places, categories_in_view
 from factory.runs.catalog import find_package
 from schemas.errors import UsageError, WorldError
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.plan import Plan
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Split, Tier

@@ -18,7 +18,7 @@ from factory.scenes.navigation.reach import Terrain, tiers_of
 from factory.scenes.targets.candidates import Candidate
 from factory.scenes.targets.footprint import footprint_of
 from schemas.config import TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from schemas.terms import SuccessMeasure

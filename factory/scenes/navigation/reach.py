@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import SpawnConfig, TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from schemas.terms import TIER_RANGE_M, Tier

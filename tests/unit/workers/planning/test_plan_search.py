@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from schemas.config import PlannerConfig, TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import CompiledScene, Target
 from schemas.terms import SuccessMeasure
 from tests.builders.scene import Box, box_room

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from schemas.config import TaskConfig
-from schemas.goal import Goal
 from schemas.job import Job
+from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from workers.sim.foresight import predict_path
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from schemas.config import TaskConfig
-from schemas.goal import Goal
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.terms import ExpertName, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls

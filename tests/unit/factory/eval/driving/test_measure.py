@@ -8,7 +8,7 @@ import pytest
 from factory.eval.driving import measure
 from factory.eval.driving.rollout import progresses
 from schemas.config import TaskConfig
-from schemas.goal import Goal
+from schemas.measure import Goal
 from schemas.scene import Target
 from tests.builders.scene import box_room
 from workers.geometry.grid import Grid

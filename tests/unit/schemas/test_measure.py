@@ -9,7 +9,7 @@ import pytest
 
 from schemas.config import TaskConfig
 from schemas.errors import WorldError
-from schemas.goal import Goal, footprint_distances
+from schemas.measure import Goal, footprint_distances
 from schemas.terms import SuccessMeasure
 from tests.builders.scene import box_room
 
