@@ -24,6 +24,7 @@ from pydantic import (
 from schemas.base import Fraction, Model, Name
 from schemas.config import (
     CameraConfig,
+    DemonstrationConfig,
     ExpertConfig,
     InstructionConfig,
     PlannerConfig,
@@ -184,6 +185,10 @@ class Plan(Model):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:

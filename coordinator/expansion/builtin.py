@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from schemas.config import InstructionConfig
+from schemas.config import DemonstrationConfig, InstructionConfig, TaskConfig
 from schemas.plan import Budget, Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, SuccessMeasure, Tier
 
 __all__ = ["BUILTIN_PLANS", "is_paper_plan"]
+
+_BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 _DEMO = Plan(
     name="demo",
@@ -16,6 +18,7 @@ _DEMO = Plan(
     tiers={Tier.NEAR: 1.0},
     splits=dict.fromkeys((Split.TRAIN_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD, Split.TEST_OOD_OBJ), 0.25),
     balance="categories",
+    task=_BY_SURFACE,
 )
 """16 near episodes: four per scene, one of each split except val_id. It takes minutes on two cores and under 1 GB."""
 
@@ -56,10 +59,13 @@ _BALANCED = Plan(
     disjoint_instances=True,
     instructions=InstructionConfig(unique="view"),
     budget=Budget(attempts_per_draw=3),
+    task=_BY_SURFACE,
+    demonstration=DemonstrationConfig(max_contact_steps=0, target_in_view=True),
 )
 """1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
-training and evaluation, instructions that fit one object. The numbers of the scenes permit equal shares and let each
-scene name all its categories (docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
+training and evaluation, instructions that fit one object, no contact and the target in view on arrival. The numbers of
+the scenes permit equal shares and let each scene name all its categories
+(docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 

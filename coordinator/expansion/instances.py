@@ -41,7 +41,7 @@ def side_of(split: Split) -> Side:
 
 def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
     """Returns the tiers from which the plan's expert can start for a target."""
-    return target.connected_tiers if plan.expert is ExpertName.PLANNER else target.straight_tiers
+    return target.tiers(plan.task.success, plan.expert is ExpertName.PLANNER)
 
 
 def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cells) -> Sides:

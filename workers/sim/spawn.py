@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
-from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from schemas.terms import TIER_RANGE_M, ExpertName, SuccessMeasure, Tier
 from workers.geometry.appearance import Appearance
-from workers.geometry.grid import are_within, straight_end
+from workers.geometry.grid import are_within
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import geodesic_field, pose_table
@@ -26,9 +27,9 @@ from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97
-"""Distance from the centroid at which the robot stops inside the success circle, metres."""
+"""Distance from the target at which the robot stops inside the success region, by the success measure, metres."""
 _CLOSEST_FAR_M = 1.5
-"""Smallest distance to the target's centroid of the planner's starts in the far tier, metres."""
+"""Smallest distance to the target of a start in the far tier, by the success measure, metres."""
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
 _PREDICTIONS = 32
@@ -60,7 +61,7 @@ def draw_poses(
     Near and mid tier: draws a uniform distance, then bearings at that distance until one is free, with a heading
     towards the target plus noise; draws another distance only if none of `_BEARINGS` is free. So obstacles reject
     bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point and a
-    uniform heading. For experts that drive straight, the straight line to the success circle is free, and starts are
+    uniform heading. For experts that drive straight, the straight line to the success region is free, and starts are
     preferred whose predicted turn and path touch no obstacle. For the planner, any start on the connected floor is
     valid, and in the far tier its path must not be too long.
 
@@ -144,9 +145,9 @@ def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
     bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
     yaw = bearing + math.pi + noise
-    x = target.centroid_m[0] + distance * portable.cos(bearing)
-    y = target.centroid_m[1] + distance * portable.sin(bearing)
-    return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
+    rays = np.stack([portable.cos(bearing), portable.sin(bearing)], axis=1)
+    points = Goal.of(target, job.task).ring(rays, distance)
+    return np.column_stack([points, portable.arctan2(portable.sin(yaw), portable.cos(yaw))])
 
 
 def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
@@ -162,16 +163,20 @@ def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.r
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
     if job.expert is ExpertName.PLANNER:
         return _points_within_reach(job, target, place)
+    if job.task.success is SuccessMeasure.SURFACE:
+        points = place.scene.spawns[Goal.of(target, job.task).distances(place.scene.spawns) >= _CLOSEST_FAR_M]
+        points = points[place.grid.have_sight(points, target)]
+        return np.asarray(points[_is_way_free(job, target, place, points.astype(np.float64))])
     column = place.scene.info.targets.index(target)
     return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
 
 
 def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
-    """Returns the surveyed points whose path to the success circle is short enough for the step limit."""
+    """Returns the surveyed points whose path to the success region is short enough for the step limit."""
     points = place.scene.spawns
-    way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
+    way = geodesic_field(place.grid, target, job.task).metres
     is_short = place.grid.values_at(way, points, np.inf).astype(np.float64) <= job.planner.max_path_m
-    is_outside = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=1) >= _CLOSEST_FAR_M
+    is_outside = Goal.of(target, job.task).distances(points) >= _CLOSEST_FAR_M
     return np.asarray(points[is_short & is_outside])
 
 
@@ -200,12 +205,11 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
 
 
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
-    ends = straight_end(starts, target.centroid_m[:2], ARRIVAL_RADIUS_M)
+    ends = Goal.of(target, job.task).approach(starts, ARRIVAL_RADIUS_M)
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 
 
 def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
     """Returns the smallest free space around the footprint along the predicted path, metres."""
-    x, y = target.centroid_m[:2]
-    drive = predict_path(start, (x, y), job, appearance)
+    drive = predict_path(start, Goal.of(target, job.task), job, appearance)
     return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

@@ -10,6 +10,7 @@ import pytest
 
 from schemas.config import TaskConfig
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.start_view import StartView
 from schemas.terms import ExpertName, Tier
 from tests.builders.bundle import job_for
@@ -108,7 +109,9 @@ def pillared_room() -> LoadedScene:
 
 def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
     target = place.scene.info.target(job.target_id)
-    x, y, yaw = predict_path(start, (0.0, 0.0), job, Appearance(place.scene, target.instance_id, job.camera)).T
+    x, y, yaw = predict_path(
+        start, Goal.of(target, job.task), job, Appearance(place.scene, target.instance_id, job.camera)
+    ).T
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 
 
