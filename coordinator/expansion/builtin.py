@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from schemas.config import RobotConfig, SpawnConfig
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, Tier
 
 __all__ = ["BUILTIN_PLANS", "is_paper_plan"]
 
@@ -26,8 +27,10 @@ _PAPER = Plan(
         ScenePlan(name="full_warehouse", episodes=354),
         ScenePlan(name="warehouse_multiple_shelves", episodes=68),
     ),
+    robot=RobotConfig(max_braking_mps2=7.0),
+    spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.0)),
 )
-"""1174 episodes with the paper's shares, seed and expert."""
+"""1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law."""
 
 _BALANCED = Plan(
     name="balanced",

@@ -16,19 +16,17 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
-from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from schemas.terms import TIER_RANGE_M, ExpertName, Screening, Tier
 from workers.geometry.appearance import Appearance
 from workers.geometry.grid import are_within, straight_end
 from workers.geometry.pose import Pose
 from workers.physics.world import World
-from workers.planning import geodesic_field, pose_table
+from workers.planning import geodesic_field, geodesic_m, pose_table
 from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97
 """Distance from the centroid at which the robot stops inside the success circle, metres."""
-_CLOSEST_FAR_M = 1.5
-"""Smallest distance to the target's centroid of the planner's starts in the far tier, metres."""
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
 _PREDICTIONS = 32
@@ -50,10 +48,10 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
 
     Near and mid tier: draws a uniform distance, then bearings at that distance until one is free, with a heading
     towards the target plus noise; draws another distance only if none of `_BEARINGS` is free. So obstacles reject
-    bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point and a
-    uniform heading. For experts that drive straight, the straight line to the success circle is free, and starts are
-    preferred whose predicted turn and path touch no obstacle. For the planner, any start on the connected floor is
-    valid, and in the far tier its path must not be too long.
+    bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point at a
+    distance along the floor within `job.spawn.far_floor_m`, and a uniform heading. For experts that drive straight,
+    `job.spawn.screening` sets further conditions. The planner starts at any such pose that sees its target (far: whose
+    path is not too long).
 
     Args:
         job: gives tier, expert and spawn settings.
@@ -90,7 +88,7 @@ def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
 def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Start | None:
     fitting = _draw_fitting(job, target, place, rng)
     first = next(fitting, None)
-    if first is None or job.expert is ExpertName.PLANNER:
+    if first is None or not _is_screened(job) or job.spawn.screening is not Screening.FORESEEN:
         return first
     some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
     appearance = Appearance(place.scene, target.instance_id, job.camera)
@@ -134,20 +132,23 @@ def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> Poses:
     return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
 
 
+def _is_screened(job: Job) -> bool:
+    """Returns whether starts need a free straight line."""
+    return job.expert is not ExpertName.PLANNER and job.spawn.screening is not Screening.NONE
+
+
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
-    if job.expert is ExpertName.PLANNER:
-        return _points_within_reach(job, target, place)
+    """Returns the surveyed points (N, 2) whose distance along the floor to the target is in the range of the tier."""
     column = place.scene.info.targets.index(target)
-    return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
-
-
-def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
-    """Returns the surveyed points whose path to the success circle is short enough for the step limit."""
-    points = place.scene.spawns
+    points = place.scene.spawns[place.scene.spawn_sees[:, column] > 0] if _is_screened(job) else place.scene.spawns
+    low, high = job.spawn.far_floor_m
     way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
-    is_short = place.grid.values_at(way, points, np.inf).astype(np.float64) <= job.planner.max_path_m
-    is_outside = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=1) >= _CLOSEST_FAR_M
-    return np.asarray(points[is_short & is_outside])
+    floor_m = place.grid.values_at(way, points, np.inf).astype(np.float64)
+    longest = high - job.task.success_radius_m
+    if job.expert is ExpertName.PLANNER:
+        longest = min(longest, job.planner.max_path_m)
+    # the field is up to 2.8 % longer than the shortest path, so the smallest distance is checked again for the start
+    return np.asarray(points[(floor_m >= low - job.task.success_radius_m) & (floor_m <= longest)])
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
@@ -160,18 +161,25 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
         lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
         lambda at: ~are_within(at[:, :2], place.taken),
     ]
-    is_planner = job.expert is ExpertName.PLANNER
-    if is_planner:
+    if job.expert is ExpertName.PLANNER:
         table = pose_table(place.grid, job.planner.tight_margin_m)
         tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
-    if job.tier is not Tier.FAR:  # far points were selected by their path
+    if job.tier is Tier.FAR:  # its points were selected by their lines
+        tests.append(lambda at: np.array([_is_far(job, target, place, pose[:2]) for pose in at], bool))
+    elif job.expert is ExpertName.PLANNER or _is_screened(job):
         tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
-        if not is_planner:
+        if _is_screened(job):
             tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))
     rest = np.arange(len(poses))
     for passes in tests:
         rest = rest[passes(poses[rest])]
     return np.isin(np.arange(len(poses)), rest)
+
+
+def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64]) -> bool:
+    radius = job.task.success_radius_m
+    path_m = geodesic_m(place.grid, xy, target, radius)
+    return path_m is not None and path_m + radius >= job.spawn.far_floor_m[0]
 
 
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
