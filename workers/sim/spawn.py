@@ -29,6 +29,8 @@ ARRIVAL_RADIUS_M = 0.97
 """Distance from the centroid at which the robot stops inside the success circle, metres."""
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
+_DISTANCE_STREAM = 1
+"""Key of the random stream of the distances of an episode with blind draws."""
 _PREDICTIONS = 32
 """Largest number of starts with a predicted path, of an expert that drives straight; if none of them has
 `_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
@@ -107,8 +109,9 @@ def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.G
     surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
+    distances = _distance_stream(job, rng)
     for _ in range(job.spawn.grid_draws):
-        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
+        poses = _draw_around(job, target, distances, rng) if surveyed is None else _draw_among(surveyed, rng)
         fits = np.flatnonzero(_can_start(job, target, place, poses))
         for x, y, yaw in poses[fits]:
             yield float(x), float(y), float(yaw)
@@ -116,9 +119,20 @@ def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.G
             return
 
 
-def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
+def _distance_stream(job: Job, rng: np.random.Generator) -> np.random.Generator:
+    """Returns the generator of the distances: with blind draws, one that all attempts at an episode share.
+
+    Blind attempts from a large distance fail more often. Without this, the archived distances would be shorter than
+    those of the tier (docs/design/starts.md#screening).
+    """
+    if job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:
+        return rng
+    return np.random.default_rng(np.random.SeedSequence((job.root_seed, job.index), spawn_key=(_DISTANCE_STREAM,)))
+
+
+def _draw_around(job: Job, target: Target, distances: np.random.Generator, rng: np.random.Generator) -> Poses:
     """Returns poses (N, 3) at one random distance, in random order."""
-    distance = rng.uniform(*TIER_RANGE_M[job.tier])
+    distance = distances.uniform(*TIER_RANGE_M[job.tier])
     bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
     yaw = bearing + math.pi + noise

@@ -208,3 +208,14 @@ def test_far_starts_keep_to_their_range_along_the_floor(expert: ExpertName, scre
 def test_a_room_of_three_metres_has_no_far_start() -> None:
     place = lane_room(3.4)
     assert first_start(place, crate_job(place, tier=Tier.FAR, **screened(Screening.NONE))) is None
+
+
+def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
+    place = lane_room(8.5)
+    blind, foreseen = (
+        [distances(place, 3, index=index, **screened(screening)) for index in range(1, 20)]
+        for screening in (Screening.NONE, Screening.FORESEEN)
+    )
+    assert all(max(found) - min(found) < 1e-9 for found in blind)
+    assert all(max(found) - min(found) > 1e-3 for found in foreseen)
+    assert np.std([found[0] for found in blind]) > 0.6  # uniform over the tier, from episode to episode
