@@ -12,8 +12,6 @@ from pydantic import ConfigDict, Field, model_validator
 from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
 from schemas.terms import FAR_FLOOR_M, Screening
 
-__all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "SpawnConfig", "TaskConfig"]
-
 
 class TaskConfig(Model):
     """Parameters of the end of an episode (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""

@@ -9,22 +9,6 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-__all__ = [
-    "BUILTIN_CATEGORIES",
-    "CATEGORIES",
-    "COLOUR_NAMES",
-    "FAR_FLOOR_M",
-    "TIER_RANGE_M",
-    "EndReason",
-    "ExpertName",
-    "FailReason",
-    "RendererKind",
-    "SceneCategories",
-    "Screening",
-    "Split",
-    "Tier",
-]
-
 
 class Tier(StrEnum):
     """Distance tier of the start of an episode (paper Sec. III-D)."""

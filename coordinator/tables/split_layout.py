@@ -19,8 +19,6 @@ from schemas.errors import ArchiveCorrupt
 from schemas.storage.place import Place, table_of
 from schemas.terms import Split
 
-__all__ = ["DIGEST_KEY", "PICTURES_KEY", "THUMBNAIL", "UNREADABLE", "SplitTable", "read_pictures", "split_tables_of"]
-
 THUMBNAIL = "thumbnail"
 """Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available."""
 DIGEST_KEY, PICTURES_KEY = b"minivla_rows", b"minivla_thumbnails"

@@ -12,24 +12,6 @@ from typing import Self
 from schemas.base import Model
 from schemas.terms import Screening
 
-__all__ = [
-    "CoordinatorBench",
-    "DeliveryLoad",
-    "Machine",
-    "Memory",
-    "MemoryBench",
-    "PlainPace",
-    "ReadBench",
-    "RenderBench",
-    "RolloutBench",
-    "SceneRender",
-    "SceneRollout",
-    "SessionLoad",
-    "Spread",
-    "StageCost",
-    "WireBench",
-]
-
 
 class Spread(Model):
     """Median and range of a value over several runs."""
