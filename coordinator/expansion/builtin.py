@@ -28,7 +28,7 @@ _PAPER = Plan(
         ScenePlan(name="warehouse_multiple_shelves", episodes=68),
     ),
     robot=RobotConfig(max_braking_mps2=7.0),
-    spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.0)),
+    spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.5)),
 )
 """1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law."""
 
