@@ -5,7 +5,7 @@ Contains values only. A plan may override each of them; every episode records th
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -120,6 +120,14 @@ class SpawnConfig(Model):
         if low >= high:
             raise ValueError(f"far_floor_m: the first value, {low:g} m, must be less than the second, {high:g} m")
         return self
+
+
+class InstructionConfig(Model):
+    """Parameters of the instructions (docs/design/starts.md#start-view)."""
+
+    unique: Literal["scene", "view", "off"] = "off"
+    """Where an instruction fits exactly one object: in the scene; in the scene, or else in view of the start; `off`
+    sets no condition."""
 
 
 class ExpertConfig(Model):

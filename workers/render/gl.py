@@ -26,6 +26,7 @@ from workers.render import DepthAndIds, RenderedFrame
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import SceneShelf
+from workers.render.sky import SkyPainter
 
 _KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
@@ -60,6 +61,7 @@ class GlRenderer(Closing):
         self.description = _describe(self._context)
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: GpuScene | None = None
+        self._sky = SkyPainter(None, self._camera)
         with self._context:
             self._programs = Programs(self._context)
             self._targets = {size: GlTarget(self._context, size)}
@@ -82,6 +84,7 @@ class GlRenderer(Closing):
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
+        self._sky = SkyPainter(scene.info.sky, camera)
         with self._context:
             self._scene = self._shelf.take(scene)
 
@@ -105,6 +108,7 @@ class GlRenderer(Closing):
             self._lap("render")
             rgb = target.read_colour()
             relief = target.read_relief(self._camera, rgb)
+        self._sky.paint(rgb, relief.depth, optical_pose(pose, self._camera))
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
 
