@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
-from schemas.terms import TIER_RANGE_M, ExpertName, Screening, Tier
+from schemas.terms import TIER_RANGE_M, ExpertName, Screening, SuccessMeasure, Tier
 from workers.geometry.appearance import Appearance
-from workers.geometry.grid import are_within, straight_end
+from workers.geometry.grid import are_within
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import geodesic_field, geodesic_m, pose_table
@@ -26,7 +27,7 @@ from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97
-"""Distance from the centroid at which the robot stops inside the success circle, metres."""
+"""Distance from the target at which the robot stops inside the success region, by the success measure, metres."""
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
 _DISTANCE_STREAM = 1
@@ -158,9 +159,9 @@ def _draw_around(job: Job, target: Target, distances: np.random.Generator, rng: 
     bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
     yaw = bearing + math.pi + noise
-    x = target.centroid_m[0] + distance * portable.cos(bearing)
-    y = target.centroid_m[1] + distance * portable.sin(bearing)
-    return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
+    rays = np.stack([portable.cos(bearing), portable.sin(bearing)], axis=1)
+    points = Goal.of(target, job.task).ring(rays, distance)
+    return np.column_stack([points, portable.arctan2(portable.sin(yaw), portable.cos(yaw))])
 
 
 def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
@@ -180,16 +181,23 @@ def _is_screened(job: Job) -> bool:
 
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
     """Returns the surveyed points (N, 2) whose distance along the floor to the target is in the range of the tier."""
-    column = place.scene.info.targets.index(target)
-    points = place.scene.spawns[place.scene.spawn_sees[:, column] > 0] if _is_screened(job) else place.scene.spawns
+    points = _points_on_free_lines(job, target, place) if _is_screened(job) else place.scene.spawns
     low, high = job.spawn.far_floor_m
-    way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
+    way = geodesic_field(place.grid, target, job.task).metres
     floor_m = place.grid.values_at(way, points, np.inf).astype(np.float64)
     longest = high - job.task.success_radius_m
     if job.expert is ExpertName.PLANNER:
         longest = min(longest, job.planner.max_path_m)
     # the field is up to 2.8 % longer than the shortest path, so the smallest distance is checked again for the start
     return np.asarray(points[(floor_m >= low - job.task.success_radius_m) & (floor_m <= longest)])
+
+
+def _points_on_free_lines(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    if job.task.success is SuccessMeasure.CENTROID:
+        column = place.scene.info.targets.index(target)
+        return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
+    points = place.scene.spawns[place.grid.have_sight(place.scene.spawns, target)]
+    return np.asarray(points[_is_way_free(job, target, place, points.astype(np.float64))])
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
@@ -218,18 +226,16 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
 
 
 def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64]) -> bool:
-    radius = job.task.success_radius_m
-    path_m = geodesic_m(place.grid, xy, target, radius)
-    return path_m is not None and path_m + radius >= job.spawn.far_floor_m[0]
+    path_m = geodesic_m(place.grid, xy, target, job.task)
+    return path_m is not None and path_m + job.task.success_radius_m >= job.spawn.far_floor_m[0]
 
 
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
-    ends = straight_end(starts, target.centroid_m[:2], ARRIVAL_RADIUS_M)
+    ends = Goal.of(target, job.task).approach(starts, ARRIVAL_RADIUS_M)
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 
 
 def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
     """Returns the smallest free space around the footprint along the predicted path, metres."""
-    x, y = target.centroid_m[:2]
-    drive = predict_path(start, (x, y), job, appearance)
+    drive = predict_path(start, Goal.of(target, job.task), job, appearance)
     return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

@@ -16,6 +16,7 @@ from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
+from schemas.measure import Goal
 from schemas.referents import ids_in_view
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
@@ -111,7 +112,7 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
         seed=int(np.random.SeedSequence((job.root_seed, job.index)).generate_state(1)[0]),
         spawn_pose=drawn or meta.rollout.spawn_pose,
         spawn_source="job" if drawn else "frame",
-        spawn_dist_m=meta.rollout.spawn_dist_m,
+        spawn_dist_m=Goal.of_episode(meta).distance(*meta.rollout.spawn_pose[:2]),
         geodesic_m=meta.route.geodesic_m,
         categories_in_view=seen,
         is_target_in_view=target_pixels >= job.gains.min_mask_px,

@@ -125,7 +125,7 @@ def explain_category_share(material: ReportInput, category: str) -> str:
     counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
     there = sum(counted) / (paper.OVERALL.n or 1)
     text = f"Scenes with this category have {_percent(here)} of the episodes, {_percent(there)} in the paper"
-    drawn = "by category first" if material.meta.plan.balance == "categories" else "uniformly over instances"
+    drawn = "uniformly over instances" if material.meta.plan.balance == "instances" else "by category first"
     return f"{text}; targets are drawn {drawn}."
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.job import Job
+from schemas.measure import Goal
+from schemas.start_view import StartView
 from schemas.terms import ExpertName, Screening, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
@@ -108,7 +110,9 @@ def pillared_room() -> LoadedScene:
 
 def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
     target = place.scene.info.target(job.target_id)
-    x, y, yaw = predict_path(start, (0.0, 0.0), job, Appearance(place.scene, target.instance_id, job.camera)).T
+    x, y, yaw = predict_path(
+        start, Goal.of(target, job.task), job, Appearance(place.scene, target.instance_id, job.camera)
+    ).T
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 
 
@@ -197,7 +201,7 @@ def test_far_starts_keep_to_their_range_along_the_floor(expert: ExpertName, scre
         spawn = screened(screening, far_floor_m=(low, high))
         starts = starts_of(place, 16, tier=Tier.FAR, expert=expert, **spawn)
         assert len(starts) == 16
-        ways = [geodesic_m(place.grid, start[:2], target, 1.0) for start in starts]
+        ways = [geodesic_m(place.grid, start[:2], target, TaskConfig()) for start in starts]
         assert None not in ways
         assert low <= min(1.0 + way for way in ways if way is not None)
         assert max(1.0 + way for way in ways if way is not None) <= high
@@ -219,3 +223,42 @@ def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
     assert all(max(found) - min(found) < 1e-9 for found in blind)
     assert all(max(found) - min(found) > 1e-3 for found in foreseen)
     assert np.std([found[0] for found in blind]) > 0.6  # uniform over the tier, from episode to episode
+
+
+@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
+@pytest.mark.parametrize("tier", Tier)
+def test_a_further_condition_selects_among_the_same_candidates(expert: ExpertName, tier: Tier) -> None:
+    place = lane_room(8.5)
+    job = crate_job(place, tier=tier, expert=expert)
+    target = place.scene.info.target(job.target_id)
+    seen: list[Pose] = []
+
+    def is_on_the_left(pose: Pose) -> bool:
+        seen.append(pose)
+        return pose.y > 0.1
+
+    found = next(draw_poses(job, target, place, job.rng(), is_on_the_left))
+    assert found.y > 0.1
+    assert found in seen
+    again = next(draw_poses(job, target, place, job.rng(), lambda pose: pose == found))
+    assert again == found
+
+
+def test_a_draw_ends_when_too_many_starts_are_rejected() -> None:
+    place = lane_room(8.5)
+    job = crate_job(place, expert=ExpertName.PLANNER)
+    rejected: list[Pose] = []
+    target = place.scene.info.target(job.target_id)
+    assert list(draw_poses(job, target, place, job.rng(), lambda pose: bool(rejected.append(pose)))) == []
+    assert 256 <= len(rejected) < 256 + 32
+
+
+@pytest.mark.parametrize(("view", "limit_deg"), [(StartView(within_rad=0.5), 28.65), (StartView(rivals=(99,)), 45.0)])
+def test_far_starts_that_must_show_the_target_head_towards_it(view: StartView, limit_deg: float) -> None:
+    place = lane_room(8.5)
+    for attempt in range(1, 30):
+        job = crate_job(place, attempt, Tier.FAR, start_view=view)
+        start = first_start(place, job)
+        assert start is not None
+        off = math.remainder(math.atan2(-start.y, -start.x) - start.yaw, 2 * math.pi)
+        assert abs(math.degrees(off)) <= limit_deg + 0.01
