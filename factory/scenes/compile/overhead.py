@@ -63,6 +63,6 @@ def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> b
     caster, total, free = Caster(triangles), len(origins), 0
     for _ in range(_MOST_BACKS):
         distance, is_back = caster.first_hits(origins, directions, _REACH_M)
-        free += np.count_nonzero(distance >= _REACH_M)
+        free += int(np.count_nonzero(distance >= _REACH_M))
         origins, directions = (origins + (distance + _STEP_M)[:, None] * directions)[is_back], directions[is_back]
     return free > _OPEN_SHARE * total
