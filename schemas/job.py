@@ -8,9 +8,18 @@ import numpy as np
 from pydantic import Field
 
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
-from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import (
+    CameraConfig,
+    DemonstrationConfig,
+    ExpertConfig,
+    PlannerConfig,
+    RobotConfig,
+    SpawnConfig,
+    TaskConfig,
+)
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
+from schemas.start_view import StartView
 from schemas.terms import ExpertName
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
@@ -54,6 +63,12 @@ class Job(EpisodeSpec):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    start_view: StartView | None = Field(default=None, exclude_if=lambda view: view is None)
+    """Conditions on the image at the start; omitted if there are none."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
 
     @property
     def episode_id(self) -> str:

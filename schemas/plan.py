@@ -22,7 +22,16 @@ from pydantic import (
 )
 
 from schemas.base import Fraction, Model, Name
-from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import (
+    CameraConfig,
+    DemonstrationConfig,
+    ExpertConfig,
+    InstructionConfig,
+    PlannerConfig,
+    RobotConfig,
+    SpawnConfig,
+    TaskConfig,
+)
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
@@ -38,7 +47,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "disjoint_instances"})
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -67,6 +76,8 @@ class ScenePlan(Model):
     ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
     """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
 
+    ambiguous: tuple[Name, ...] = ()
+    """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
     tiers: dict[Tier, Fraction] = Field(default_factory=dict)
     """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
     splits: dict[Split, Fraction] = Field(default_factory=dict)
@@ -115,6 +126,9 @@ class ScenePlan(Model):
         both = sorted(set(seen) & set(held_out))
         if both:
             raise ValueError(f"categories both seen and held out: {', '.join(both)}")
+        unnamed = sorted(set(self.ambiguous) - {*seen, *held_out})
+        if unnamed:
+            raise ValueError(f"`ambiguous` lists categories that are neither seen nor held out: {', '.join(unnamed)}")
         if not seen:
             raise ValueError("a scene with `usd` needs `seen = [...]`, the categories to train on")
         return self
@@ -148,10 +162,15 @@ class Plan(Model):
     """Controller that drives."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
-    balance: Literal["instances", "categories"] = "instances"
-    """Uniform choice over the target instances (as in the paper), or over the categories first."""
+    balance: Literal["instances", "categories", "categories_overall"] = "instances"
+    """Even choice over the target instances (as in the paper), over the categories of each scene first, or over the
+    categories of all scenes first."""
     disjoint_instances: bool = False
     """Whether training and the evaluation of seen categories use different instances if a scene has enough of them."""
+    instructions: InstructionConfig = Field(
+        default=InstructionConfig(), exclude_if=lambda wanted: wanted == InstructionConfig()
+    )
+    """Parameters of the instructions; omitted if they are the defaults."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -166,6 +185,10 @@ class Plan(Model):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:

@@ -9,6 +9,7 @@ from coordinator.validation.job import job_findings, table_findings, target_find
 from coordinator.validation.motion import motion_findings
 from coordinator.validation.rollout import rollout_findings, visibility_findings
 from coordinator.validation.route import route_findings
+from coordinator.validation.start import start_findings
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.scene import Target
@@ -45,6 +46,7 @@ def validate(
     if len(survey.digests) < bundle.length:
         return findings  # the remaining checks need every frame
     findings += visibility_findings(meta, survey.target_pixels)
+    findings += start_findings(meta, arrays, bundle.ids(0))
     digest = bundle.content_digest(survey.digests)
     if digest != meta.content_digest:
         findings.append(f"content digest {digest}, meta.json says {meta.content_digest}")

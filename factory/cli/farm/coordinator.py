@@ -26,6 +26,7 @@ from factory.cli.common.options import (
     tls_option,
     verbose_option,
 )
+from factory.cli.common.output import say_building
 from factory.cli.common.summary import say_missing
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, write_target_lists
@@ -88,7 +89,7 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        catalog = open_catalog(plan, site.place, scene_cache(), say_building)
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)

@@ -16,11 +16,12 @@ from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
 from factory.cli.inspect.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
+from schemas.config import TaskConfig
 from schemas.dataset import FailedAttempt
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.language import TEMPLATES
 from schemas.plan import ScenePlan
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName, Split, SuccessMeasure, Tier
 from tests.builders.dataset import NOW, failure, make_dataset
 from tests.builders.plan import small_plan
 from tests.builders.statistics import episode_row, rows_of, two_scenes
@@ -127,6 +128,31 @@ def test_correlation_is_reported_for_all_scenes_and_tiers() -> None:
     assert [fit.group for fit in found.correlation] == ["all", "office", "hospital", "near", "mid", "far"]
     assert row_of(found.correlation, "all").slope == pytest.approx(1.0)
     assert "has 0" in row_of(found.correlation, "hospital").remark
+
+
+def test_far_starts_are_measured_along_the_floor_to_the_centroid_of_the_target() -> None:
+    far = {"spawn_tier": Tier.FAR}
+    episodes = [
+        episode_row(1, spawn_dist_m=3.0, geodesic_m=2.0, **far),  # a free line of 2 m to the circle
+        episode_row(2, spawn_dist_m=4.0, geodesic_m=3.5, **far),  # around a corner, 4.5 m
+        episode_row(3, spawn_dist_m=4.0, geodesic_m=5.5, **far),  # around a corner, 6.5 m
+        episode_row(4, spawn_dist_m=9.0, geodesic_m=8.0, scene="hospital", **far),
+        episode_row(5, spawn_dist_m=9.0, geodesic_m=None, scene="hospital", **far),
+        episode_row(6, spawn_dist_m=2.0, geodesic_m=1.0),
+    ]
+    office, hospital, everything = measure(episodes).far
+    assert (office.n, office.mean_m) == (3, pytest.approx((3 + 4.5 + 6.5) / 3))
+    assert ((office.short.count, office.short.of), office.corner.count) == ((2, 3), 2)
+    assert (hospital.n, hospital.mean_m, hospital.interval_m, hospital.corner.count) == (1, 9.0, None, 0)
+    assert (everything.n, everything.short.count, everything.corner.share) == (4, 2, 0.5)
+
+
+def test_means_have_a_t_interval_from_two_episodes_on() -> None:
+    found = measure([episode_row(n, num_steps=steps) for n, steps in enumerate((100, 200, 300), 1)])
+    half = 4.302653 * 100 / 3**0.5
+    assert row_of(found.tiers, "near").steps_interval == pytest.approx((200 - half, 200 + half))
+    assert row_of(found.tiers, "mid").steps_interval is None
+    assert row_of(measure([episode_row(1)]).tiers, "near").tl_interval_m is None
 
 
 def test_overlap_counts_instances_that_occur_in_training() -> None:
@@ -322,3 +348,21 @@ def test_the_command_exits_with_1_on_damage_and_names_the_omitted_rows(own: Path
     done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
     assert done.return_value == 1
     assert "damage: episodes: 1 episodes skipped" in done.stderr
+
+
+def test_navigation_errors_are_reported_by_both_measures_and_start_distances_by_that_of_the_plan() -> None:
+    by_surface = two_scenes().model_copy(update={"task": TaskConfig(success=SuccessMeasure.SURFACE)})
+    rows = [
+        episode_row(n, final_ne_m=1.6, final_surface_m=0.9 + n / 100, spawn_surface_m=n, trajectory_length_m=0.5 * n)
+        for n in range(1, 5)
+    ]
+    found = measure(rows, plan=by_surface)
+    assert row_of(found.navigation_error, "all").mean == pytest.approx(0.925)
+    assert row_of(found.navigation_error, "all").within_radius.share == 1.0
+    assert row_of(found.other_error, "all").mean == pytest.approx(1.6)
+    assert found.correlation[0].n == 4
+    assert found.correlation[0].slope == pytest.approx(0.5)
+    paper = measure(rows)
+    assert row_of(paper.navigation_error, "all").mean == pytest.approx(1.6)
+    assert row_of(paper.other_error, "all").mean == pytest.approx(0.925)
+    assert measure([episode_row()]).other_error == ()
