@@ -112,6 +112,13 @@ class ScenePlan(Model):
             )
         return categories
 
+    @field_validator("ceiling_m")
+    @classmethod
+    def _is_for_a_stage(cls, ceiling_m: float | None, others: ValidationInfo) -> float | None:
+        if ceiling_m is not None and others.data.get("usd") is None:
+            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a USD stage (`usd = PATH`)")
+        return ceiling_m
+
     @model_validator(mode="after")
     def _categories_make_sense(self) -> ScenePlan:
         seen, held_out = self.categories

@@ -7,6 +7,7 @@ import pytest
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.file import load_plan, shrink
 from schemas.errors import InvalidPlan, UsageError
+from schemas.plan import ScenePlan
 from schemas.terms import Split, Tier
 
 GOOD = """
@@ -149,6 +150,15 @@ def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
     assert not {"rules", "targets", "allow_outside"} & set(plan.model_dump()["scenes"][0])
     other = plan.scenes[0].model_copy(update={"targets": "t.yaml"})
     assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest
+
+
+def test_a_ceiling_is_for_a_stage_and_not_for_a_built_in_scene() -> None:
+    stage = ScenePlan(name="lab", usd="lab.usda", seen=("chair",), episodes=1, ceiling_m=2.6)
+    assert ScenePlan.model_validate(stage.model_dump()).ceiling_m == 2.6
+    with pytest.raises(ValueError, match="built-in scene has a ceiling"):
+        ScenePlan(name="office", episodes=1, ceiling_m=2.6)
+    with pytest.raises(ValueError, match="greater than or equal to 1"):
+        ScenePlan(name="lab", usd="lab.usda", seen=("chair",), episodes=1, ceiling_m=0.5)
 
 
 def test_a_copy_with_other_values_has_another_digest() -> None:
