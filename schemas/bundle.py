@@ -5,7 +5,7 @@ Works on open binary files, with deterministic bytes and bounded decoding. Opens
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import BinaryIO, cast
 
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
+from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
-from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
+from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst, is_npy_of
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
 from schemas.errors import InvalidBundle
@@ -53,7 +53,7 @@ class EpisodeArrays:
     """(T, 2) commanded twist: v in m/s, w in rad/s."""
     actions_tokens: NDArray[np.int16]
     """(T, 2) action tokens, 0..6."""
-    poses: NDArray[np.float32]
+    poses: NDArray[np.float64]
     """(T, 7) poses of base_link in the world frame: x, y, z in metres, qw, qx, qy, qz."""
 
     def in_order(self) -> tuple[NDArray[np.generic], ...]:
@@ -138,7 +138,10 @@ class BundleReader(Closing):
         expected = member_names(self.length)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
-        self.arrays = EpisodeArrays(**{spec.name: self._array(spec) for spec in EPISODE_ARRAYS})  # type: ignore[arg-type]
+        arrays = {spec.name: self._array(spec) for spec in EPISODE_ARRAYS}
+        self.pose_dtype = arrays[POSES.name].dtype
+        """Type of the stored poses; float32 in bundles of format 1."""
+        self.arrays = EpisodeArrays(**{**arrays, POSES.name: arrays[POSES.name].astype(POSES.dtype)})  # type: ignore[arg-type]
 
     @cached_property
     def meta(self) -> EpisodeMeta:
@@ -151,7 +154,9 @@ class BundleReader(Closing):
 
     def _array(self, spec: ArraySpec) -> NDArray[np.generic]:
         shape = tuple(self.length if side is None else side for side in spec.shape)
-        array = decode_npy(spec.name, self._in.read(f"{spec.name}.npy"), spec.dtype, shape)
+        data = self._in.read(f"{spec.name}.npy")
+        is_former = spec.former_dtype is not None and is_npy_of(data, spec.former_dtype, shape)
+        array = decode_npy(spec.name, data, spec.former_dtype if is_former else spec.dtype, shape)
         findings = spec.violations(array, self.length)
         if findings:
             raise InvalidBundle("bundle refused", findings)
@@ -192,7 +197,8 @@ class BundleReader(Closing):
 
     def content_digest(self, frame_digests: tuple[str, ...]) -> str:
         """Returns the content digest over these frame digests, the arrays and the metadata."""
-        return content_digest(frame_digests, self.arrays.in_order(), self.meta.canonical())
+        stored = replace(self.arrays, poses=self.arrays.poses.astype(self.pose_dtype))
+        return content_digest(frame_digests, stored.in_order(), self.meta.canonical())
 
     def member_bytes(self) -> dict[str, int]:
         """Returns the stored size of each kind of member, e.g. `rgb_front`, bytes."""

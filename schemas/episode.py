@@ -16,8 +16,8 @@ from schemas.terms import EndReason
 
 __all__ = ["BUNDLE_FORMAT", "MAX_FRAMES", "EpisodeMeta", "Provenance", "Rollout", "Route"]
 
-BUNDLE_FORMAT = 1
-"""Version of the bundle format. A reader opens its own version and older ones, and rejects newer ones."""
+BUNDLE_FORMAT = 2
+"""Version of the bundle format; format 1 has float32 poses. A reader opens its own version and older ones, and rejects newer ones."""
 MAX_FRAMES = 1000
 """Largest number of steps of an episode."""
 _MAX_PATH_POSES = 100_000

@@ -33,15 +33,15 @@ class TrackMeasure(NamedTuple):
     """Smallest distance to the target's centroid, metres."""
 
 
-def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
+def yaw_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns the headings (T,) of poses (T, 7) x, y, z, qw, qx, qy, qz, radians."""
-    w, x, y, z = poses[:, 3:].astype(np.float64).T
+    w, x, y, z = poses[:, 3:].T
     return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, float]) -> TrackMeasure:
+def measure_track(poses: NDArray[np.float64], centroid_m: tuple[float, float, float]) -> TrackMeasure:
     """Returns the measures of a track of (T, 7) poses and a target's centroid, both in the world frame, metres."""
-    track = poses[:, :3].astype(np.float64)
+    track = poses[:, :3]
     to_goal = np.linalg.norm(track[:, :2] - np.asarray(centroid_m[:2]), axis=1)
     steps = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
     return TrackMeasure(

@@ -17,13 +17,13 @@ from schemas.tokens import tokens_of
 __all__ = ["rollout_findings", "visibility_findings"]
 
 DISTANCE_SLACK_M = 1e-6
-"""Tolerance between recorded and recomputed distances, metres; both use the same formula on the float32 poses."""
+"""Tolerance between recorded and recomputed distances, metres; both use the same formula on the poses."""
 POSE_SLACK = 1e-6
 """Tolerance between the recorded spawn pose and pose 0, metres and radians; both use the same formula."""
 SPEED_SLACK_MPS = 1e-3
-"""Tolerance between measured speed and speed of the float32 poses, m/s: 4e-6 m at 50 m, times 60 Hz."""
+"""Tolerance between measured speed and speed of the recorded poses, m/s; float32 poses of format 1 differ by 4e-6 m at 50 m, times 60 Hz."""
 RADIUS_SLACK_M = 1e-5
-"""Tolerance between distances of float64 and float32 poses, metres."""
+"""Tolerance between distances of float64 and of float32 poses (format 1), metres."""
 
 
 def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
@@ -32,7 +32,7 @@ def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
     return [
         *_statistics_findings(meta, track, len(arrays.poses)),
         *_spawn_findings(meta, track),
-        *_success_findings(meta, arrays.poses.astype(np.float64)),
+        *_success_findings(meta, arrays.poses),
         *_token_findings(arrays),
     ]
 

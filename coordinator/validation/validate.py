@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from coordinator.validation.frames import survey_frames
 from coordinator.validation.job import job_findings, table_findings, target_findings
 from coordinator.validation.motion import motion_findings
 from coordinator.validation.rollout import rollout_findings, visibility_findings
 from coordinator.validation.route import route_findings
 from schemas.bundle import BundleReader
+from schemas.encoding.arrays import POSES
 from schemas.job import Job
 from schemas.scene import Target
 
@@ -36,6 +39,7 @@ def validate(
     meta, arrays, task = bundle.meta, bundle.arrays, bundle.meta.job.task
     findings = job_findings(meta, job) if job is not None else []
     findings += table_findings(meta)
+    findings += _pose_findings(bundle)
     findings += target_findings(meta, target) if target is not None else []
     findings += rollout_findings(meta, arrays)
     findings += route_findings(meta, arrays)
@@ -49,3 +53,10 @@ def validate(
     if digest != meta.content_digest:
         findings.append(f"content digest {digest}, meta.json says {meta.content_digest}")
     return findings
+
+
+def _pose_findings(bundle: BundleReader) -> list[str]:
+    wanted = POSES.former_dtype if bundle.meta.format < 2 else POSES.dtype
+    if bundle.pose_dtype == wanted:
+        return []
+    return [f"poses.npy has {bundle.pose_dtype}; bundles of format {bundle.meta.format} have {np.dtype(wanted)}"]

@@ -76,7 +76,7 @@ class Episode(Closing):
         return self._bundle().arrays.actions_tokens
 
     @property
-    def poses(self) -> NDArray[np.float32]:
+    def poses(self) -> NDArray[np.float64]:
         """(T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z."""
         return self._bundle().arrays.poses
 

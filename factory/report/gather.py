@@ -85,9 +85,9 @@ def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: 
         rows.add_damage(name, f"skipped in the sample frames: {_format_error(error, root)}")
 
 
-def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
+def _thin(track: NDArray[np.float64]) -> NDArray[np.float64]:
     chosen = np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).round().astype(int))
-    thinned: NDArray[np.float32] = track[chosen]
+    thinned: NDArray[np.float64] = track[chosen]
     return thinned
 
 

@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 from schemas.errors import InvalidBundle
 from schemas.support.foreign import PARSER_ERRORS
 
-__all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst"]
+__all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst", "is_npy_of"]
 
 _MAX_HEADER_BYTES = 4096
 _MAX_WINDOW_BYTES = 128 << 20
@@ -64,6 +64,11 @@ _codecs = _Codecs()
 def encode_npy(array: NDArray[np.generic]) -> bytes:
     """Returns the array as `.npy` 1.0 in C order; equal arrays give equal bytes."""
     return b"".join((_header(array.dtype, array.shape), np.ascontiguousarray(array).data))
+
+
+def is_npy_of(data: bytes, dtype: DTypeLike, shape: tuple[int, ...]) -> bool:
+    """Returns whether a file starts with the header that `encode_npy` writes for this dtype and shape."""
+    return data.startswith(_header(np.dtype(dtype), shape))
 
 
 @functools.lru_cache(maxsize=64)

@@ -27,7 +27,7 @@ from schemas.scene import Instance
 from schemas.terms import EndReason, ExpertName, Split, Tier
 from schemas.tokens import tokens_of
 
-__all__ = ["BundleParts", "bundle_bytes", "job_for", "parts_for", "short_task"]
+__all__ = ["BundleParts", "bundle_bytes", "former_parts", "job_for", "parts_for", "short_task"]
 
 Frame = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
 
@@ -125,6 +125,14 @@ def parts_for(job: Job | None = None, steps: int = 12) -> BundleParts:
     return BundleParts(_meta(job, arrays), arrays, frames)
 
 
+def former_parts() -> BundleParts:
+    """Returns the parts of the smallest bundle of format 1, whose poses are float32."""
+    parts = parts_for()
+    poses = parts.arrays.poses.astype(np.float32)
+    measured = parts.with_arrays(poses=poses.astype(np.float64)).measured()
+    return measured.with_arrays(poses=poses).with_meta(format=1)
+
+
 def bundle_bytes(index: int = 1) -> bytes:
     """Returns the smallest valid bundle of an episode; cached, because many tests need it."""
     return _cached_bundle(index)
@@ -147,7 +155,7 @@ def _drive(steps: int, job: Job) -> EpisodeArrays:
         speeds.append(speed)
     actions = np.zeros((steps, 2), np.float32)
     actions[:, 0] = speeds
-    poses = np.zeros((steps, 7), np.float32)
+    poses = np.zeros((steps, 7))
     poses[1:, 0] = np.cumsum(actions[:-1, 0].astype(np.float64) / hz)
     poses[:, 3] = 1.0
     return EpisodeArrays(actions, tokens_of(actions), poses)

@@ -70,7 +70,7 @@ def stamp_of(t: int, hz: int) -> int:
     return t * _NANOSECONDS // hz
 
 
-def static_messages(meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene) -> Iterator[TopicMessage]:
+def static_messages(meta: EpisodeMeta, poses: NDArray[np.float64], scene: CompiledScene) -> Iterator[TopicMessage]:
     """Yields the messages that are published once, at frame 0: instruction, map, target, calibration, paths."""
     stamp = _timestamp(0)
     yield TopicMessage(
@@ -91,7 +91,7 @@ def motion_messages(
     t: int,
     camera: CameraConfig,
     stamp_ns: int,
-    pose: NDArray[np.float32],
+    pose: NDArray[np.float64],
     twist: NDArray[np.float64],
     action: NDArray[np.float32],
     tokens: NDArray[np.int16],
@@ -169,13 +169,13 @@ def calibration(camera: CameraConfig) -> dict[str, Any]:
     }
 
 
-def measured_twists(poses: NDArray[np.float32], hz: int) -> NDArray[np.float64]:
+def measured_twists(poses: NDArray[np.float64], hz: int) -> NDArray[np.float64]:
     """Returns twists (T, 2), v along x (m/s) and yaw rate (rad/s), by backward differences of the poses.
 
     The first twist is zero, because the robot starts at rest.
     """
     yaw = yaw_of(poses)
-    steps = np.diff(poses[:, :2].astype(np.float64), axis=0)
+    steps = np.diff(poses[:, :2], axis=0)
     forward = steps[:, 0] * np.cos(yaw[:-1]) + steps[:, 1] * np.sin(yaw[:-1])
     turned = np.angle(np.exp(1j * np.diff(yaw)))
     twists = np.zeros((len(poses), 2))

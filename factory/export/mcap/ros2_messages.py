@@ -54,7 +54,7 @@ LATCHED = frozenset({"/tf_static", "/instruction", "/target", "/map", "/path/dri
 
 
 def static_messages(
-    meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene, stamp_ns: int
+    meta: EpisodeMeta, poses: NDArray[np.float64], scene: CompiledScene, stamp_ns: int
 ) -> Iterator[TopicMessage]:
     """Yields the messages that are published once, at frame 0.
 
@@ -77,7 +77,7 @@ def static_messages(
 
 def motion_messages(
     stamp_ns: int,
-    pose: NDArray[np.float32],
+    pose: NDArray[np.float64],
     twist: NDArray[np.float64],
     action: NDArray[np.float32],
     tokens: NDArray[np.int16],

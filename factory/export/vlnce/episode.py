@@ -92,7 +92,7 @@ def scene_file(scene: str) -> str:
     return f"minivla/{scene}/{scene}.glb"
 
 
-def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float32], floor_height_m: float) -> dict[str, Any]:
+def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float) -> dict[str, Any]:
     """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
     Args:
@@ -102,7 +102,7 @@ def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float32], floor_height_m:
     """
     job, rollout = meta.job, meta.rollout
     goal_x, goal_y, _ = meta.target_centroid_m
-    track = thin_track(poses[:, :3].astype(np.float64))
+    track = thin_track(poses[:, :3])
     return {
         "episode_id": job.index,
         "trajectory_id": job.index,

@@ -12,7 +12,7 @@ from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.terms import EndReason, Split, Tier
-from tests.builders.bundle import TARGET_ID, BundleParts, bundle_bytes, job_for, parts_for
+from tests.builders.bundle import TARGET_ID, BundleParts, bundle_bytes, former_parts, job_for, parts_for
 from tests.builders.dataset import chair
 
 Breaker = Callable[[BundleParts], BundleParts]
@@ -123,6 +123,14 @@ FRAMES = {
 
 def test_smallest_bundle_has_no_findings() -> None:
     assert findings_of(parts_for(), job_for()) == ""
+
+
+def test_bundle_of_format_1_with_float32_poses_has_no_findings() -> None:
+    assert findings_of(former_parts()) == ""
+
+
+def test_rounded_poses_are_refused_in_the_present_format() -> None:
+    assert "poses.npy has float32; bundles of format 2 have float64" in findings_of(former_parts().with_meta(format=2))
 
 
 @pytest.mark.parametrize(("breaker", "text"), JOB.values(), ids=JOB)
