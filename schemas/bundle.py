@@ -35,12 +35,16 @@ _DEPTH_BYTES = 4 * FRAME_SIZE_PX * FRAME_SIZE_PX + 4096
 _LIMITS = ContainerLimits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, member_bytes=4 << 20)
 
 
+_STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
+"""Number of members of a states recording: the arrays and `meta.json`."""
+
+
 def _frame_names(t: int) -> tuple[str, str, str]:
     return f"rgb_front/{t:06d}.png", f"depth_front/{t:06d}.npy.zst", f"seg_front/{t:06d}.png"
 
 
 def member_names(frames: int) -> tuple[str, ...]:
-    """Returns the member names of a bundle with that number of frames, in the order of the file."""
+    """Returns the member names of a bundle with that number of stored frames, in the order of the file."""
     of_frames = (name for t in range(frames) for name in _frame_names(t))
     return (*of_frames, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
 
@@ -86,8 +90,12 @@ class BundleWriter:
         self._lap("png ids")
         for name, data in zip(names, (colour, metres, instances), strict=True):
             self._out.add(name, data)
-        self._digests.append(frame_digest(rgb, depth, ids))
+        self.add_digest(rgb, depth, ids)
         self._lap("bundle")
+
+    def add_digest(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
+        """Adds the digest of a frame without storing the frame, for a states recording."""
+        self._digests.append(frame_digest(rgb, depth, ids))
 
     @property
     def frame_digests(self) -> tuple[str, ...]:
@@ -135,7 +143,9 @@ class BundleReader(Closing):
         self.length = self.meta.rollout.num_steps if steps is None else steps
         if self.length > MAX_FRAMES:  # checked before the member names are generated
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
-        expected = member_names(self.length)
+        self.has_frames = len(self._in.names) > _STATES_MEMBERS
+        """Whether the bundle stores frames; a states recording does not."""
+        expected = member_names(self.length if self.has_frames else 0)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
         arrays = {spec.name: self._array(spec) for spec in EPISODE_ARRAYS}

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
-from schemas.terms import ExpertName
+from schemas.terms import ExpertName, Recording
 
 __all__ = ["EPISODE_ID_FORMAT", "Job", "episode_id"]
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
+_SAMPLE_KEY = (1,)
+"""Spawn key of the random stream for sampled frames; it differs from the streams of the attempt."""
 
 
 def episode_id(index: int) -> str:
@@ -56,6 +58,13 @@ class Job(EpisodeSpec):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    record: Recording = Recording.FRAMES
+    """What the episode stores."""
+
+    @model_serializer(mode="wrap")
+    def _leave_out_default(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = serialize(self)  # digests of episodes from before this field must not change
+        return data if self.record is not Recording.FRAMES else {k: v for k, v in data.items() if k != "record"}
 
     @property
     def episode_id(self) -> str:
@@ -68,3 +77,12 @@ class Job(EpisodeSpec):
         Design: docs/design/reproducibility.md#seeds.
         """
         return np.random.default_rng(np.random.SeedSequence((self.root_seed, self.index, self.attempt)))
+
+    def sampled_steps(self, steps: int) -> tuple[int, ...]:
+        """Returns the steps whose frame digests a states recording stores: the first, the last and one drawn step.
+
+        Args:
+            steps: number of steps of the episode.
+        """
+        sequence = np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_SAMPLE_KEY)
+        return tuple(sorted({0, int(np.random.default_rng(sequence).integers(steps)), steps - 1}))

@@ -23,7 +23,7 @@ from pydantic import (
 
 from schemas.base import Fraction, Model, Name
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, SceneCategories, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, Recording, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
 
@@ -137,6 +137,8 @@ class Plan(Model):
     """Fraction of episodes in each split."""
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Controller that drives."""
+    record: Recording = Recording.FRAMES
+    """What an episode stores."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories"] = "instances"
@@ -161,7 +163,8 @@ class Plan(Model):
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
+        unused = {"disjoint_instances": False, "record": Recording.FRAMES}
+        return {key: value for key, value in data.items() if key not in unused or value != unused[key]}
 
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:

@@ -17,6 +17,7 @@ __all__ = [
     "EndReason",
     "ExpertName",
     "FailReason",
+    "Recording",
     "RendererKind",
     "SceneCategories",
     "Split",
@@ -53,6 +54,18 @@ class ExpertName(StrEnum):
     DEPTH = "depth"  # speed from mask depth instead of centroid distance
     PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; every episode ends with a timeout
     PLANNER = "planner"  # forward-only path planning and pure pursuit
+
+    @property
+    def uses_images(self) -> bool:
+        """Whether the controller uses the camera image at every step."""
+        return self is not ExpertName.PLANNER
+
+
+class Recording(StrEnum):
+    """What an episode stores (docs/dataset.md#recordings)."""
+
+    FRAMES = "frames"  # actions, poses and every frame
+    STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read
 
 
 class EndReason(StrEnum):

@@ -184,6 +184,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         spawn=plan.spawn,
         gains=plan.gains,
         planner=plan.planner,
+        record=plan.record,
     )
 
 

@@ -9,7 +9,7 @@ from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from coordinator.tables.card_configs import configs_to_yaml, split_configs
 from schemas.dataset_meta import DatasetMeta
 from schemas.language import TEMPLATES
-from schemas.terms import Split, Tier
+from schemas.terms import Recording, Split, Tier
 
 __all__ = ["dataset_card"]
 
@@ -73,12 +73,10 @@ Categories: {categories}.
   `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`, `template_id`, then
   colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer, `geodesic_m`
   (the shortest way along the floor to the success circle, the l of SPL), and `instance_side` (see Splits).
-- `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: `rgb_front/*.png` (640 x 640, 8 bit),
-  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
-  table in `meta.json`), `actions_continuous.npy` (v in m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy`
-  (x, y, z, qw, qx, qy, qz of base_link in the world), `meta.json`. Frame t is what the robot saw before action t.
-- `data/<split>-*.parquet`: the same rows by split, with a `thumbnail` (frame 0, JPEG, 160 x 160), written when
-  the run ends.
+- `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: {frames}`actions_continuous.npy` (v in
+  m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy` (exact x, y, z, qw, qx, qy, qz of base_link in the
+  world), `meta.json`. Frame t is what the robot saw before action t.{rendered}
+- `data/<split>-*.parquet`: the same rows by split{thumbnail}, written when the run ends.
 - `attempts.parquet`: every failed attempt ({failed}) with its reason.
 - `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
 
@@ -117,6 +115,13 @@ for episode in Dataset(".").filter(split="train_id"):
 ## Licence
 The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
+_FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
+  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
+  table in `meta.json`), """
+_RENDERED = """ This dataset records states:
+  minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
+  with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
+_THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _STRAIGHT = (
     "The expert knows where its target is and drives straight: near and mid starts have a free straight line to it, "
     "so nothing teaches to go around things."
@@ -132,6 +137,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         aggregates: aggregates of all rows of its tables.
         with_tables: splits with split tables.
     """
+    stores_frames = meta.plan.record is Recording.FRAMES
     return _CARD.format(
         configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
@@ -152,6 +158,9 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         tiers=_tier_table(aggregates),
         splits=_split_part(meta, aggregates),
         categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
+        frames=_FRAMES if stores_frames else "",
+        rendered="" if stores_frames else _RENDERED,
+        thumbnail=_THUMBNAIL if stores_frames else "",
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT,
         templates=len(TEMPLATES),
     )

@@ -21,7 +21,8 @@ DISTANCE_SLACK_M = 1e-6
 POSE_SLACK = 1e-6
 """Tolerance between the recorded spawn pose and pose 0, metres and radians; both use the same formula."""
 SPEED_SLACK_MPS = 1e-3
-"""Tolerance between measured speed and speed of the recorded poses, m/s; float32 poses of format 1 differ by 4e-6 m at 50 m, times 60 Hz."""
+"""Tolerance between measured speed and speed of the recorded poses, m/s: poses of format 1 are float32, which gives
+4e-6 m at 50 m, times 60 Hz."""
 RADIUS_SLACK_M = 1e-5
 """Tolerance between distances of float64 and of float32 poses (format 1), metres."""
 
@@ -61,7 +62,7 @@ def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) ->
         if not abs(getattr(rollout, name) - getattr(track, name)) <= DISTANCE_SLACK_M
     ]
     counts = {"collision_count": rollout.collision_count, "steps_visible": rollout.steps_visible}
-    found += [f"{name} {count} in {frames} steps" for name, count in counts.items() if count > frames]
+    found += [f"{name} {count} in {frames} steps" for name, count in counts.items() if (count or 0) > frames]
     if frames > meta.job.task.max_steps:
         found.append(f"num_steps {frames} is more than the job's max_steps {meta.job.task.max_steps}")
     return found

@@ -141,6 +141,7 @@ def _in_turn(episodes: Sequence[EpisodeSummary]) -> list[EpisodeSummary]:
     for row in episodes:
         by_category.setdefault(row.target_category, []).append(row)
     ranked = [
-        sorted(rows, key=lambda row: (-row.steps_visible / row.num_steps, row.index)) for rows in by_category.values()
+        sorted(rows, key=lambda row: (-(row.steps_visible or 0) / row.num_steps, row.index))
+        for rows in by_category.values()
     ]
     return [row for turn in zip_longest(*ranked) for row in turn if row is not None]

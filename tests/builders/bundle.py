@@ -24,7 +24,7 @@ from schemas.job import Job
 from schemas.language import instruction
 from schemas.measure import measure_track
 from schemas.scene import Instance
-from schemas.terms import EndReason, ExpertName, Split, Tier
+from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
 from schemas.tokens import tokens_of
 
 __all__ = ["BundleParts", "bundle_bytes", "former_parts", "job_for", "parts_for", "short_task"]
@@ -36,6 +36,11 @@ GOAL_M = (1.6, 0.0, 0.5)
 RADIUS_M = 1.58
 """A wide success circle, so that a drive of a few centimetres reaches it."""
 TARGET_ID, FLOOR_ID, WALL_ID = 7, 1, 2
+_INSTANCES = (
+    Instance(id=FLOOR_ID, prim_path="/World/floor"),
+    Instance(id=WALL_ID, prim_path="/World/wall"),
+    Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),
+)
 
 
 def short_task() -> TaskConfig:
@@ -111,8 +116,12 @@ class BundleParts:
     def _write(self) -> tuple[bytes, EpisodeMeta]:
         file = io.BytesIO()
         writer = BundleWriter(file)
-        for frame in self.frames:
-            writer.add_frame(*frame)
+        if self.meta.job.record is Recording.STATES:
+            for t in self.meta.job.sampled_steps(len(self.frames)):
+                writer.add_digest(*self.frames[t])
+        else:
+            for frame in self.frames:
+                writer.add_frame(*frame)
         sealed = writer.finish(self.arrays, self.meta)
         return file.getvalue(), sealed
 
@@ -192,11 +201,7 @@ def _meta(job: Job, arrays: EpisodeArrays) -> EpisodeMeta:
             steps_visible=steps,
             **track._asdict(),
         ),
-        instances=(
-            Instance(id=FLOOR_ID, prim_path="/World/floor"),
-            Instance(id=WALL_ID, prim_path="/World/wall"),
-            Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),
-        ),
+        instances=_INSTANCES if job.record is Recording.FRAMES else (),
         frame_digests=(),
         content_digest="0" * 32,
         provenance=Provenance(

@@ -16,7 +16,7 @@ from coordinator.expansion.file import shrink
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
-from schemas.terms import ExpertName, RendererKind
+from schemas.terms import ExpertName, Recording, RendererKind
 
 __all__ = [
     "compare_option",
@@ -62,8 +62,13 @@ def _complete_plan(context: click.Context, param: click.Parameter, word: str) ->
 
 
 def shrink_options(command: Command) -> Command:
-    """Adds `--scene --episodes --expert --seed`, which change a plan's scenes, episode count, expert and seed."""
+    """Adds `--scene --episodes --expert --seed --record`, which change these values of a plan."""
     for option in (
+        click.option(
+            "--record",
+            type=click.Choice([str(kind) for kind in Recording]),
+            help="Stored content: frames, or states, from which readers render frames. Default: the plan's.",
+        ),
         click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root random seed. Default: the plan's."),
         expert_option,
         click.option(
@@ -87,6 +92,7 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
         episodes=changes.get("episodes"),
         expert=ExpertName(expert) if expert else None,
         seed=changes.get("seed"),
+        record=Recording(changes["record"]) if changes.get("record") else None,
     )
 
 
