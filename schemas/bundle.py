@@ -24,7 +24,15 @@ from schemas.errors import InvalidBundle
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
-__all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
+__all__ = [
+    "MAX_BUNDLE_BYTES",
+    "MAX_FRAMES",
+    "BundleReader",
+    "BundleWriter",
+    "EpisodeArrays",
+    "encode_depth",
+    "member_names",
+]
 
 MAX_BUNDLE_BYTES = 2 << 30
 _META = "meta.json"
@@ -37,6 +45,11 @@ _LIMITS = ContainerLimits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, memb
 
 _STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
 """Number of members of a states recording: the arrays and `meta.json`."""
+
+
+def encode_depth(depth: NDArray[np.float32]) -> bytes:
+    """Returns a depth image as a bundle stores it, without a checksum: the container has a CRC, the frame a digest."""
+    return encode_npy_zst(depth, checksum=False)
 
 
 def _frame_names(t: int) -> tuple[str, str, str]:
@@ -84,7 +97,7 @@ class BundleWriter:
         names = _frame_names(len(self._digests))
         colour = encode_png(rgb)
         self._lap("png rgb")
-        metres = encode_npy_zst(depth, checksum=False)  # the container has a CRC, the frame a digest
+        metres = encode_depth(depth)
         self._lap("depth")
         instances = encode_png(ids)
         self._lap("png ids")
