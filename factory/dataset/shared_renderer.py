@@ -84,6 +84,12 @@ class SharedRenderer:
             renderer.load(self._scene(view.package), view.camera)
             return renderer.render(view.pose, view.size)
 
+    @property
+    def description(self) -> str:
+        """Description of the renderer, as episodes record it."""
+        with self._turn:
+            return self._opened().description
+
     def _scene(self, package: ScenePackage) -> CompiledScene:
         """Returns a decoded scene; the most recently used ones are kept by digest."""
         if package.sha256 not in self._scenes:

@@ -19,19 +19,8 @@ from schemas.dataset_files import SCENES
 from schemas.errors import UsageError
 from schemas.storage.place import digest_of
 from schemas.terms import Recording
-from tests.builders.driven import make_driven
-from tests.builders.shared import build_once, session_folder
 
 pytestmark = pytest.mark.gl
-
-
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[Recording, Path]:
-    shared = session_folder(tmp_path_factory.getbasetemp())
-    made = {}
-    for record in Recording:
-        made[record] = build_once(shared / f"driven-{record}", lambda folder, kind=record: make_driven(folder, kind))
-    return made
 
 
 @pytest.fixture
