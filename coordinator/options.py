@@ -12,6 +12,7 @@ from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.puller import Judge, Nearby, nothing_nearby
 from schemas.dataset_meta import GateOutcome
+from schemas.job import Job
 from schemas.storage.object_path import ObjectPath
 
 __all__ = ["DEFAULT_LISTEN", "CoordinatorOptions"]
@@ -43,6 +44,8 @@ class CoordinatorOptions:
     """Root of the dataset in object storage; `None` for a dataset in a directory."""
     evaluation: EvalJobs | None = None
     """Jobs of an evaluation, which replace the plan's draws; their results are archived without episode tables."""
+    find_states: Callable[[Job], str | None] = lambda _job: None
+    """Function that returns the states recording of a job, see `Terms`."""
     connect: Sequence[str] = ()
     """Endpoints of other coordinators, whose workers may also execute jobs of this one."""
     nearby: Nearby = nothing_nearby

@@ -87,6 +87,9 @@ class Terms:
     """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None
     """Tasks of an evaluation; `None` for a collection."""
+    find_states: Callable[[Job], str | None] = lambda _job: None
+    """Function that returns the states recording of a job, base64, whose frames the worker renders; `None` to simulate
+    the job."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +229,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)
-        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), evaluation=payload))
+        states = terms.find_states(job)
+        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), evaluation=payload, states=states))
     workers.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
     return ProtocolAnswer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))

@@ -24,6 +24,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
+from schemas.job import Job
 from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
@@ -62,6 +63,8 @@ class LocalRun:
     """Results of the acceptance gate before the run."""
     store: ObjectPath | None = None
     """Location of the dataset in object storage; `None` for a dataset in `root`."""
+    find_states: Callable[[Job], str | None] = lambda _job: None
+    """Function that returns the states recording of a job, see `CoordinatorOptions`."""
 
 
 def run_locally(
@@ -91,6 +94,7 @@ def run_locally(
             settings=settings,
             gate=run.gate,
             store=run.store,
+            find_states=run.find_states,
             nearby=lambda lease: find_bundle(spool, lease),
         ),
     ) as coordinator:
