@@ -67,6 +67,14 @@ thousands of unknown names, each of which would cause a separate validation erro
 _SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
+FindStates = Callable[[Job], str | None]
+"""Function that returns the states recording of a job, base64, whose frames the worker renders; `None`: simulate it."""
+
+
+def simulate_all(_job: Job) -> None:
+    """Returns no recording, so that every job is simulated."""
+
+
 @dataclass(frozen=True)
 class Terms:
     """Terms of the run for its workers; the flags change while it runs."""
@@ -87,9 +95,8 @@ class Terms:
     """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None
     """Tasks of an evaluation; `None` for a collection."""
-    find_states: Callable[[Job], str | None] = lambda _job: None
-    """Function that returns the states recording of a job, base64, whose frames the worker renders; `None` to simulate
-    the job."""
+    find_states: FindStates = simulate_all
+    """Function that returns the states recording of a job."""
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,12 @@ from pathlib import Path
 import structlog
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.options import CoordinatorOptions
+from coordinator.options import CoordinatorOptions, FindStates, simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
-from schemas.job import Job
 from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
@@ -63,8 +62,8 @@ class LocalRun:
     """Results of the acceptance gate before the run."""
     store: ObjectPath | None = None
     """Location of the dataset in object storage; `None` for a dataset in `root`."""
-    find_states: Callable[[Job], str | None] = lambda _job: None
-    """Function that returns the states recording of a job, see `CoordinatorOptions`."""
+    find_states: FindStates = simulate_all
+    """Function that returns the states recording of a job."""
 
 
 def run_locally(
