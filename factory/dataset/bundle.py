@@ -80,7 +80,12 @@ class EpisodeBundle(BundleReader):
         return super().ids(t) if self.has_frames else self._rendered(t).ids.copy()
 
     def stored(self, name: str) -> bytes:
-        """Returns the encoded bytes of a member; a frame that is not stored is rendered and encoded."""
+        """Returns the bytes of a member as a recording of frames stores it.
+
+        For a states recording, frames are rendered and encoded, and `meta.json` has the instance table.
+        """
+        if not self.has_frames and name == "meta.json":
+            return self.meta.model_copy(update={"instances": self.instances}).model_dump_json(indent=1).encode()
         of_frame = None if self.has_frames else _FRAME_MEMBER.fullmatch(name)
         if of_frame is None:
             return super().stored(name)

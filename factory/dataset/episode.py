@@ -110,7 +110,7 @@ class Episode(Closing):
             return bundle.ids(self._step(t))
 
     def stored(self, name: str) -> bytes:
-        """Returns the encoded bytes of a bundle member, such as `seg_front/000000.png`, as a recording stores them."""
+        """Returns the encoded bytes of a member, such as `seg_front/000000.png`, as a recording of frames has it."""
         with self._reading() as bundle:
             return bundle.stored(name)
 

@@ -60,6 +60,8 @@ def test_the_rendered_dataset_has_the_digest_of_the_frames_recording(recordings:
     for one, other in zip(Dataset(out), wanted, strict=True):
         ours, theirs = (episode.meta.model_dump(exclude={"provenance"}) for episode in (one, other))
         assert ours == theirs
+    recorded = Dataset(recordings[Recording.STATES])
+    assert [episode.meta.provenance for episode in Dataset(out)] == [episode.meta.provenance for episode in recorded]
 
 
 def test_an_interrupted_rendering_continues_and_makes_no_episode_twice(recordings: Recordings, tmp_path: Path) -> None:
@@ -102,7 +104,7 @@ def test_a_rendered_bundle_equals_the_recorded_one(recordings: Recordings, stage
     steps: list[int] = []
     with stage:
         job = frames_job(BundleReader(io.BytesIO(states)))
-        render_recording(job, stage, states, out, "host-1", steps.append)
+        render_recording(job, stage, states, out, steps.append)
     bundle = BundleReader(out)
     assert steps == list(range(1, bundle.length + 1))
     assert validate(bundle, job) == []
@@ -115,7 +117,7 @@ def test_states_of_another_job_are_refused(recordings: Recordings, stage: SceneR
     states = (recordings[Recording.STATES] / "episodes/ep_000001.zip").read_bytes()
     job = frames_job(BundleReader(io.BytesIO(states))).model_copy(update={"attempt": 99})
     with stage, pytest.raises(WorldError, match="ep_000001: the states are of another job"):
-        render_recording(job, stage, states, io.BytesIO(), "host-1", lambda _step: None)
+        render_recording(job, stage, states, io.BytesIO(), lambda _step: None)
 
 
 def test_a_renderer_that_gives_other_frames_is_refused(recordings: Recordings, stage: SceneRenderer) -> None:
@@ -126,4 +128,4 @@ def test_a_renderer_that_gives_other_frames_is_refused(recordings: Recordings, s
         writer.add_digest(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), np.zeros((4, 4), np.uint16))
     writer.finish(recorded.arrays, recorded.meta)
     with stage, pytest.raises(WorldError, match="frame 0 differs from the recorded digest; recorded with"):
-        render_recording(frames_job(recorded), stage, file.getvalue(), io.BytesIO(), "host-1", lambda _step: None)
+        render_recording(frames_job(recorded), stage, file.getvalue(), io.BytesIO(), lambda _step: None)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import BinaryIO
 
 import numpy as np
 
 from schemas.bundle import BundleReader, BundleWriter
-from schemas.episode import EpisodeMeta, Provenance
+from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import Recording
@@ -25,7 +24,7 @@ __all__ = ["render_recording"]
 
 
 def render_recording(
-    job: Job, stage: SceneRenderer, states: bytes, out: BinaryIO, sid: str, on_step: Callable[[int], None]
+    job: Job, stage: SceneRenderer, states: bytes, out: BinaryIO, on_step: Callable[[int], None]
 ) -> Success:
     """Renders the frames of a recorded episode and streams its bundle into `out`.
 
@@ -34,7 +33,6 @@ def render_recording(
         stage: renderer and scenes; the scene of the job must be loaded.
         states: bundle of the states recording.
         out: seekable file, opened for writing.
-        sid: session id of the worker, for the provenance.
         on_step: called after each frame with the number of frames.
 
     Raises:
@@ -53,7 +51,7 @@ def render_recording(
             writer.add_frame(frame.rgb, frame.depth, frame.ids)
             on_step(t + 1)
         _require_same_frames(recorded.meta, writer.frame_digests, stage)
-        return Success(writer.finish(recorded.arrays, _meta(recorded.meta, job, place, visible, stage, sid)))
+        return Success(writer.finish(recorded.arrays, _meta(recorded.meta, job, place, visible)))
 
 
 def _require_job(recorded: Job, job: Job) -> None:
@@ -74,15 +72,12 @@ def _require_same_frames(meta: EpisodeMeta, rendered: tuple[str, ...], stage: Sc
         )
 
 
-def _meta(
-    recorded: EpisodeMeta, job: Job, place: LoadedScene, visible: int, stage: SceneRenderer, sid: str
-) -> EpisodeMeta:
-    """Returns the metadata of a frames recording, without digests."""
+def _meta(recorded: EpisodeMeta, job: Job, place: LoadedScene, visible: int) -> EpisodeMeta:
+    """Returns the metadata of a frames recording, without digests; the provenance is that of the simulation."""
     return recorded.model_copy(
         update={
             "job": job,
             "rollout": recorded.rollout.model_copy(update={"steps_visible": visible}),
             "instances": place.scene.info.instances,
-            "provenance": Provenance(created_at=datetime.now(UTC), worker=sid, fingerprint=stage.fingerprint),
         }
     )

@@ -94,7 +94,7 @@ def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, progress:
         if order.states is None:
             outcome = run_attempt(order.job, stage, file, order.sid, progress)
         else:
-            outcome = render_recording(order.job, stage, base64.b64decode(order.states), file, order.sid, progress)
+            outcome = render_recording(order.job, stage, base64.b64decode(order.states), file, progress)
         if isinstance(outcome, AttemptFailure):
             return failure(outcome.reason, outcome.detail, outcome.steps, progress.seconds())
         file.flush()

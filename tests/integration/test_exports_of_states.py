@@ -1,0 +1,34 @@
+"""Exports of a states dataset: the same images and arrays as those of a frames dataset, byte by byte."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from factory.export import ExportOrder, find_exporter, run_export
+from factory.export.output import WORK_FOLDER
+from schemas.terms import Recording
+
+pytestmark = pytest.mark.gl
+FORMATS = {
+    "lerobot": {"README.md", "meta/info.json"},
+    "webdataset": {"README.md"},
+    "gnm": {"README.md"},
+}
+
+
+def exported(root: Path, out: Path, name: str) -> dict[str, bytes]:
+    options = find_exporter(name).options()
+    assert run_export(ExportOrder(root=root, out=out, format=name, options=options)).complete
+    files = {path.relative_to(out): path for path in out.rglob("*") if path.is_file()}
+    return {str(file): path.read_bytes() for file, path in files.items() if file.parts[0] != WORK_FOLDER}
+
+
+@pytest.mark.parametrize("name", ["webdataset", "gnm", "lerobot", "paper"])
+def test_an_export_has_the_same_files(recordings: dict[Recording, Path], tmp_path: Path, name: str) -> None:
+    frames, states = (exported(recordings[record], tmp_path / str(record), name) for record in Recording)
+    assert frames.keys() == states.keys()
+    differing = {file for file, data in frames.items() if states[file] != data}
+    print(name, sorted(differing))
+    assert 0
