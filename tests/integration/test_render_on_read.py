@@ -11,14 +11,18 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
+from coordinator.tables.split_faults import find_faults
 from factory.dataset.reader import Dataset
 from factory.dataset.torch import FrameDataset
+from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.dataset_files import SCENES
 from schemas.errors import UsageError
 from schemas.storage.place import digest_of
-from schemas.terms import Recording
+from schemas.terms import Recording, Split
 
 pytestmark = pytest.mark.gl
 
@@ -106,6 +110,29 @@ def test_training_samples_of_both_recordings_are_equal(frames: Dataset, states: 
     ):
         for name in one:
             assert np.array_equal(one[name], other[name])  # type: ignore[literal-required]
+
+
+def test_evaluation_specs_of_both_recordings_are_equal(frames: Dataset, states: Dataset) -> None:
+    found = [specs_of_dataset(data, [Split.TRAIN_ID]) for data in (frames, states)]
+    assert found[0].specs == found[1].specs
+
+
+def test_the_tables_of_a_states_dataset_have_no_thumbnails_and_no_faults(states: Dataset) -> None:
+    (table,) = Path(str(states.root)).glob("data/*.parquet")
+    assert pq.read_table(table)["thumbnail"].to_pylist() == [None, None]
+    assert list(find_faults(states.root, deep=True)) == []
+    card = (Path(str(states.root)) / "README.md").read_text()
+    assert "This dataset records states" in card
+    assert "rgb_front" not in card
+
+
+def test_a_contact_sheet_of_both_recordings_is_equal(recordings: dict[Recording, Path], tmp_path: Path) -> None:
+    pictures = []
+    for record, root in recordings.items():
+        command = [sys.executable, "-m", "factory", "show", str(root), "1", "-o", str(tmp_path / f"{record}.png")]
+        subprocess.run(command, check=True, capture_output=True)
+        pictures.append(np.asarray(Image.open(tmp_path / f"{record}.png")))
+    assert np.array_equal(*pictures)
 
 
 @pytest.fixture

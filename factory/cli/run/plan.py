@@ -50,7 +50,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
-    print_text(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
+    facts = f"{plan.episodes} episodes of {plan.record}, seed {plan.seed}, expert {plan.expert}, run {plan.run}"
+    print_text(f"plan {plan.name}: {facts}")
     for scene in plan.scenes:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")
