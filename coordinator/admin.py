@@ -20,8 +20,6 @@ from schemas.errors import TransientError, UsageError
 from schemas.identity import TlsFiles
 from schemas.wire import AdminAction, AdminReply, AdminRequest
 
-__all__ = ["administer"]
-
 
 def administer(
     root: Path,

@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 
-__all__ = ["ClockWatch", "seconds_since_boot", "utc_now"]
-
 _LEAST_S = 10.0
 """Smallest clock change that is reported, seconds. After a smaller change the next heartbeat renews every lease."""
 

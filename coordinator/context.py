@@ -15,14 +15,11 @@ from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import Terms
-from coordinator.recovery.ledger_replacement import replace_unusable_ledger
-from coordinator.recovery.reconcile import reconcile
+from coordinator.recovery.reconcile import reconcile, replace_unusable_ledger
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.checkpoint import is_checkpoint_owed
 from coordinator.transfer.puller import Judge
 from coordinator.validation.validator import Validator
-
-__all__ = ["RunContext", "open_context"]
 
 
 @dataclass(frozen=True)

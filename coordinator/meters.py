@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Mapping
 from enum import StrEnum
 
-__all__ = ["Meter", "Meters"]
-
 
 class Meter(StrEnum):
     """Counter of a coordinator process."""

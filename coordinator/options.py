@@ -15,8 +15,6 @@ from coordinator.transfer.puller import Judge, Nearby, nothing_nearby
 from schemas.dataset_meta import GateOutcome
 from schemas.storage.object_path import ObjectPath
 
-__all__ = ["DEFAULT_LISTEN", "CoordinatorOptions", "FindStates", "simulate_all"]
-
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 
 

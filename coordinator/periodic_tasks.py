@@ -12,8 +12,6 @@ from sqlalchemy.exc import SQLAlchemyError
 from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
 
-__all__ = ["PeriodicTask", "PeriodicTasks"]
-
 PeriodicTask = tuple[float, Callable[[], None]]
 """Pause in seconds, and the function to call."""
 

@@ -32,8 +32,6 @@ from schemas.plan import Plan
 from schemas.support.closing import Closing
 from schemas.wire import Progress
 
-__all__ = ["Coordinator"]
-
 _WAIT_S = 0.5
 _DEPARTURE_S = 3.0
 """Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""

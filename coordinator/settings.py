@@ -9,8 +9,6 @@ from pydantic import Field
 from schemas.base import Model, NonNegative, Positive
 from schemas.keys import MAX_CHUNK_BYTES
 
-__all__ = ["CoordinatorSettings"]
-
 
 class CoordinatorSettings(Model):
     """Operational settings of a coordinator, which do not affect the contents of the dataset."""

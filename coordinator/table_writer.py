@@ -15,8 +15,6 @@ from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
 
-__all__ = ["TableWriter"]
-
 _THUMBNAILS_S = 2.0
 """Time limit of thumbnails when an unfinished run stops, seconds."""
 

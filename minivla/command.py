@@ -6,8 +6,6 @@ import sys
 
 from minivla.packages import require_own_packages
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Runs the command line and exits with its code.

@@ -23,8 +23,6 @@ except ImportError as error:
 if TYPE_CHECKING:
     from factory.gym.env import MiniVLANavEnv
 
-__all__ = ["ENV_ID", "make_env", "register"]
-
 ENV_ID = "MiniVLANav-v0"
 
 

@@ -11,8 +11,6 @@ from importlib import metadata
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
-__all__ = ["NAMES", "require_own_packages"]
-
 NAMES = ("schemas", "coordinator", "workers", "factory")
 """Names of the product's packages."""
 _ROOT = Path(__file__).resolve().parent.parent

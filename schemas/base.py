@@ -9,25 +9,6 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-__all__ = [
-    "MAX_COUNT",
-    "MAX_ROWS",
-    "Bytes",
-    "Count",
-    "Finite",
-    "Fraction",
-    "Line",
-    "Model",
-    "Name",
-    "NonNegative",
-    "Ordinal",
-    "Positive",
-    "PrimPath",
-    "RowId",
-    "Sha256",
-    "Text",
-]
-
 MAX_COUNT = 2**31 - 1
 """Largest value of an INTEGER column."""
 MAX_ROWS = 10**15 - 1

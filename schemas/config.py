@@ -11,8 +11,6 @@ from pydantic import ConfigDict, Field
 
 from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
 
-__all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "SpawnConfig", "TaskConfig"]
-
 
 class TaskConfig(Model):
     """Parameters of the end of an episode (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""

@@ -13,8 +13,6 @@ from schemas.episode import EpisodeMeta
 from schemas.episode_spec import columns_of
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
-__all__ = ["PUBLISHED_COLUMNS", "BundleReceipt", "EpisodeSummary", "FailedAttempt", "file_name_of", "summary_of"]
-
 _MAX_SOFTWARE_CHARS = 1 << 18
 """Largest length of the package versions as JSON; enough for every valid fingerprint."""
 PUBLISHED_COLUMNS = (

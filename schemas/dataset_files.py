@@ -4,21 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = [
-    "ATTEMPTS_FILE",
-    "CARD_FILE",
-    "EPISODES",
-    "LEDGER_FILE",
-    "METADATA_FILE",
-    "META_FILE",
-    "QUARANTINE",
-    "SCENES",
-    "SPLITS_FOLDER",
-    "STAGING",
-    "is_dataset",
-    "is_part",
-]
-
 EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
 LEDGER_FILE = "ledger.db"
 METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"

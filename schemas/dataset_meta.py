@@ -20,15 +20,6 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
-__all__ = [
-    "DATASET_FORMAT",
-    "DatasetMeta",
-    "GateOutcome",
-    "git_commit",
-    "read_dataset_meta",
-    "software_versions",
-]
-
 DATASET_FORMAT = 1
 """Version of the dataset directory. A reader opens its own version and older ones, and rejects newer ones."""
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."

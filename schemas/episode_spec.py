@@ -11,8 +11,6 @@ from typing import Any
 from schemas.base import Line, Model, Name
 from schemas.terms import Split, Tier
 
-__all__ = ["EpisodeSpec", "columns_of"]
-
 _COLUMN_NAMES = {"tier": "spawn_tier", "category": "target_category"}
 """Fields whose column in a dataset's tables has another name."""
 

@@ -7,17 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = [
-    "ArchiveCorrupt",
-    "FactoryError",
-    "InvalidBundle",
-    "InvalidPlan",
-    "LeaseLost",
-    "TransientError",
-    "UsageError",
-    "WorldError",
-]
-
 
 class FactoryError(Exception):
     """Base class of all errors that this product raises deliberately; the message names the remedy."""

@@ -8,8 +8,6 @@ from pydantic import Field, StringConstraints
 
 from schemas.base import Line, Model
 
-__all__ = ["Fingerprint"]
-
 _Word = Annotated[str, StringConstraints(max_length=200)]
 
 

@@ -11,21 +11,6 @@ from typing import NamedTuple
 from schemas.errors import UsageError
 from schemas.wire import HOST_PATTERN
 
-__all__ = [
-    "ADMITTED_FILE",
-    "CA_FILE",
-    "CERTIFICATE_FILE",
-    "KEY_FILE",
-    "NAME_FILE",
-    "Role",
-    "TlsFiles",
-    "is_host_name",
-    "parse_admitted",
-    "require_host_name",
-    "spell_admitted",
-    "tls_files",
-]
-
 CA_FILE, CERTIFICATE_FILE, KEY_FILE, NAME_FILE = "ca.pem", "host.pem", "host.key", "name.txt"
 ADMITTED_FILE = "hosts.txt"
 """File beside a coordinator's certificate that lists the admitted hosts."""

@@ -13,8 +13,6 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName, Recording
 
-__all__ = ["EPISODE_ID_FORMAT", "Job", "episode_id"]
-
 EPISODE_ID_FORMAT = "ep_{:06d}"
 _SAMPLE_KEY = (1,)
 """Spawn key of the random stream for sampled frames; it differs from the streams of the attempt."""

@@ -8,30 +8,6 @@ from typing import NamedTuple
 
 from schemas.wire import MAX_MESSAGE_BYTES, PROTOCOL, Lease
 
-__all__ = [
-    "EVALUATION_PREFIX",
-    "EVALUATION_RUNS",
-    "MAX_CHUNK_BYTES",
-    "BundleChunk",
-    "Chunk",
-    "Verb",
-    "alive_key",
-    "alive_pattern",
-    "any_hello_key",
-    "bundle_key",
-    "bundle_selector",
-    "host_of",
-    "parse_bundle_chunk",
-    "parse_chunk",
-    "scene_key",
-    "scene_pattern",
-    "scene_selector",
-    "sid_belongs_to",
-    "sid_of_alive_key",
-    "verb_key",
-    "verb_pattern",
-]
-
 MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
 """Largest part of a file in one reply, bytes."""
 EVALUATION_PREFIX = "eval_"

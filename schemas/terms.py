@@ -9,21 +9,6 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-__all__ = [
-    "BUILTIN_CATEGORIES",
-    "CATEGORIES",
-    "COLOUR_NAMES",
-    "TIER_RANGE_M",
-    "EndReason",
-    "ExpertName",
-    "FailReason",
-    "Recording",
-    "RendererKind",
-    "SceneCategories",
-    "Split",
-    "Tier",
-]
-
 
 class Tier(StrEnum):
     """Distance tier of the start of an episode (paper Sec. III-D)."""

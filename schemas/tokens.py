@@ -8,8 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GRID_POINTS", "V_GRID_MPS", "W_GRID_RPS", "actions_of", "tokens_of"]
-
 GRID_POINTS = 7
 """Number of grid points of each action dimension."""
 V_GRID_MPS: NDArray[np.float64] = np.linspace(0.0, 1.0, GRID_POINTS)

@@ -17,41 +17,6 @@ from schemas.job import Job
 from schemas.plan import MAX_EPISODES
 from schemas.terms import FailReason
 
-__all__ = [
-    "HOST_PATTERN",
-    "MAX_ATTACHMENT_BYTES",
-    "MAX_DETAIL_CHARS",
-    "MAX_EVAL_TASK_CHARS",
-    "MAX_HOSTS",
-    "MAX_INDICES",
-    "MAX_LEASES",
-    "MAX_MESSAGE_BYTES",
-    "PROTOCOL",
-    "Ack",
-    "AdminAction",
-    "AdminReply",
-    "AdminRequest",
-    "Attachment",
-    "Beat",
-    "BeatReply",
-    "Claim",
-    "ClaimReply",
-    "Done",
-    "EvalPayload",
-    "Fail",
-    "Hello",
-    "HelloReply",
-    "HostStatus",
-    "Lease",
-    "LeaseProgress",
-    "Ping",
-    "Progress",
-    "Refusal",
-    "Trade",
-    "WorkerStatus",
-    "cut_detail",
-]
-
 PROTOCOL = 1
 """Version of keys and messages; it is part of every key."""
 MAX_MESSAGE_BYTES = 1 << 20

@@ -1,4 +1,4 @@
-"""Defines the `Archive` interface, which the directory and the object storage archive implement. Stores no data.
+"""Defines the `Archive` interface and the base class of both implementations. Stores no data.
 
 Design: docs/design/data.md#archive.
 
@@ -8,23 +8,21 @@ Design: docs/design/data.md#archive.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
-from coordinator.archive.staged import Staged
+from coordinator.archive.staging import Staged
 from schemas.job import episode_id
+from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 
-__all__ = [
-    "Archive",
-    "Staged",
-    "index_of_file",
-    "scene_file",
-]
+__all__ = ["Archive", "Listing", "Staged", "index_of_file", "scene_file"]
 
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
+P = TypeVar("P", Path, ObjectPath)
 
 
 def scene_file(name: str, sha256: str) -> str:
@@ -107,3 +105,19 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
 
     def close(self) -> None:
         """Releases the dataset, so that another coordinator can open it."""
+
+
+class Listing(ABC, Generic[P]):
+    """Base class of archives: listing of the episode folder, independent of the storage."""
+
+    @abstractmethod
+    def _listing(self) -> Iterator[tuple[int | None, P]]:
+        """Yields the paths in the episode folder in any order, each with its episode number or `None`."""
+
+    def present(self) -> dict[int, P]:
+        """Returns the paths of the stored episodes by number, ascending. Does not read their contents."""
+        return dict(sorted((index, path) for index, path in self._listing() if index is not None))
+
+    def foreign(self) -> list[P]:
+        """Returns the paths in the episode folder that do not have an episode's file name."""
+        return sorted(path for index, path in self._listing() if index is None)

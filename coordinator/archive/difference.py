@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["GONE", "ArchiveDifference", "ListedFile", "RecordedFile", "describe_difference", "diff_archive"]
-
 GONE = "its file is missing"
 """Why an episode is made again whose file is missing."""
 

@@ -11,19 +11,15 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from coordinator.archive.contract import index_of_file, scene_file
-from coordinator.archive.listing import Listing
-from coordinator.archive.staged import Staged
-from coordinator.archive.staging import Staging
+from coordinator.archive.contract import Listing, index_of_file, scene_file
+from coordinator.archive.staging import Staged, Staging
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
-from schemas.storage.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
+from schemas.storage.disk import copy_hashed, replacing, set_aside, sync_directory, translated, world_error
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
-
-__all__ = ["DirectoryArchive"]
 
 
 class DirectoryArchive(Listing[Path], Closing):
@@ -149,18 +145,12 @@ class DirectoryArchive(Listing[Path], Closing):
             WorldError: the disk is full or unavailable; the previous file is unchanged.
         """
         final = self.root / name
-        part = self._staging.part(final.name)
-        try:
-            with translated("write", final):
-                if not final.parent.is_dir():
-                    final.parent.mkdir()
-                    sync_directory(self.root)
-                yield part
-                sync_file(part)
-                part.replace(final)
-                sync_directory(final.parent)
-        finally:
-            part.unlink(missing_ok=True)
+        with translated("write", final):
+            if not final.parent.is_dir():
+                final.parent.mkdir()
+                sync_directory(self.root)
+        with replacing(final, part=self._staging.part(final.name), durable=True) as part:
+            yield part
 
     def close(self) -> None:
         """Releases the directory, so that another coordinator can open it."""

@@ -18,10 +18,8 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.archive.contract import index_of_file, scene_file
-from coordinator.archive.listing import Listing
-from coordinator.archive.staged import Staged
-from coordinator.archive.staging import Staging
+from coordinator.archive.contract import Listing, index_of_file, scene_file
+from coordinator.archive.staging import Staged, Staging
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
@@ -30,8 +28,6 @@ from schemas.storage.disk import set_aside, translated
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, digest_of
 from schemas.support.closing import Closing
-
-__all__ = ["ObjectArchive"]
 
 _LOCK = ".lock"
 _NAME = ".name"

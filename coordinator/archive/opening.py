@@ -9,8 +9,6 @@ from coordinator.archive.directory import DirectoryArchive
 from coordinator.archive.objects import ObjectArchive
 from schemas.storage.object_path import ObjectPath
 
-__all__ = ["open_archive"]
-
 
 def open_archive(root: Path, store: ObjectPath | None = None, *, take_over: bool = False) -> Archive:
     """Opens a dataset exclusively for writing; the archive is a context manager.

@@ -10,16 +10,13 @@ import time
 from typing import TypeVar
 
 import structlog
-from pydantic import ValidationError
 
+from coordinator.protocol.ask import read_reply
 from coordinator.protocol.node import ZenohNode
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
 from schemas.keys import Verb, verb_key
 from schemas.support.log_limit import Repeated
-from schemas.wire import Refusal
-
-__all__ = ["CoreLink"]
 
 _ANY_RUN = "*"
 _TIMEOUT_S = 5.0
@@ -71,7 +68,7 @@ class CoreLink:
             )
         self._heard = time.monotonic()
         self._away.succeed()
-        return _read(found[0], kind)
+        return read_reply(found[0], kind, "the coordinator")
 
     def insist(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
         """Repeats a request until the core replies.
@@ -98,14 +95,3 @@ class CoreLink:
             except WorldError as error:
                 raise TransientError(str(error)) from error
             self._opened = time.monotonic()
-
-
-def _read(payload: bytes, kind: type[R]) -> R:
-    try:
-        return kind.model_validate_json(payload)
-    except ValidationError as error:
-        try:
-            refusal = Refusal.model_validate_json(payload)
-        except ValidationError:
-            raise WorldError(f"the coordinator uses another version of the protocol: {error}") from error
-        raise WorldError(f"the coordinator refuses this gateway: {refusal.error}") from error

@@ -32,8 +32,6 @@ from schemas.job import episode_id
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import digest_of
 
-__all__ = ["GatherReport", "Missing", "gather"]
-
 _COPY_BYTES = 1 << 20
 ProgressCallback = Callable[[int, int], None]
 

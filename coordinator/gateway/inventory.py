@@ -24,8 +24,6 @@ from schemas.job import Job
 from schemas.keys import Verb
 from schemas.wire import Ack
 
-__all__ = ["DirectoryInventory", "reconcile_directory"]
-
 _LAST = 2**31 - 1
 
 log = structlog.get_logger(__name__)

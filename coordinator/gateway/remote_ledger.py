@@ -1,18 +1,26 @@
-"""Implements the ledger operations of a gateway's pullers as requests to the core. Stores no state."""
+"""Ledger of a gateway: operations of its pullers as requests to the core, and the owner file of its directory.
+
+`gateway.json` records the run and the gateway that own a directory, so that no gateway uses the episodes of another.
+"""
 
 from __future__ import annotations
 
+import json
 import threading
+from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.protocol.protocol import Pull
 from coordinator.protocol.relay import Archived, Hold, Inventory, InventoryReply, Refused
 from schemas.dataset import BundleReceipt
+from schemas.errors import UsageError
 from schemas.keys import Verb
+from schemas.storage.disk import replacing
 from schemas.wire import Ack, cut_detail
 
-__all__ = ["RemoteLedgerClient"]
+OWNER_FILE = "gateway.json"
+"""Name of the file in the directory of a gateway."""
 
 
 class RemoteLedgerClient:
@@ -52,3 +60,40 @@ class RemoteLedgerClient:
             Refused(sid=pull.sid, lease=pull.lease, detail=cut_detail(detail)),
             Ack,
         )
+
+
+def has_owner(root: Path) -> bool:
+    """Returns whether the directory has an owner file."""
+    return (root / OWNER_FILE).exists()
+
+
+def require_owner(root: Path, run: str, gateway: str) -> None:
+    """Checks that a directory with an owner file belongs to this run and gateway.
+
+    Raises:
+        UsageError: the directory belongs to another run or gateway, or the file cannot be read.
+    """
+    if not has_owner(root):
+        return
+    try:
+        found = json.loads((root / OWNER_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"{root / OWNER_FILE} cannot be read: {error}; give the --out of a gateway, or a new directory"
+        ) from error
+    if found != {"run": run, "gateway": gateway}:
+        raise UsageError(
+            f"{root} belongs to {found}, not to gateway {gateway!r} of run {run!r}: choose another --out or --name"
+        )
+
+
+def write_owner(root: Path, run: str, gateway: str) -> None:
+    """Writes the owner file durably. Does nothing if the file exists.
+
+    Raises:
+        WorldError: the file cannot be written.
+    """
+    if has_owner(root):
+        return
+    with replacing(root / OWNER_FILE, durable=True) as part:
+        part.write_text(json.dumps({"run": run, "gateway": gateway}), encoding="utf-8")

@@ -17,8 +17,7 @@ import structlog
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.gateway.inventory import reconcile_directory
-from coordinator.gateway.owner_file import has_owner, require_owner, write_owner
-from coordinator.gateway.remote_ledger import RemoteLedgerClient
+from coordinator.gateway.remote_ledger import RemoteLedgerClient, has_owner, require_owner, write_owner
 from coordinator.meters import Meters
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.node import ZenohNode
@@ -34,8 +33,6 @@ from schemas.errors import TransientError
 from schemas.keys import Chunk, Verb
 from schemas.support.closing import Closing
 from schemas.wire import Lease
-
-__all__ = ["Gateway"]
 
 _ORDERS_S = 0.25
 _SILENCE_S = 10.0

@@ -26,20 +26,6 @@ from coordinator.ledger.tables import events, jobs
 from schemas.keys import host_of
 from schemas.wire import Beat, Lease
 
-__all__ = [
-    "HELD_STATES",
-    "BeatOutcome",
-    "beat",
-    "claim",
-    "expire",
-    "extend",
-    "grant_grace",
-    "has_open_jobs",
-    "held_too_long",
-    "lease_of",
-    "shorten",
-]
-
 HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5
 """Duration of the leases after a restart, in lease times: no heartbeat arrived while the coordinator was down."""

@@ -22,17 +22,6 @@ from sqlalchemy.pool import NullPool
 
 from schemas.errors import UsageError, WorldError
 
-__all__ = [
-    "checkpoint_log",
-    "has_writer",
-    "is_server",
-    "open_reader",
-    "open_writer",
-    "shown_url",
-    "sqlite_files",
-    "sqlite_url",
-]
-
 _EXAMPLES = "examples: sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
 """Key of the advisory lock, which allows one writer per database."""
@@ -143,8 +132,7 @@ def _create(url: str, **options: Any) -> Engine:
     except ImportError as error:
         raise UsageError(
             f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and use a "
-            "URL that begins with "
-            "postgresql+psycopg://"
+            "URL that begins with postgresql+psycopg://"
         ) from error
     except (ArgumentError, NoSuchModuleError) as error:
         raise UsageError(f"cannot open ledger {shown_url(url)}: {error}; {_EXAMPLES}") from error

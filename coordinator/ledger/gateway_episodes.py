@@ -13,16 +13,6 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.difference import RecordedFile
 from coordinator.ledger.tables import episodes, keepers
 
-__all__ = [
-    "count_by_gateway",
-    "gateways_by_episode",
-    "is_recorded_at_gateway",
-    "record_at_core",
-    "record_at_gateway",
-    "recorded_files",
-    "records_of_gateway",
-]
-
 _ROWS = 1000
 _KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
 

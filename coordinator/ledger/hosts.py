@@ -1,4 +1,4 @@
-"""Records failures of hosts: strikes, pauses, and bars that an admin request lifts. Does not change jobs.
+"""Records the workers of a run, and failures of hosts: strikes, pauses and bars. Does not change jobs.
 
 A host with a strike gets one job at a time until it delivers an episode. A failure is attributed to the job only if it
 failed on as many hosts as its crash budget, on all available hosts, or for a long time on the only host. Until then it
@@ -11,7 +11,7 @@ from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Row, bindparam, func, insert, inspect, or_, select, update
+from sqlalchemy import Row, bindparam, delete, func, insert, inspect, or_, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.moves import JobRow, is_in
@@ -20,19 +20,7 @@ from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, hosts, jobs, workers
 from schemas.keys import host_of
 from schemas.terms import FailReason
-from schemas.wire import AdminReply, HostStatus
-
-__all__ = [
-    "LONGEST_PAUSE_S",
-    "STRIKES",
-    "has_failed_everywhere",
-    "is_alone",
-    "pause_of",
-    "release",
-    "relieve",
-    "strike",
-    "troubled",
-]
+from schemas.wire import AdminReply, Hello, HostStatus
 
 STRIKES = 8
 """Strikes after which a host is barred; with the pauses between them this takes at least two minutes."""
@@ -51,6 +39,15 @@ _RELIEVE = PreparedStatement(
     .where(hosts.c.host == bindparam("name"), hosts.c.strikes > 0, hosts.c.barred_at.is_(None))
     .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
 )
+SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
+"""Maximum number of recorded sessions, in total and per host: twice the maximum number of connections."""
+_SILENT_S = 300.0
+"""Time without a message after which a session may be removed in favour of a new one, seconds."""
+_OLDEST = func.min(workers.c.last_beat).label("oldest")
+_KNOWN: Any = select(func.count().label("known"), _OLDEST).select_from(workers)
+_OF_ALL = PreparedStatement(_KNOWN)
+_OF_HOST = PreparedStatement(_KNOWN.where(workers.c.host == bindparam("name")))
+_HEARD = PreparedStatement(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
 
 
 def pause_of(connection: Connection, host: str, now: datetime) -> float:
@@ -178,3 +175,36 @@ def _troubled(connection: Connection) -> Sequence[Row[Any]]:
     if not inspect(connection).has_table(hosts.name):  # a ledger of an older format that was not opened for writing
         return ()
     return connection.execute(select(hosts).where(hosts.c.strikes > 0).order_by(hosts.c.host)).all()
+
+
+def register(connection: Connection, hello: Hello, now: datetime) -> bool:
+    """Records or updates a worker; returns `False` if the maximum number of sessions is reached."""
+    values = {"host": hello.host, "slots": hello.slots, "version": hello.version, "last_beat": now.timestamp()}
+    if connection.execute(update(workers).where(workers.c.sid == hello.sid).values(values)).rowcount:
+        return True
+    if not _make_room(connection, hello.host, now):
+        return False
+    connection.execute(insert(workers).values(sid=hello.sid, **values))
+    return True
+
+
+def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> None:
+    """Records the time of a message of a worker, registered or not, within the maximum number of sessions."""
+    is_known = _HEARD.count(connection, {"by": sid, "now": now.timestamp()}) > 0
+    if not is_known and _make_room(connection, host, now):
+        connection.execute(insert(workers).values(sid=sid, host=host, slots=1, last_beat=now.timestamp()))
+
+
+def _make_room(connection: Connection, host: str, now: datetime) -> bool:
+    """Removes silent sessions if necessary; returns whether another session of a host can be recorded."""
+    before = now.timestamp() - _SILENT_S
+    of_host, of_all = {"name": host}, dict[str, object]()
+    for parameters, found, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):
+        row = found.first(connection, parameters)
+        if row is None or row.known < most:
+            continue
+        if row.oldest >= before:
+            return False
+        of_whom = [workers.c.host == host] if parameters else []
+        connection.execute(delete(workers).where(*of_whom, workers.c.last_beat < before))
+    return True

@@ -18,8 +18,6 @@ from coordinator.ledger.states import Event, JobState, sources, target
 from coordinator.ledger.tables import attempts, events, jobs
 from schemas.wire import Lease
 
-__all__ = ["FREED", "JOB", "UNDER_LEASE", "JobRow", "Transition", "is_in", "lease_parameters", "record_attempt"]
-
 JobRow = Any
 """Row of `jobs` with the columns of `JOB`."""
 

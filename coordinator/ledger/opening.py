@@ -29,19 +29,6 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 
-__all__ = [
-    "LedgerInfo",
-    "holds_run",
-    "insert_planned",
-    "ledger_url_of",
-    "note_sandbox",
-    "open_run",
-    "planned_digest",
-    "planned_of",
-    "read_info",
-    "require_plan",
-]
-
 _INSERT_ROWS = 5000
 _SCENES = TypeAdapter(dict[str, Sha256])
 _SANDBOX = "sandbox"
@@ -147,8 +134,7 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
     if found > LEDGER_FORMAT:
         raise UsageError(
             f"the ledger has format {found}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
-            "minivla-factory "
-            "that wrote it"
+            "minivla-factory that wrote it"
         )
     plan = Plan.model_validate_json(facts["plan"])
     if (plan.digest, plan.run) != (facts["plan_digest"], facts["run"]):
@@ -241,7 +227,6 @@ def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
         if name not in catalog or catalog[name].sha256 != sha256:
             now = catalog[name].sha256[:16] if name in catalog else "none"
             raise WorldError(
-                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new "
-                "episodes would "
-                "differ from the existing ones: restore the former scene, or choose another --out"
+                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new episodes "
+                "would differ from the existing ones: restore the former scene, or choose another --out"
             )

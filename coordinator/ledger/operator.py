@@ -14,8 +14,6 @@ from coordinator.ledger.states import Event, IllegalMove, JobState, next_state, 
 from coordinator.ledger.tables import jobs
 from schemas.wire import AdminReply
 
-__all__ = ["cancel", "retry"]
-
 _BATCH = 5000
 _AS_SEEN = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
 _RETRY = Transition(Event.RETRIED, *_AS_SEEN, **FREED, misses=0, crashes=0, losses=0, not_before=0.0, reason="")

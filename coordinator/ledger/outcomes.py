@@ -26,8 +26,6 @@ from schemas.keys import host_of
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
 
-__all__ = ["SUCCESS", "Announced", "adopt", "announce", "archive", "fail", "is_owned", "lose"]
-
 Successor = Callable[[PlannedJob], PlannedJob]
 
 SUCCESS = "success"

@@ -15,8 +15,6 @@ from sqlalchemy import Boolean, Delete, Dialect, Insert, Select, Update
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DBAPIError
 
-__all__ = ["PreparedStatement"]
-
 
 class _Compiled(NamedTuple):
     """Statement compiled for one dialect."""

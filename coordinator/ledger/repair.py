@@ -29,8 +29,6 @@ from schemas.plan import Plan
 from schemas.terms import FailReason
 from schemas.wire import Done
 
-__all__ = ["REPAIRER", "current_job", "obstacle_to", "record_failures", "record_whole"]
-
 REPAIRER = "repair"
 """Value of the session id column for changes by a repair."""
 _LEASE_S = 60.0

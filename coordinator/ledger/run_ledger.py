@@ -15,8 +15,6 @@ from schemas.errors import WorldError
 from schemas.support.closing import Closing
 from schemas.wire import Progress
 
-__all__ = ["RESTART_REMEDY", "RunLedger"]
-
 RESTART_REMEDY = "start again: the ledger is rebuilt from the episodes"
 
 

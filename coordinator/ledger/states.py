@@ -11,18 +11,6 @@ from types import MappingProxyType
 
 from schemas.errors import FactoryError
 
-__all__ = [
-    "OPEN_STATES",
-    "TRANSITIONS",
-    "Event",
-    "IllegalMove",
-    "JobState",
-    "diagram",
-    "next_state",
-    "sources",
-    "target",
-]
-
 
 class JobState(StrEnum):
     """State of one draw of one episode."""

@@ -8,21 +8,6 @@ from __future__ import annotations
 from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, Integer, MetaData, String, Table, Text
 from sqlalchemy import text as sql
 
-__all__ = [
-    "ADDED_LATER",
-    "LEDGER_FORMAT",
-    "METADATA",
-    "PLANNED",
-    "attempts",
-    "episodes",
-    "events",
-    "hosts",
-    "info",
-    "jobs",
-    "keepers",
-    "workers",
-]
-
 LEDGER_FORMAT = 2
 """Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost."""
 

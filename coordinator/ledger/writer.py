@@ -22,8 +22,6 @@ from schemas.errors import TransientError, WorldError
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 
-__all__ = ["GROUP", "Writer"]
-
 GROUP = 256
 """Maximum number of requests per commit."""
 

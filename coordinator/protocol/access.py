@@ -13,8 +13,6 @@ from typing import Any
 from schemas.identity import Role
 from schemas.keys import EVALUATION_RUNS, Verb, alive_pattern, bundle_key, scene_pattern, verb_key, verb_pattern
 
-__all__ = ["access_control"]
-
 _ANY_RUN, _ANY_HOST, _ANY_SID = "*", "*", "*"
 _VERBS: Mapping[Role, Sequence[Verb]] = {
     Role.WORKER: (Verb.HELLO, Verb.CLAIM, Verb.BEAT, Verb.DONE, Verb.FAIL, Verb.PROGRESS),

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["ADDRESS_FILE", "CoordinatorAddress", "read_address", "remove_address", "write_address"]
-
 ADDRESS_FILE = ".coordinator.json"
 
 

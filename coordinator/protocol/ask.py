@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import zenoh
@@ -15,8 +15,6 @@ from schemas.errors import TransientError, WorldError
 from schemas.identity import TlsFiles
 from schemas.keys import Verb, any_hello_key
 from schemas.wire import Ack, AdminReply, AdminRequest, Ping, Progress, Refusal
-
-__all__ = ["OPERATOR", "ask_admin", "ask_presence", "ask_progress"]
 
 OPERATOR = "operator"
 """Default name of a requester."""
@@ -66,28 +64,47 @@ def _ask(
     payload = message.model_dump_json() if message is not None else ""
     try:
         with zenoh.open(client_config(endpoints, CoordinatorSettings().transport_lease_s, tls)) as session:
-            replies = session.get(
-                any_hello_key(name, verb),
-                zenoh.handlers.FifoChannel(4),
-                payload=payload,
-                timeout=_TIMEOUT_S,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-            for reply in replies:
-                if reply.ok is not None:
-                    return _read(reply.ok.payload.to_bytes(), answer, named)
+            for reply in query(session, any_hello_key(name, verb), payload, _TIMEOUT_S):
+                return read_reply(reply, answer, f"the coordinator at {named}")
     except zenoh.ZError as error:
         raise TransientError(f"no coordinator at {named}: {error}; start one, or check the endpoint") from error
     admitted = f", or it does not admit {name!r} (its hosts.txt)" if tls is not None else ""
     raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; try again")
 
 
-def _read(payload: bytes, answer: type[R], named: str) -> R:
+def query(session: zenoh.Session, selector: str, payload: str | None, timeout_s: float) -> Iterator[bytes]:
+    """Sends a query and yields the replies; without a reply the outcome is unknown.
+
+    Raises:
+        zenoh.ZError: the session is closed.
+    """
+    for reply in session.get(
+        selector,
+        zenoh.handlers.FifoChannel(4),
+        payload=payload,
+        timeout=timeout_s,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    ):
+        if reply.ok is not None:
+            yield reply.ok.payload.to_bytes()
+
+
+def read_reply(payload: bytes, answer: type[R], who: str) -> R:
+    """Parses a reply.
+
+    Args:
+        payload: the reply.
+        answer: expected model.
+        who: sender, for the error message.
+
+    Raises:
+        WorldError: the reply is a refusal, or not valid.
+    """
     try:
         return answer.model_validate_json(payload)
     except ValidationError as error:
         try:
             refusal = Refusal.model_validate_json(payload)
         except ValidationError:
-            raise WorldError(f"{named} uses another version of the protocol: {error}") from error
-        raise WorldError(f"the coordinator at {named} refused: {refusal.error}") from error
+            raise WorldError(f"{who} uses another version of the protocol: {error}") from error
+        raise WorldError(f"{who} refused: {refusal.error}") from error

@@ -14,8 +14,6 @@ from collections.abc import Callable, Collection, Mapping
 from coordinator.protocol.protocol import Pull
 from schemas.keys import host_of
 
-__all__ = ["Dispatch"]
-
 _OF_ONE_HOST = 4
 """Maximum number of orders of one host per reply to a gateway."""
 _MOST_GATEWAYS = 1000

@@ -15,13 +15,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import structlog
 import zenoh
 
+from coordinator.protocol.ask import query
 from schemas.errors import TransientError, WorldError
 from schemas.identity import Role
 from schemas.keys import Chunk, bundle_selector
 from schemas.support.closing import Closing
 from schemas.wire import Lease
-
-__all__ = ["Admitted", "Configure", "ZenohNode"]
 
 Admitted = Mapping[str, Role]
 Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
@@ -81,16 +80,7 @@ class ZenohNode(Closing):
     def ask(self, selector: str, payload: str | None, timeout_s: float) -> Iterator[bytes]:
         """Sends a query and yields the replies; without a reply the outcome is unknown."""
         try:
-            replies = self._session.get(
-                selector,
-                zenoh.handlers.FifoChannel(4),
-                payload=payload,
-                timeout=timeout_s,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-            for reply in replies:
-                if reply.ok is not None:
-                    yield reply.ok.payload.to_bytes()
+            yield from query(self._session, selector, payload, timeout_s)
         except zenoh.ZError as error:
             log.debug("ask_failed", selector=selector, error=str(error))
 

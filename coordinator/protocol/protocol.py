@@ -19,7 +19,7 @@ from sqlalchemy.engine import Connection
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw, to_job
 from coordinator.expansion.evaluation import EvalJobs
-from coordinator.ledger import claims, hosts, operator, outcomes, workers
+from coordinator.ledger import claims, hosts, operator, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from schemas.base import Model
@@ -47,8 +47,6 @@ from schemas.wire import (
     Refusal,
     Trade,
 )
-
-__all__ = ["ParsedRequest", "ProtocolAnswer", "Pull", "Terms", "fail_attempt", "parse", "serve"]
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -215,11 +213,11 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"{terms.version}; episodes of two versions may differ: install the same version on both"
             )
         )
-    if not workers.register(connection, hello, now):
+    if not hosts.register(connection, hello, now):
         return ProtocolAnswer(
             Refusal(
-                error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} recently active sessions, or all hosts "
-                f"together have {workers.SESSIONS}: stop some workers, or wait some minutes"
+                error=f"hello: host {host!r} has {hosts.SESSIONS_OF_HOST} recently active sessions, or all hosts "
+                f"together have {hosts.SESSIONS}: stop some workers, or wait some minutes"
             )
         )
     trade = Trade.COLLECTION if terms.evaluation is None else Trade.EVALUATION
@@ -238,13 +236,13 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
         payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)
         states = terms.find_states(job)
         return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), evaluation=payload, states=states))
-    workers.note_alive(connection, claim.sid, host, now)
+    hosts.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
     return ProtocolAnswer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))
 
 
 def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
-    workers.note_alive(connection, beat.sid, host, now)
+    hosts.note_alive(connection, beat.sid, host, now)
     outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
     waiting = tuple(lease_of(row) for row in outcome.waiting)
     is_idle = len(outcome.lost) == len(beat.live) and len(outcome.drop) == len(beat.spool)

@@ -15,23 +15,6 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.wire import Detail, Hosts, Lease, RouterId, SessionId, Version
 
-__all__ = [
-    "MAX_FILES",
-    "MAX_LOST",
-    "MAX_ORDERS",
-    "Archived",
-    "Duty",
-    "Hold",
-    "Inventory",
-    "InventoryReply",
-    "Join",
-    "JoinReply",
-    "Orders",
-    "Refused",
-    "RelayOrder",
-    "Stray",
-]
-
 MAX_FILES, MAX_LOST, MAX_ORDERS = 1000, 1000, 64
 """Maximum numbers of files per inventory, of lost episodes per reply and of orders per reply."""
 

@@ -43,8 +43,6 @@ from schemas.keys import Verb
 from schemas.terms import FailReason
 from schemas.wire import Ack, Fail, Refusal, cut_detail
 
-__all__ = ["RELAY_MESSAGES", "orders_for", "serve_gateway"]
-
 Handler = Callable[[Connection, Any, str, Terms, datetime], Model]
 _OF_THE_JOB = (
     *("split", "scene", "instruction", "target_id", "template_id", "colour", "expert"),

@@ -1,11 +1,13 @@
 """Handles the requests that the router receives: parses them, queues them for the ledger and replies after COMMIT.
 
-The module does not block. It receives requests in zenoh's threads and replies in the writer's answering thread.
+The module does not block. It receives requests in zenoh's threads and replies in the writer's answering thread. The
+number and size of waiting requests are limited, in total and per host.
 """
 
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
@@ -18,7 +20,6 @@ from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
-from coordinator.protocol.load import Load
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES, orders_for, serve_gateway
@@ -29,14 +30,55 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
-__all__ = ["RequestHandler"]
-
+_HOST_SHARE = 8
+"""Divisor of the total limits for the limits of one host, so that several busy hosts leave capacity for others."""
 _READS_WAITING = 16
 _WAITING_BYTES = 16 << 20
 """Maximum total size of messages that wait for the ledger, bytes; a parsed message takes ten times the memory."""
 _VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
+
+
+class Load:
+    """Thread-safe counter of waiting requests.
+
+    Args:
+        requests: maximum number of waiting requests in total.
+        octets: maximum size of waiting messages in total, bytes.
+    """
+
+    def __init__(self, requests: int, octets: int) -> None:
+        self._most = (requests, octets)
+        self._host_most = (max(1, requests // _HOST_SHARE), octets // _HOST_SHARE)
+        self._guard = threading.Lock()
+        self._requests: Counter[str] = Counter()
+        self._octets: Counter[str] = Counter()
+        self._all_octets = 0
+        self._all_requests = 0
+
+    def enter(self, host: str, octets: int) -> bool:
+        """Adds a request; returns `False` if a limit is reached."""
+        with self._guard:
+            if self._all_requests >= self._most[0] or self._all_octets + octets > self._most[1]:
+                return False
+            if self._requests[host] >= self._host_most[0] or self._octets[host] + octets > self._host_most[1]:
+                return False
+            self._requests[host] += 1
+            self._octets[host] += octets
+            self._all_requests += 1
+            self._all_octets += octets
+            return True
+
+    def leave(self, host: str, octets: int) -> None:
+        """Removes a request that was added."""
+        with self._guard:
+            self._requests[host] -= 1
+            self._octets[host] -= octets
+            self._all_requests -= 1
+            self._all_octets -= octets
+            if not self._requests[host]:
+                del self._requests[host], self._octets[host]
 
 
 class RequestHandler(Closing):

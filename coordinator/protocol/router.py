@@ -32,8 +32,6 @@ from schemas.keys import (
 from schemas.support.closing import Closing
 from schemas.wire import Lease
 
-__all__ = ["MAX_KEY_CHARS", "Inquiry", "Router"]
-
 MAX_KEY_CHARS = 400
 """Maximum length of a request key, characters; the keys of this software have at most 300."""
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from schemas.errors import UsageError
 from schemas.identity import Role, TlsFiles, parse_admitted, tls_files
 
-__all__ = ["Guard", "read_credentials"]
-
 _WORLD_BITS = 0o007
 _AT_GATEWAY = frozenset({Role.WORKER, Role.COORDINATOR})
 

@@ -15,8 +15,6 @@ import zenoh
 from coordinator.protocol.access import access_control
 from schemas.identity import Role, TlsFiles
 
-__all__ = ["client_config", "router_config"]
-
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000
 """Maximum number of sessions, and of connections without a session. Beyond the second limit zenoh closes new

@@ -1,5 +1,7 @@
 """Reconciles the ledger with the archive at start: adopts, quarantines or requeues episodes after an interruption.
 
+An unusable ledger is quarantined first, so that a new ledger is created and rebuilt from the episodes.
+
 The reconciliation runs before any other writer. If the ledger was lost or restored from an older copy, every intact
 episode of the plan is adopted. The module does not delete files that could be episodes.
 """
@@ -17,21 +19,22 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, diff_archive
+from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
+from coordinator.ledger.engine import is_server, shown_url, sqlite_files
 from coordinator.ledger.gateway_episodes import record_at_core, recorded_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
+from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.puller import Checker, Judge
 from schemas.dataset import BundleReceipt, EpisodeSummary
-from schemas.errors import InvalidBundle, UsageError
+from schemas.errors import InvalidBundle, UsageError, WorldError
 from schemas.storage.place import Place, at_hand
-
-__all__ = ["Reconciled", "reconcile"]
 
 log = structlog.get_logger(__name__)
 
@@ -185,3 +188,37 @@ def _adopt(engine: Engine, terms: Terms, receipt: BundleReceipt, at: tuple[int, 
         if refusal:
             connection.rollback()
     return refusal
+
+
+def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
+    """Quarantines the ledger of a run if it is unusable; an intact ledger is not changed.
+
+    Args:
+        archive: archive of the run, held exclusively.
+        url: URL of the ledger.
+        catalog: compiled scenes of the run.
+
+    Raises:
+        WorldError: a database server stores a damaged ledger, which only its administrator can replace.
+        UsageError: the ledger has a newer format.
+    """
+    trouble = ledger_trouble(url, catalog)
+    if not trouble:
+        return
+    if is_server(url) and "lacks the tables" not in trouble:
+        raise WorldError(
+            f"the ledger {shown_url(url)} {trouble}: restore the database from a backup, or give an empty one with "
+            f"--ledger; `factory repair {archive.root}` then rebuilds it from the episodes"
+        )
+    quarantine_ledger(archive, url, trouble)
+    if episodes := len(archive.present()):
+        log.warning("ledger_rebuilt", ledger=shown_url(url), why=trouble, episodes=episodes, remedy="none")
+
+
+def quarantine_ledger(archive: Archive, url: str, why: str) -> None:
+    """Moves the files of an SQLite ledger to the quarantine folder, the write-ahead log first.
+
+    A lost ledger may leave a log, which SQLite would replay into the next ledger of the same name.
+    """
+    for file in sqlite_files(url):
+        archive.quarantine(file, f"the ledger {why}")

@@ -24,7 +24,7 @@ from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
 from coordinator.ledger.repair import record_whole
-from coordinator.recovery.ledger_replacement import quarantine_ledger
+from coordinator.recovery.reconcile import quarantine_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
 from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
 from coordinator.recovery.table_records import restore_failures
@@ -41,8 +41,6 @@ from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, relative_name
-
-__all__ = ["RepairInput", "repair"]
 
 _LEASE_TTL_S = 15.0
 _LISTED_CHARS = 500

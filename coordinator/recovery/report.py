@@ -6,8 +6,6 @@ from enum import StrEnum
 
 from schemas.base import Model
 
-__all__ = ["Action", "RepairKind", "RepairReport"]
-
 
 class RepairKind(StrEnum):
     """Kind of a repair action."""

@@ -26,8 +26,6 @@ from schemas.job import Job, episode_id
 from schemas.plan import Plan
 from schemas.storage.place import Place, at_hand, children, digest_of
 
-__all__ = ["ForeignEpisode", "PlannedDraws", "StrayClassifier", "count_plans"]
-
 _SAMPLE = 25
 
 

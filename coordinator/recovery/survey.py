@@ -21,8 +21,6 @@ from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children, digest_of
 
-__all__ = ["Survey", "survey_archive"]
-
 ProgressCallback = Callable[[int, int], None]
 
 

@@ -20,8 +20,6 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
-__all__ = ["restore_failures", "validated_files"]
-
 
 def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
     """Returns the SHA-256 of the validated file by episode number, from `metadata.parquet`.

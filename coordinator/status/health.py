@@ -14,8 +14,6 @@ from coordinator.meters import Meter, Meters
 from schemas.errors import FactoryError
 from schemas.wire import Progress
 
-__all__ = ["HealthMonitor", "Snapshot", "StatusSource"]
-
 _COMMIT_S = 5.0
 _FRESH_S = 1.0
 

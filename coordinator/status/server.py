@@ -1,30 +1,32 @@
 """Serves the status pages with tornado in one thread, with limits on connections and their duration.
 
 The server accepts GET and HEAD only, and only for the names of this machine, to prevent DNS rebinding. Tornado supports
-a deadline for a whole request; other servers limit the pause between two bytes. No other module uses tornado.
+a deadline for a whole request; other servers limit the pause between two bytes. No other module uses tornado. An
+address that other machines can reach requires a token.
 """
 
 from __future__ import annotations
 
 import asyncio
+import ipaddress
+import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
-from socket import AF_INET, AF_INET6, create_server, socket
+from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import structlog
 from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream
 from tornado.web import Application, RequestHandler
 
-from coordinator.status.address import HttpAddress, is_own_name
 from coordinator.status.health import StatusSource
 from coordinator.status.pages import Pages, plain_page
-from schemas.errors import WorldError
+from schemas.errors import UsageError, WorldError
 from schemas.support.closing import Closing
 
-__all__ = ["StatusServer"]
-
+_MIN_TOKEN = 16
 _REQUEST_S = 5.0
 """Timeout for receiving a whole request, seconds."""
 _CONNECTION_S = 15.0
@@ -33,8 +35,83 @@ _MOST_CONNECTIONS = 256
 """Maximum number of connections; beyond it the oldest is closed. A normal request completes within milliseconds."""
 _MOST_HEADER_BYTES = 16 << 10
 _THREADS = 8
-
 log = structlog.get_logger(__name__)
+
+
+class HttpAddress(NamedTuple):
+    """Host and port of the status pages; port 0 selects a free port."""
+
+    host: str
+    """Host name or address."""
+    port: int
+    """TCP port."""
+
+
+def parse_address(text: str, token: str | None) -> HttpAddress:
+    """Parses HOST:PORT.
+
+    Args:
+        text: address such as `127.0.0.1:9464`, `[::1]:9464` or `:9464`, which is every address of this machine.
+        token: token that `/metrics` requires; `None` allows loopback only.
+
+    Raises:
+        UsageError: the address is malformed, other machines can reach it without a token, or the token is too short.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdigit() or int(port) > 65535:
+        raise UsageError(f"{text!r} is not HOST:PORT; example: 127.0.0.1:9464")
+    host = host.strip("[]") or "0.0.0.0"  # noqa: S104 - requested by the user, and requires a token
+    if token is not None and len(token) < _MIN_TOKEN:
+        raise UsageError(
+            f"the token has {len(token)} characters, at least {_MIN_TOKEN} are required; create one with: openssl "
+            "rand -hex 16"
+        )
+    if token is None and not _is_loopback(host):
+        raise UsageError(
+            f"{text} is reachable from other machines: serve status pages on 127.0.0.1:PORT, or protect them with "
+            "--http-token FILE"
+        )
+    return HttpAddress(host, int(port))
+
+
+def is_own_name(host: str, address: HttpAddress) -> bool:
+    """Returns whether the `Host` header of a request names this server by a loopback name or its configured address.
+
+    If the server listens on every address of this machine, each numeric address and the machine's host name match too.
+    The check prevents DNS rebinding: the requests of a web page whose name resolves to this machine carry that name.
+
+    Args:
+        host: value of the header, with or without a port.
+        address: configured address.
+    """
+    try:
+        name = (urlsplit(f"//{host}").hostname or "").rstrip(".").lower()
+    except ValueError:
+        return False
+    if _is_loopback(name) or name == address.host.lower():
+        return True
+    return _is_any(address.host) and (_is_numeric(name) or name == socket.gethostname().lower())
+
+
+def _is_any(host: str) -> bool:
+    return _is_numeric(host) and ipaddress.ip_address(host).is_unspecified
+
+
+def _is_numeric(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 class StatusServer(Closing):
@@ -53,7 +130,8 @@ class StatusServer(Closing):
     def __init__(self, address: HttpAddress, source: StatusSource, token: str | None = None) -> None:
         pages = Pages(source, token)
         try:
-            listening = create_server((address.host, address.port), family=AF_INET6 if ":" in address.host else AF_INET)
+            family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+            listening = socket.create_server((address.host, address.port), family=family)
         except OSError as error:
             raise WorldError(
                 f"cannot serve status pages on {address.host}:{address.port}: {error.strerror or error}; give another "
@@ -75,7 +153,7 @@ class StatusServer(Closing):
         self._thread.join()
         self._loop.close()
 
-    async def _serve(self, listening: socket, address: HttpAddress, pages: Pages) -> None:
+    async def _serve(self, listening: socket.socket, address: HttpAddress, pages: Pages) -> None:
         threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="http-page")
         settings = {"pages": pages, "threads": threads, "address": address}
         server = _Server(

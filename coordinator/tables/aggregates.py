@@ -9,8 +9,6 @@ from typing import Protocol, TypeVar
 
 from schemas.terms import FailReason
 
-__all__ = ["EpisodeSums", "TableAggregates"]
-
 
 class _Refused(Protocol):
     scene: str

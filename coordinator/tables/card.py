@@ -11,9 +11,6 @@ from schemas.dataset_meta import DatasetMeta
 from schemas.language import TEMPLATES
 from schemas.terms import Recording, Split, Tier
 
-__all__ = ["dataset_card"]
-
-
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _SPLITS = {
     Split.TRAIN_ID: "seen categories, training phrases",

@@ -15,15 +15,6 @@ from schemas.dataset_files import SPLITS_FOLDER
 from schemas.storage.place import Place, children
 from schemas.terms import Split
 
-__all__ = [
-    "Configs",
-    "configs_to_yaml",
-    "names_split_tables",
-    "split_configs",
-    "splits_at",
-    "with_configs",
-]
-
 _BEGIN, _END = "configs:", "---\n"
 
 Configs = Mapping[str, Mapping[str, str]]

@@ -23,8 +23,6 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
 
-__all__ = ["count_failures", "is_checkpoint_owed", "read_failures", "write_checkpoint"]
-
 _YIELD_ROWS = 1000
 
 

@@ -22,8 +22,6 @@ from schemas.dataset import EpisodeSummary
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
 
-__all__ = ["GROUP_ROWS", "Episodes", "ListedEpisodes", "plain_row", "write_metadata"]
-
 GROUP_ROWS = 2000
 """Number of episode numbers per row group."""
 _SUMS = ("num_steps", "spawn_dist_m", "trajectory_length_m", "final_ne_m")

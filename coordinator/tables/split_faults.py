@@ -23,8 +23,6 @@ from coordinator.tables.split_layout import (
 from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.storage.place import Place, children, table_of
 
-__all__ = ["SURPLUS", "FaultKind", "SplitFault", "fault_of", "find_faults", "surplus_tables"]
-
 SURPLUS = f"{METADATA_FILE} has no rows for it"
 _OTHER_ROWS = f"its rows are not those of {METADATA_FILE}"
 

@@ -20,17 +20,6 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.storage.place import Place, table_of
 from schemas.terms import Recording, Split
 
-__all__ = [
-    "DIGEST_KEY",
-    "PICTURES_KEY",
-    "THUMBNAIL",
-    "UNREADABLE",
-    "SplitTable",
-    "has_pictures",
-    "read_pictures",
-    "split_tables_of",
-]
-
 THUMBNAIL = "thumbnail"
 """Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available, or
 if the dataset records states."""

@@ -39,8 +39,6 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import InvalidBundle, WorldError
 from schemas.storage.place import Place
 
-__all__ = ["write_split_tables"]
-
 _READERS = 8
 _THUMBNAIL_PX = 160
 """Width and height: a quarter of a frame's."""

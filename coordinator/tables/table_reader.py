@@ -10,8 +10,6 @@ from schemas.dataset import FailedAttempt
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
 
-__all__ = ["read_column", "read_failed_attempts"]
-
 
 def read_column(path: Place, name: str) -> list[str] | str:
     """Returns the values of a column as strings, or the reason why the column cannot be read."""

@@ -32,8 +32,6 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
-__all__ = ["SIDE_COLUMN", "parquet_schema", "write_tables"]
-
 SIDE_COLUMN = "instance_side"
 """Name of the last column of `metadata.parquet`, the side of the target: `train`, `evaluation` or `shared`; null if the
 plan does not separate the sides."""

@@ -15,8 +15,6 @@ from schemas.dataset import BundleReceipt
 from schemas.terms import FailReason
 from schemas.wire import Fail, cut_detail
 
-__all__ = ["LocalLedgerClient"]
-
 
 class LocalLedgerClient:
     """`LedgerClient` that accesses the ledger in the same process."""

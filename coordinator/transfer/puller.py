@@ -29,8 +29,6 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import Lease
 
-__all__ = ["Checker", "Judge", "LedgerClient", "Nearby", "Pullers", "nothing_nearby"]
-
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
 _TURN_S = 0.25
@@ -265,9 +263,8 @@ class Pullers(Closing):
             free, wanted = self._archive.free_bytes(), pull.size + to_come + self._settings.reserve_bytes
             if free < wanted:
                 raise TransientError(
-                    f"{free} bytes free, {wanted} required for the bundle, {to_come} bytes of other transfers and "
-                    "the reserve: "
-                    "free some space"
+                    f"{free} bytes free, {wanted} required for the bundle, {to_come} bytes of other transfers and the "
+                    "reserve: free some space"
                 )
             self._busy[pull.job.index] = pull.size
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from factory.bench.machine import StageRecorder
 from factory.bench.model import PlainPace
-from factory.bench.stage_times import StageRecorder
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene
@@ -25,8 +25,6 @@ from workers.geometry.pose import Pose
 from workers.physics.mesh_lists import mesh_lists
 from workers.physics.world import ColliderMesh, World
 from workers.render.tiny import TinyScene
-
-__all__ = ["run_baseline"]
 
 
 def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:

@@ -32,8 +32,6 @@ from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
 from schemas.wire import Done, Lease
 
-__all__ = ["bench_coordinator"]
-
 _TTL_S = 600.0
 _SID = "bench-1"
 _SHA256 = "c" * 64

@@ -22,8 +22,6 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.scene import Target
 
-__all__ = ["CoordinatorReady", "CoordinatorUsage", "serve_coordinator"]
-
 _LEASE_S = 600.0
 """Lease duration, seconds; long, so that no lease expires on a busy machine."""
 

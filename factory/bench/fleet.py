@@ -18,21 +18,12 @@ from multiprocessing.connection import Connection
 
 import zenoh
 
+from coordinator.protocol.ask import query
 from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
 from schemas.wire import Beat, BeatReply, Claim, Done, Hello, Lease
-
-__all__ = [
-    "BenchWorker",
-    "WorkCost",
-    "bundle_of",
-    "claim_and_announce",
-    "claim_until_stopped",
-    "deliver_together",
-    "stay_connected",
-]
 
 _LINK_LEASE_S = 60.0
 _ASK_S = 30.0
@@ -81,15 +72,8 @@ class BenchWorker:
         Raises:
             TransientError: The coordinator did not reply in time.
         """
-        for reply in self._session.get(
-            verb_key(self._run, self._host, verb),
-            zenoh.handlers.FifoChannel(4),
-            payload=message.model_dump_json(),
-            timeout=_ASK_S,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        ):
-            if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
+        for reply in query(self._session, verb_key(self._run, self._host, verb), message.model_dump_json(), _ASK_S):
+            return reply
         raise TransientError(f"the coordinator did not answer {verb} within {_ASK_S:.0f} s")
 
     def introduce(self) -> None:

@@ -21,8 +21,6 @@ from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
-__all__ = ["bench_memory"]
-
 _WHOLE_EVERY = 41
 """Interval of episodes that run to their end, after the first of each scene; a prime, so that all scenes occur."""
 _STEPS = 5

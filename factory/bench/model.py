@@ -11,24 +11,6 @@ from typing import Self
 
 from schemas.base import Model
 
-__all__ = [
-    "CoordinatorBench",
-    "DeliveryLoad",
-    "Machine",
-    "Memory",
-    "MemoryBench",
-    "PlainPace",
-    "ReadBench",
-    "RenderBench",
-    "RolloutBench",
-    "SceneRender",
-    "SceneRollout",
-    "SessionLoad",
-    "Spread",
-    "StageCost",
-    "WireBench",
-]
-
 
 class Spread(Model):
     """Median and range of a value over several runs."""

@@ -16,8 +16,6 @@ from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.dataset.torch import FrameDataset, collate
 
-__all__ = ["bench_read"]
-
 _SEED = 20
 _BATCH = 16
 

@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from factory.bench.machine import StageRecorder, StageTimes, stage_costs
 from factory.bench.model import SceneRender, Spread, StageCost
-from factory.bench.stage_times import StageRecorder, StageTimes, stage_costs
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.cull import PartBounds, visible_parts
-
-__all__ = ["bench_render", "poses_in"]
 
 _SEED = 20
 

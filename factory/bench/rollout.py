@@ -20,17 +20,14 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
 from factory.bench.baseline import run_baseline
-from factory.bench.machine import forget_peak, measure_memory, resident_mib
+from factory.bench.machine import StageRecorder, StageTimes, forget_peak, measure_memory, resident_mib, stage_costs
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
-from factory.bench.stage_times import StageRecorder, StageTimes, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle, WorldError
 from schemas.job import Job
 from workers.geometry.pose import Pose
 from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
-
-__all__ = ["bench_rollout"]
 
 StepCallback = Callable[[], None]
 """Called after every attempt."""

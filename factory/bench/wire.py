@@ -30,8 +30,6 @@ from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.plan import Plan
 
-__all__ = ["bench_wire"]
-
 _CYCLES = 5000
 """Number of cycles of all workers in one run; fewer on a small ledger, because each cycle uses one job."""
 _CYCLE_BUNDLE_BYTES = 1 << 20

@@ -18,8 +18,6 @@ from schemas.storage.place import Place
 from workers.geometry.pose import Pose
 from workers.render import RenderedFrame
 
-__all__ = ["EpisodeBundle"]
-
 _FRAME_MEMBER = re.compile(r"(rgb_front|depth_front|seg_front)/(\d{6})\.\w+(\.zst)?")
 
 

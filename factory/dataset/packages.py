@@ -14,8 +14,6 @@ from schemas.scene import CompiledScene, SceneInfo, decode_scene, read_scene_inf
 from schemas.storage.disk import translated
 from schemas.storage.place import Place, digest_of
 
-__all__ = ["ScenePackage", "find_package_file", "package_file", "packages_of"]
-
 _KEPT_INFOS = 64
 
 

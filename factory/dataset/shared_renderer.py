@@ -22,8 +22,6 @@ from workers.geometry.pose import Pose
 from workers.render import RenderedFrame, Renderer
 from workers.render.choose import open_renderer
 
-__all__ = ["SharedRenderer", "View", "shared_renderer"]
-
 _KEPT_SCENES = 2
 _REMEDY = (
     "the episode stores states, and its frames are rendered with OpenGL: on Debian `apt-get install libegl1 "

@@ -2,21 +2,3 @@
 
 The result of an episode depends only on spec, policy and software, not on the machine or the order of execution.
 """
-
-from __future__ import annotations
-
-__all__ = [
-    "ablation",
-    "action",
-    "compare",
-    "estimate",
-    "measure",
-    "policy",
-    "result",
-    "rollout",
-    "run",
-    "score",
-    "simulator",
-    "spec",
-    "store",
-]

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from coordinator.tables.card_configs import Configs, configs_to_yaml
 from schemas.dataset_meta import DatasetMeta
 
-__all__ = ["CARD_FILE", "TAGS", "export_card"]
-
 CARD_FILE = "README.md"
 TAGS = (
     "robotics",
@@ -62,8 +60,7 @@ def export_card(
     )
     origin = (
         f"{episodes} episodes of language-conditioned robot navigation, made with minivla-factory from seed "
-        f"{meta.seed} with the `{meta.plan.expert}` expert. "
-        "A Nova Carter gets an instruction in English that names an object; "
-        f"it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
+        f"{meta.seed} with the `{meta.plan.expert}` expert. A Nova Carter gets an instruction in English that names an "
+        f"object; it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
     )
     return front + origin + text.strip() + "\n"

@@ -19,15 +19,12 @@ from PIL import Image
 from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
+from factory.export.base import Decimated, EpisodeFacts, Exporter, ExportPiece, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
-from factory.export.options import Decimated, stride_of
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.measure import yaw_of
 from schemas.terms import Split
-
-__all__ = ["DATASET_NAME", "GnmExporter", "GnmFacts", "GnmOptions"]
 
 DATASET_NAME = "minivla_nav"
 """Name of the dataset in `data_config.yaml` and `data_splits`."""

@@ -12,13 +12,12 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from schemas.errors import WorldError
-from schemas.storage.disk import sync_directory, sync_file, translated, world_error
+from schemas.storage.disk import replacing, sync_directory, sync_file, translated, world_error
 from schemas.support.closing import Closing
-
-__all__ = ["WORK_FOLDER", "Output", "sync_tree"]
 
 WORK_FOLDER = ".export"
 _PIECES, _FACTS, _STAGING, _JOURNAL = "pieces", "facts", "staging", "finished"
@@ -97,7 +96,7 @@ class Output(Closing):
         for name in lines[1:]:
             (self.root / name).unlink(missing_ok=True)
         self._done = set()
-        with translated("write", self.root), self._staged(self._work / _JOURNAL) as part:
+        with self._staged(self._work / _JOURNAL) as part:
             part.write_text(f"{digest}\n", encoding="utf-8")
 
     def has(self, name: str) -> bool:
@@ -118,7 +117,7 @@ class Output(Closing):
         final = self.root / name
         with translated("write", final):
             final.parent.mkdir(parents=True, exist_ok=True)
-        with translated("write", final), self._staged(final) as part:
+        with self._staged(final) as part:
             yield part
         self._note(name)
 
@@ -160,16 +159,8 @@ class Output(Closing):
         if (self._work / _STAGING).exists():
             shutil.rmtree(self._work / _STAGING)
 
-    @contextlib.contextmanager
-    def _staged(self, final: Path) -> Iterator[Path]:
-        part = self._work / _STAGING / f"{final.name}.part"
-        try:
-            yield part
-            sync_file(part)
-            part.replace(final)
-            sync_directory(final.parent)
-        finally:
-            part.unlink(missing_ok=True)
+    def _staged(self, final: Path) -> AbstractContextManager[Path]:
+        return replacing(final, part=self._work / _STAGING / f"{final.name}.part", durable=True)
 
     def _note(self, name: str) -> None:
         journal = self._work / _JOURNAL

@@ -23,8 +23,6 @@ from schemas.encoding.arrays import EPISODE_ARRAYS
 from schemas.encoding.ndarray import encode_npy
 from schemas.terms import Split
 
-__all__ = ["PUBLISHED_SPLITS", "PaperExporter", "PaperOptions", "published_split"]
-
 PUBLISHED_SPLITS = {str(Split.TEST_PARAPHRASE_OOD): "test_ood_lang"}
 """The paper's name of a split -> the name in the published repository, where they differ;
 docs/design/task.md#splits-and-instructions."""

@@ -13,8 +13,6 @@ from schemas.errors import UsageError
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
 
-__all__ = ["EXPORTERS", "AnyExporter", "check_format", "find_exporter", "require_packages"]
-
 AnyExporter = Exporter[Any, Any]
 
 EXPORTERS: Mapping[str, str] = MappingProxyType(

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.dataset.episode import Episode
+from factory.export.base import stride_of
 from factory.export.lerobot.columns import frame_columns, kept_frames
-from factory.export.options import stride_of
-
-__all__ = ["RldsObservation", "Step", "rlds_metadata", "rlds_steps"]
 
 
 class RldsObservation(TypedDict):

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.support.extras import pip_install
 
-__all__ = ["DEPTH_CODEC", "RGB_CODEC", "Codec", "VideoWriter", "join_videos", "read_video"]
-
 _ONE_THREAD = 1  # each process encodes one episode, and the bytes must not depend on the number of cores
 
 

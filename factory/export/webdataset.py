@@ -18,13 +18,10 @@ from isal import igzip
 from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
+from factory.export.base import Decimated, EpisodeFacts, Exporter, ExportPiece, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
-from factory.export.options import Decimated, stride_of
 from schemas.encoding.ndarray import encode_npy
-
-__all__ = ["WebdatasetExporter", "WebdatasetFacts", "WebdatasetOptions", "shards_of"]
 
 MEMBERS_FILE = "members.tar"
 SHARDS_FILE = "shards.json"

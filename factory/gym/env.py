@@ -18,7 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from factory.eval.driving import measure
-from factory.eval.driving.odometry import odometry
+from factory.eval.driving.measure import odometry
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places
@@ -33,8 +33,6 @@ from workers.experts.observation import Observation
 from workers.geometry.slew import Twist
 from workers.render.process_wire import MAX_SIZE_PX
 from workers.sim.scene_renderer import SceneRenderer
-
-__all__ = ["MiniVLANavEnv"]
 
 _FAR_AWAY_M = 10_000.0
 _SUCCESS_REWARD = 10.0

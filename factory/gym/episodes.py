@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from factory.dataset.reader import Dataset
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import read_specs
+from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from schemas.support.suggest import did_you_mean
 from schemas.terms import Split
-
-__all__ = ["specs_for"]
 
 
 def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> SpecSet:

@@ -20,15 +20,6 @@ from schemas.errors import UsageError
 from schemas.storage.place import Place
 from schemas.terms import COLOUR_NAMES
 
-__all__ = [
-    "MAX_INSTRUCTION",
-    "InstructionKind",
-    "InstructionText",
-    "encode_instruction",
-    "instruction_space",
-    "words_for",
-]
-
 InstructionKind = Literal["text", "tokens", "none"]
 MAX_INSTRUCTION = 256
 _CHARSET = "".join(sorted(set(string.printable)))

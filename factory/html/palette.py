@@ -11,19 +11,6 @@ from types import MappingProxyType
 
 from schemas.terms import FailReason, Split, Tier
 
-__all__ = [
-    "COLOURS",
-    "DASHES",
-    "REASON_COLOURS",
-    "SPLIT_COLOURS",
-    "TIER_COLOURS",
-    "TIER_MARKERS",
-    "colour",
-    "css_variables",
-    "scene_colours",
-    "with_variables",
-]
-
 COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "card": ("#fffffe", "#1a1f27"),

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
-__all__ = ["Certificate", "create_authority_certificate", "expiry_of", "issue", "require_cryptography"]
-
 _CLOCK_TOLERANCE = timedelta(minutes=5)
 """Time by which validity starts early, because the clocks of hosts differ."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")

@@ -17,8 +17,6 @@ from schemas.errors import UsageError
 from schemas.identity import ADMITTED_FILE, CA_FILE, Role, parse_admitted, require_host_name, spell_admitted, tls_files
 from schemas.storage.disk import translated
 
-__all__ = ["HostKeys", "admit", "create_authority", "list_hosts", "revoke"]
-
 _CA_KEY_FILE, _ROLE_FILE = "ca.key", "role.txt"
 
 

@@ -12,8 +12,6 @@ from pathlib import Path
 from schemas.dataset_files import EPISODES, META_FILE, QUARANTINE, SCENES, SPLITS_FOLDER, STAGING
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["BATCH_BYTES", "BATCH_FILES", "PushFile", "PushPlan", "batches_of", "plan_push", "require_repository"]
-
 BATCH_FILES = 400
 """Maximum number of files in one commit; the Hub advises against many more."""
 BATCH_BYTES = 5_000_000_000

@@ -18,10 +18,9 @@ from factory.push.files import PushPlan, batches_of
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import missing_package
 
-__all__ = ["PushResult", "push", "require_safe_endpoint"]
-
 ProgressCallback = Callable[[int, int], None]
 """Called with the number of files and bytes of each commit."""
+_AGAIN = "run the same command again; files already on the Hub are not sent again"
 
 
 class PushResult(NamedTuple):
@@ -62,9 +61,8 @@ def push(
     require_safe_endpoint(api.endpoint)
     if not token:
         raise WorldError(
-            "the token for the Hugging Face Hub is missing: run `hf auth login`, or set HF_TOKEN to a token with "
-            "write access "
-            f"(create one at {api.endpoint}/settings/tokens)"
+            "the token for the Hugging Face Hub is missing: run `hf auth login`, or set HF_TOKEN to a token with write "
+            f"access (create one at {api.endpoint}/settings/tokens)"
         )
     with _translated(hub, repository, api.endpoint):
         url = api.create_repo(repository, repo_type="dataset", private=private or None, exist_ok=True)
@@ -145,9 +143,6 @@ def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[Non
         raise UsageError(f"{repository!r} is not a valid repository: {error}") from None
     except (hub.errors.HTTPError, OSError, ValueError, RuntimeError) as error:
         raise WorldError(f"the upload to {endpoint} stopped ({type(error).__name__}: {error}); {_AGAIN}") from None
-
-
-_AGAIN = "run the same command again; files already on the Hub are not sent again"
 
 
 def _describe_status(status: int | None, repository: str, endpoint: str, error: Exception) -> str:

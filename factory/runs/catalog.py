@@ -6,6 +6,7 @@ nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,14 +21,15 @@ from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
 from schemas.dataset_files import SCENES, STAGING
-from schemas.errors import InvalidPlan, WorldError
+from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
+from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-
-__all__ = ["collect_scenes", "find_built", "find_package", "open_catalog", "write_target_lists"]
+from schemas.terms import BUILTIN_CATEGORIES
 
 MessageCallback = Callable[[str], None]
+_PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
 def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
@@ -99,12 +101,8 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
         if isinstance(path, ObjectPath):
             path.objects.put(path.key, text.encode())
             continue
-        beside = path.parents[1] / STAGING / path.name
-        try:
-            beside.write_text(text, encoding="utf-8")
-            beside.replace(path)
-        except OSError as error:
-            raise WorldError(f"cannot write {path} ({error.strerror}); free space and run the command again") from error
+        with replacing(path, part=path.parents[1] / STAGING / path.name) as part:
+            part.write_text(text, encoding="utf-8")
 
 
 def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
@@ -129,3 +127,20 @@ def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
 
 def _limits(scene: ScenePlan) -> StageLimits:
     return StageLimits(allow_outside=scene.allow_outside)
+
+
+def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
+    """Returns the packages of imported scenes.
+
+    Args:
+        cache: Folder of packages; it need not exist.
+
+    Returns:
+        The packages by scene name, the most recently written first.
+    """
+    found: dict[str, list[tuple[int, str, Path]]] = {}
+    for path in cache.glob("*.scene.zip"):
+        named = _PACKAGE.fullmatch(path.name)
+        if named is not None and named[1] not in BUILTIN_CATEGORIES:
+            found.setdefault(named[1], []).append((path.stat().st_mtime_ns, path.name, path))
+    return {name: tuple(path for *_, path in sorted(found[name], reverse=True)) for name in sorted(found)}

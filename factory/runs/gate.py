@@ -25,8 +25,6 @@ from schemas.terms import FailReason, Tier
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
-__all__ = ["FailedTrial", "GateReport", "Pilot", "Trial", "evaluate_gate", "run_pilot"]
-
 _POLL_S = 0.1
 _HANG_S = 60.0
 _STARTS = 3

@@ -19,8 +19,6 @@ from schemas.plan import Plan
 from schemas.storage.place import Place, children
 from schemas.wire import Progress
 
-__all__ = ["plan_of", "progress_of", "read_ledger"]
-
 
 def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Connection]:
     """Opens the ledger of a dataset for reading.
@@ -39,9 +37,8 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
         )
     if url is None and not (site.home / LEDGER_FILE).is_file() and (count := len(children(site.place / EPISODES))):
         raise WorldError(
-            f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair {site}`, or "
-            "continue the run with "
-            "the command that started it"
+            f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair {site}`, or continue "
+            "the run with the command that started it"
         )
     return open_ledger(ledger_url_of(site.home, url))
 
@@ -57,8 +54,7 @@ def plan_of(site: Site) -> Plan | None:
     if noted is not None and described is not None and noted.digest != described.digest:
         raise WorldError(
             f"the ledger in {site.home} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: "
-            "restore "
-            f"the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
+            f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
         )
     return noted or described
 

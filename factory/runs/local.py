@@ -34,8 +34,6 @@ from schemas.wire import Progress
 from workers.client.spool import find_bundle, folder_of
 from workers.experts import require_expert
 
-__all__ = ["LocalRun", "run_locally"]
-
 _LISTEN = ("tcp/127.0.0.1:0",)
 _SPOOL = ".spool"
 _POLL_S = 0.25

@@ -11,8 +11,6 @@ from factory.scenes.stage_file import find_fault
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
 
-__all__ = ["require_files"]
-
 
 def require_files(plan: Plan, kept: Collection[str] = ()) -> None:
     """Raises an error unless the files of all scenes of a plan can be read.

@@ -25,12 +25,10 @@ from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan
-from schemas.storage.disk import translated
+from schemas.storage.disk import replacing, translated
 from schemas.storage.place import Place
 from schemas.terms import Recording
 from schemas.wire import MAX_STATES_CHARS
-
-__all__ = ["Rendering", "StatesSource", "prepare_rendering"]
 
 log = structlog.get_logger(__name__)
 
@@ -87,16 +85,12 @@ def _write_tables(dataset: Dataset, plan: Plan, folder: Path) -> None:
             "dataset_digest": None,
         }
     )
+    attempts, described = (dataset.root / ATTEMPTS_FILE).read_bytes(), meta.model_dump_json(indent=1).encode()
     with translated("write", folder):
         folder.mkdir(parents=True, exist_ok=True)
-        _replace(folder / ATTEMPTS_FILE, (dataset.root / ATTEMPTS_FILE).read_bytes())
-        _replace(folder / META_FILE, meta.model_dump_json(indent=1).encode())  # last: it makes the directory a run
-
-
-def _replace(path: Path, data: bytes) -> None:
-    part = path.with_name(f".{path.name}.part")
-    part.write_bytes(data)
-    part.replace(path)
+    for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # the description makes it a run
+        with replacing(folder / name) as part:
+            part.write_bytes(data)
 
 
 class StatesSource:

@@ -20,8 +20,6 @@ from schemas.terms import RendererKind
 from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["Replay", "replay_episode"]
-
 
 @dataclass(frozen=True)
 class Replay:

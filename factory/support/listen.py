@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 from schemas.errors import UsageError
 
-__all__ = ["require_endpoints", "require_loopback", "require_tls_endpoints"]
-
 
 def require_loopback(endpoints: Sequence[str]) -> None:
     """Raises an error unless every endpoint has the form tcp/HOST:PORT with a loopback HOST.
@@ -21,8 +19,7 @@ def require_loopback(endpoints: Sequence[str]) -> None:
         if host != "localhost" and not _is_loopback(host):
             raise UsageError(
                 f"{endpoint} is reachable from other machines: without --tls, only loopback addresses are allowed. "
-                "Create "
-                "certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
+                "Create certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
             )
 
 

@@ -9,8 +9,6 @@ from typing import Any, TextIO, cast
 
 import structlog
 
-__all__ = ["MAX_FIELD_CHARS", "bound_fields", "configure_logs"]
-
 MAX_FIELD_CHARS = 1000
 """Maximum length of a log field, characters; text from a peer can be longer."""
 _CONTROLS = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))} | {10: "\\n", 9: "\\t"}

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import platformdirs
 
-__all__ = ["cache_directory", "read_renderer", "scene_cache", "scene_path", "state_directory", "store_endpoint"]
-
 
 def cache_directory() -> Path:
     """Returns the folder of data that can be recreated; `MINIVLA_CACHE` overrides the platform's default."""

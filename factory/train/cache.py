@@ -28,8 +28,6 @@ from schemas.plan import canonical_json
 from schemas.storage.disk import sync_directory, translated
 from workers.client.host_lock import exclusive_lock
 
-__all__ = ["CACHE_FORMAT", "MASK_SHRINK", "CacheKey", "CachedEpisode", "FrameCache", "open_cache"]
-
 CACHE_FORMAT = 1
 MASK_SHRINK = 8
 """Downscaling factor from the picture to the target mask: the resolution of the network's second stage."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,9 +12,7 @@ from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
 from factory.train.preprocess import PREPROCESS_VERSION
 from factory.train.torch_import import load_torch
 from schemas.errors import UsageError, WorldError
-from schemas.storage.disk import sync_directory, translated
-
-__all__ = ["Checkpoint", "checkpoint_path", "parse_meta", "read_checkpoint", "write_atomically", "write_checkpoint"]
+from schemas.storage.disk import replacing
 
 MAX_BYTES = 1 << 30
 """Maximum size of a checkpoint file, bytes."""
@@ -96,11 +93,5 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Writes a file atomically and durably: to a temporary file, synced, then renamed."""
-    part = path.with_name(f".{path.name}.part")
-    with translated("write", path):
-        with part.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        sync_directory(path.parent)
+    with replacing(path, durable=True) as part:
+        part.write_bytes(data)

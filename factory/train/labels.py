@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Labels", "chosen_frames", "label_episode", "stop_frame"]
-
 _TAIL_STEPS, _TAIL_STRIDE = 30, 2
 """Length and stride of the denser sampling at the end of an episode, steps: the stop takes about half a second."""
 

@@ -15,8 +15,6 @@ from torch.nn import functional
 from factory.train.options import BcOptions
 from schemas.tokens import GRID_POINTS
 
-__all__ = ["BcNetwork", "NetworkOutput"]
-
 _CELLS = GRID_POINTS * GRID_POINTS
 _GROUPS = 4
 

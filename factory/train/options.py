@@ -9,8 +9,6 @@ from pydantic import Field, field_validator
 from factory.train.preprocess import PREPROCESS_VERSION, SIZES
 from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
 
-__all__ = ["CHECKPOINT_FORMAT", "BcOptions", "CheckpointMeta", "Head"]
-
 CHECKPOINT_FORMAT = 1
 """Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""
 Head = Literal["continuous", "tokens"]

@@ -1,20 +1,28 @@
-"""Converts frames to network input: downscaled colour and depth. Pure; cache and policy get identical bytes."""
+"""Converts frames to network input: downscaled colour and depth; augments training batches with matching labels.
+
+Pure; cache and policy get identical bytes, and `augment` takes the random generator.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-__all__ = ["FAR_M", "PREPROCESS_VERSION", "SIZES", "shrink_depth", "shrink_mask", "shrink_rgb", "to_input"]
-
 PREPROCESS_VERSION = 1
-"""Version of the preprocessing. Increase it with any change here, so that old caches and checkpoints are not reused."""
+"""Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and policies are not reused."""
 SIZES = (64, 80, 128, 160)
 """Valid picture sides, pixels; each divides the frame size."""
 FAR_M = 10.0
 """Maximum depth, metres. Larger depths, and 0 (the ray hits nothing), are set to this value."""
 _MM_PER_M = 1000.0
+_BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
+_CLOSER = 0.75
+"""Smallest zoom factor: a view from 1 m is enlarged to look like one from 0.75 m."""
+_ENLARGED = 0.6
+"""Share of the stop frames that are zoomed."""
 
 
 def shrink_rgb(rgb: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
@@ -60,3 +68,51 @@ def to_input(rgb: NDArray[np.uint8], depth: NDArray[np.uint16]) -> NDArray[np.fl
     metres = np.clip(depth.astype(np.float32) / _MM_PER_M, 0.1, FAR_M)
     nearness = 1.0 - np.log(metres / 0.1) / np.float32(np.log(FAR_M / 0.1) / 2)
     return np.ascontiguousarray(np.concatenate([colours, nearness[:, None]], axis=1), np.float32)
+
+
+class Batch(NamedTuple):
+    """Batch of network inputs and labels."""
+
+    pictures: NDArray[np.float32]
+    """(N, 4, S, S) colour and nearness channels, about -1..1."""
+    mask: NDArray[np.float32]
+    """(N, S/8, S/8) share of each cell that shows the target, 0..1."""
+    actions: NDArray[np.float32]
+    """(N, 2) action labels: v in m/s, w in rad/s."""
+    is_stop: NDArray[np.bool_]
+    """(N,) whether the label is a stop."""
+
+
+def augment(batch: Batch, rng: np.random.Generator) -> Batch:
+    """Returns the frames mirrored and with other brightness and contrast at random; also zooms some stop frames.
+
+    The expert stops on the success circle, so no recorded frame shows the view of a robot that is too close. A zoomed
+    frame with equally scaled depths approximates such a view; its label is a stop, too.
+    """
+    pictures, mask = batch.pictures.copy(), batch.mask.copy()
+    actions = batch.actions.copy()
+    for row in np.flatnonzero(batch.is_stop & (rng.random(len(mask)) < _ENLARGED)):
+        share = float(rng.uniform(_CLOSER, 1.0))
+        pictures[row], mask[row] = _enlarge(pictures[row], share), _enlarge(mask[row][None], share)[0]
+        pictures[row, 3] = _shorten(pictures[row, 3], share)
+    mirrored = rng.random(len(mask)) < 0.5
+    pictures[mirrored], mask[mirrored] = pictures[mirrored, :, :, ::-1], mask[mirrored, :, ::-1]
+    actions[mirrored, 1] *= -1
+    shape = (len(mask), 1, 1, 1)
+    gain = rng.uniform(1 - _CONTRAST, 1 + _CONTRAST, shape)
+    lift = rng.uniform(-_BRIGHTNESS, _BRIGHTNESS, shape) + rng.uniform(-_TINT, _TINT, (len(mask), 3, 1, 1))
+    pictures[:, :3] = np.clip(pictures[:, :3] * gain + lift, -1, 1)
+    return Batch(pictures, mask, actions, batch.is_stop)
+
+
+def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Returns the central part of a (C, S, S) picture at full size, by nearest-neighbour sampling."""
+    size = picture.shape[1]
+    places = np.clip(((np.arange(size) + 0.5 - size / 2) * share + size / 2).astype(np.int64), 0, size - 1)
+    return picture[:, places[:, None], places[None, :]]
+
+
+def _shorten(nearness: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Returns the nearness of depths scaled by `share`; `preprocess.to_input` takes logarithms."""
+    shortened: NDArray[np.float32] = np.clip(nearness - np.float32(2 * np.log(share) / np.log(100.0)), -1, 1)
+    return shortened

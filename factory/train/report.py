@@ -5,8 +5,6 @@ from __future__ import annotations
 from factory.train.options import BcOptions
 from schemas.base import Fraction, Model, NonNegative
 
-__all__ = ["EpochMeasures", "TrainReport"]
-
 
 class EpochMeasures(Model):
     """Measures of one epoch; validation uses the averaged weights, which are those of the policy."""

@@ -38,8 +38,6 @@ from schemas.terms import Split
 if TYPE_CHECKING:
     from factory.train.fit import BcTraining
 
-__all__ = ["TrainCallbacks", "TrainOrder", "train_bc"]
-
 _METRICS = "metrics.json"
 
 
@@ -124,8 +122,7 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
         if different:
             raise UsageError(
                 f"{order.out} contains a training with other options ({'; '.join(different)}): give the same options "
-                "to "
-                "continue it, or choose another --out"
+                "to continue it, or choose another --out"
             )
     with translated("write", order.out):
         order.out.mkdir(parents=True, exist_ok=True)

@@ -8,8 +8,6 @@ from typing import Any
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package, require_package
 
-__all__ = ["choose_device", "load_torch", "require_logs", "summary_writer"]
-
 
 def load_torch() -> Any:
     """Returns the module `torch`.

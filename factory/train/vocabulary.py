@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from schemas.language import TEMPLATES, say_category
 from schemas.terms import CATEGORIES
 
-__all__ = ["ANY", "MAX_WORDS", "PAD", "UNKNOWN", "encode", "split_words", "vocabulary"]
-
 PAD, UNKNOWN, ANY = 0, 1, 2
 """Special indices: padding, a word outside of the vocabulary, and the whole instruction when language is ablated."""
 _SPECIAL = ("<pad>", "<unknown>", "<any>")

@@ -17,8 +17,6 @@ from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
 from schemas.storage.place import Place, at_hand
 
-__all__ = ["EpisodeCheck", "check_episode", "target_of"]
-
 _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
 
 

@@ -11,8 +11,6 @@ from schemas.encoding.digest import frame_digest
 from schemas.terms import Recording
 from workers.render import RenderedFrame
 
-__all__ = ["compare_rendered"]
-
 
 def compare_rendered(bundle: EpisodeBundle) -> list[str]:
     """Renders every frame with a recorded digest; returns one finding if any differs, else an empty list.

@@ -22,8 +22,6 @@ from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place, at_hand
 
-__all__ = ["inspect_dataset"]
-
 MessageCallback = Callable[[str], None]
 
 
@@ -147,7 +145,6 @@ def _built_again(
         if made[name].sha256 != record.scenes[name]:
             raise WorldError(
                 f"{troubles[name]}; built again it has SHA-256 {made[name].sha256}, so another version built it: "
-                "restore "
-                f"the package from a backup into {SCENES}/"
+                f"restore the package from a backup into {SCENES}/"
             )
     return dict(made)

@@ -7,8 +7,6 @@ from enum import StrEnum
 
 from schemas.storage.place import Place
 
-__all__ = ["Finding", "Kind", "VerifyReport"]
-
 
 class Kind(StrEnum):
     """Kind of a finding."""

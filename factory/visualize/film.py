@@ -16,11 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from factory.visualize.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
-from schemas.errors import WorldError
 from schemas.scene import CompiledScene
+from schemas.storage.disk import replacing
 from schemas.support.extras import require_package
-
-__all__ = ["draw_film", "facts_of_step", "film_rate", "require_mp4", "write_gif", "write_mp4"]
 
 _TILE_PX = 320
 _CAPTION_PX = 56
@@ -88,23 +86,19 @@ def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction, crf: int = 20
     require_mp4()
     import av
 
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with av.open(str(beside), "w", format="mp4", options={"movflags": "faststart"}) as container:
-            stream: Any = None
-            for picture in _held(pictures, rate):
-                if stream is None:
-                    stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf), "preset": "veryfast"})
-                    stream.height, stream.width = picture.shape[:2]
-                    stream.pix_fmt = "yuv420p"
-                    stream.codec_context.thread_count = 1  # so that the bytes do not depend on the number of cores
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-            container.mux(stream.encode())
-        beside.replace(path)
-    except OSError as error:  # includes the errors of PyAV
-        raise _unwritten(path, error) from error
-    finally:
-        beside.unlink(missing_ok=True)
+    with (
+        replacing(path) as beside,  # converts the errors of PyAV, too
+        av.open(str(beside), "w", format="mp4", options={"movflags": "faststart"}) as container,
+    ):
+        stream: Any = None
+        for picture in _held(pictures, rate):
+            if stream is None:
+                stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf), "preset": "veryfast"})
+                stream.height, stream.width = picture.shape[:2]
+                stream.pix_fmt = "yuv420p"
+                stream.codec_context.thread_count = 1  # so that the bytes do not depend on the number of cores
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
 
 
 def write_gif(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
@@ -113,16 +107,10 @@ def write_gif(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
     Raises:
         WorldError: The file cannot be written.
     """
-    beside = path.with_name(f".{path.name}.part")
     frames = (Image.fromarray(picture).quantize(_GIF_COLOURS) for picture in _held(pictures, rate))
-    try:
+    with replacing(path) as beside:
         first = next(frames)
         first.save(beside, "GIF", save_all=True, append_images=frames, duration=10 * round(100 / rate), loop=0)
-        beside.replace(path)
-    except OSError as error:
-        raise _unwritten(path, error) from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _held(pictures: Iterable[Rgb], rate: Fraction) -> Iterator[Rgb]:
@@ -131,10 +119,6 @@ def _held(pictures: Iterable[Rgb], rate: Fraction) -> Iterator[Rgb]:
         yield picture
     if picture is not None:
         yield from [picture] * round(_HOLD_S * rate)
-
-
-def _unwritten(path: Path, error: OSError) -> WorldError:
-    return WorldError(f"cannot write {path} ({error.strerror or error}); free space or choose another -o")
 
 
 def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -21,9 +21,8 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene
+from schemas.storage.disk import replacing
 from schemas.support.extras import missing_package
-
-__all__ = ["FloorPicture", "floor_picture", "view_episode"]
 
 _ROBOT_BOX_M = (
     (-0.607, -0.25, 0.06),
@@ -63,17 +62,8 @@ def view_episode(
         WorldError: The recording cannot be written.
     """
     rerun = _library()
-    part = None if save is None else save.with_name(f".{save.name}.part")
-    try:
+    with nullcontext() if save is None else replacing(save) as part:
         _record(rerun, episode, scene, part, stride, tell)
-        if save is not None and part is not None:
-            part.replace(save)
-    except OSError as error:
-        raise WorldError(f"cannot write {save} ({error.strerror}); free space or choose another --out") from error
-    finally:
-        if part is not None:
-            with suppress(OSError):  # the folder may not exist
-                part.unlink()
 
 
 def _record(
@@ -240,9 +230,7 @@ def _name_of(prim_path: str, category: str | None) -> str:
 def _describe_episode(episode: Episode) -> str:
     job, rollout = episode.meta.job, episode.meta.rollout
     return (
-        f"# {job.instruction}\n\n"
-        f"{job.episode_id}, {job.scene}, {job.split}, {job.tier}, target {job.target_id} ({job.colour}), "
-        f"template {job.template_id}, expert {job.expert}\n\n"
-        f"{rollout.num_steps} steps, start {rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, "
-        f"NE {rollout.final_ne_m:.3f} m"
+        f"# {job.instruction}\n\n{job.episode_id}, {job.scene}, {job.split}, {job.tier}, target {job.target_id} "
+        f"({job.colour}), template {job.template_id}, expert {job.expert}\n\n{rollout.num_steps} steps, start "
+        f"{rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, NE {rollout.final_ne_m:.3f} m"
     )

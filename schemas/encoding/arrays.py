@@ -11,19 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = [
-    "ACTIONS_CONTINUOUS",
-    "ACTIONS_TOKENS",
-    "DEPTH_FRAME",
-    "EPISODE_ARRAYS",
-    "FRAME_SIZE_PX",
-    "IDS_FRAME",
-    "POSES",
-    "RGB_FRAME",
-    "ArraySpec",
-]
-
-
 FRAME_SIZE_PX = 640
 """Width and height of every frame (paper Sec. III-B)."""
 

@@ -15,8 +15,6 @@ from isal.isal_zlib import crc32
 from schemas.errors import InvalidBundle
 from schemas.support.closing import Closing
 
-__all__ = ["ContainerLimits", "ContainerReader", "ContainerWriter"]
-
 _LOCAL = struct.Struct("<I5H3I2H")
 """Local header of a member: signature, version, flags, method, time, date, CRC, sizes, lengths of name and extra."""
 _CENTRAL = struct.Struct("<I6H3I5H2I")

@@ -13,8 +13,6 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-__all__ = ["content_digest", "dataset_digest", "frame_digest"]
-
 
 def frame_digest(rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> str:
     """Returns the digest of one frame as 32 hexadecimal digits.

@@ -20,8 +20,6 @@ from numpy.typing import DTypeLike, NDArray
 from schemas.errors import InvalidBundle
 from schemas.support.foreign import PARSER_ERRORS
 
-__all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst", "is_npy_of"]
-
 _MAX_HEADER_BYTES = 4096
 _MAX_WINDOW_BYTES = 128 << 20
 _FAST, _FAST_HASH_LOG = 1, 12

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from schemas.errors import InvalidBundle
 
-__all__ = ["decode_png", "encode_png"]
-
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NONE, _SUB = 0, 1
 _ISAL_ERROR = cast(type[Exception], IsalError)  # the package's stub declares an instance

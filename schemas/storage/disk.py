@@ -15,8 +15,6 @@ import structlog
 
 from schemas.errors import WorldError
 
-__all__ = ["copy_hashed", "require_room", "set_aside", "sync_directory", "sync_file", "translated", "world_error"]
-
 _COPY_BYTES = 1 << 20
 log = structlog.get_logger(__name__)
 _REMEDIES = {
@@ -97,6 +95,32 @@ def sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, part: Path | None = None, durable: bool = False) -> Iterator[Path]:
+    """Yields the path of a part file, which replaces `path` if the block exits without an error.
+
+    Args:
+        path: the file; its folder exists.
+        part: path of the part file; by default a hidden file beside `path`.
+        durable: whether to sync file and folder to disk.
+
+    Raises:
+        WorldError: the file cannot be written; the previous file is unchanged.
+    """
+    part = part or path.with_name(f".{path.name}.part")
+    try:
+        with translated("write", path):
+            yield part
+            if durable:
+                sync_file(part)
+            part.replace(path)
+            if durable:
+                sync_directory(path.parent)
+    finally:
+        with contextlib.suppress(OSError):  # the folder may not exist
+            part.unlink()
 
 
 @contextlib.contextmanager

@@ -13,8 +13,6 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 
 from schemas.storage.object_store import Objects, objects_at
 
-__all__ = ["ObjectPath"]
-
 _READ_AHEAD_BYTES = 1 << 20
 """Size of a range request, bytes. It covers one frame of the largest scene or twenty of the smallest, so that a frame
 takes at most one request, not three."""

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
     from typing_extensions import Buffer
 
-__all__ = ["SCHEMES", "Listed", "Objects", "objects_at"]
-
 SCHEMES = ("s3", "gs", "az")
 _CLIENT: ClientConfig = {"connect_timeout": "5s", "timeout": "10m", "allow_http": True}
 """An endpoint may be http:// if the user gives it so; a bundle may take minutes on a slow connection."""
@@ -158,9 +156,8 @@ def _require_own_process(url: str) -> None:
         _users.append(os.getpid())
     if os.getpid() not in _users:
         raise UsageError(
-            f"{url} cannot be read after a fork of a process that has read it: start processes with the method "
-            "spawn, e.g. "
-            "DataLoader(..., multiprocessing_context='spawn')"
+            f"{url} cannot be read after a fork of a process that has read it: start processes with the method spawn, "
+            "e.g. DataLoader(..., multiprocessing_context='spawn')"
         )
 
 

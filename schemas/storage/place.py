@@ -15,8 +15,6 @@ from schemas.storage.disk import translated
 from schemas.storage.object_path import ObjectPath
 from schemas.support.foreign import path_trouble
 
-__all__ = ["Place", "at_hand", "children", "digest_of", "place_of", "relative_name", "table_of"]
-
 Place: TypeAlias = Path | ObjectPath
 
 

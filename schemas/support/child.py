@@ -11,8 +11,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-__all__ = ["SAFE_PATH", "child_environment", "import_path", "python_module"]
-
 SAFE_PATH = "PYTHONSAFEPATH"
 """Environment variable with the effect of the option `-P`."""
 _HOME = str(Path(__file__).resolve().parents[2])

@@ -18,16 +18,6 @@ from urllib.parse import unquote
 
 from schemas.errors import UsageError
 
-__all__ = [
-    "EXTRA_OF",
-    "direct_url",
-    "install_command",
-    "missing_package",
-    "pip_install",
-    "require_package",
-    "requirement_of",
-]
-
 _DISTRIBUTION = "minivla-factory"
 
 EXTRA_OF: Mapping[str, str] = MappingProxyType(

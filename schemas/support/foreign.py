@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import tokenize
 
-__all__ = ["PARSER_ERRORS", "path_trouble"]
-
 PARSER_ERRORS: tuple[type[Exception], ...] = (
     ValueError,  # UnicodeError, a NUL in a path, most of pyarrow
     TypeError,

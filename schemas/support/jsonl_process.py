@@ -18,8 +18,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Generic, TypeVar
 
-__all__ = ["JsonlProcess", "describe_exit"]
-
 M = TypeVar("M")
 
 _REAP_S = 3.0

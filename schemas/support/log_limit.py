@@ -11,8 +11,6 @@ from typing import Any
 
 from schemas.errors import FactoryError
 
-__all__ = ["LogLimit", "Repeated", "describe_error"]
-
 _MAX_KINDS = 1000
 _MAX_ERROR_CHARS = 300
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 10.0, 600.0

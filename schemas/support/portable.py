@@ -14,8 +14,6 @@ import numpy as np
 
 from schemas.support.numpy_types import Floats
 
-__all__ = ["arctan2", "cos", "product", "sin", "solve"]
-
 
 def sin(angles: Floats) -> Floats:
     """Returns the sines of angles in radians, an array of any shape, computed by the C library."""

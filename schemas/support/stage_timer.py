@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["StageTimer", "no_stage_timer"]
-
 StageTimer = Callable[[str], None]
 """Called with the name of a stage at its end; the time since the end of the previous stage belongs to that stage."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["did_you_mean"]
-
 
 def did_you_mean(word: str, names: Iterable[str], most: int = 1) -> str:
     """Returns `; did you mean 'NAME'?` with the closest names, or an empty text if no name is close.

@@ -14,9 +14,11 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.export import EXPORTERS, ExportOrder, ExportProgress, estimate_export, find_exporter, run_export
+from factory.export.execution.estimate import estimate_export
 from factory.export.execution.manifest import MANIFEST_FILE, read_manifest
+from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.output import WORK_FOLDER
+from factory.export.registry import EXPORTERS, find_exporter
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import EXTRA_OF, install_command
 from tests.builders.dataset import make_dataset
@@ -104,7 +106,8 @@ def test_an_interrupted_export_resumes(dataset: Path, reference: dict[str, Path]
 _HARD_TIMES = """
 import os, resource, signal, sys
 from pathlib import Path
-from factory.export import ExportOrder, find_exporter, run_export
+from factory.export.execution.run import ExportOrder, run_export
+from factory.export.registry import find_exporter
 from schemas.errors import WorldError
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

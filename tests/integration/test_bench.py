@@ -12,11 +12,11 @@ import pytest
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import read_entry
 from factory.bench.coordinator import bench_coordinator
+from factory.bench.machine import StageRecorder
 from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import BenchSample
-from factory.bench.stage_times import StageRecorder
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job

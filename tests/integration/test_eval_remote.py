@@ -17,9 +17,9 @@ from websockets.sync.server import ServerConnection, serve
 
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
-from factory.eval.policies import PolicyLimits, make_policy
-from factory.eval.policies.remote import RemotePolicy
-from factory.eval.policies.wire import WireError, pack, unpack
+from factory.eval.models.messages import PolicyLimits
+from factory.eval.policies import make_policy
+from factory.eval.policies.remote import RemotePolicy, WireError, pack, unpack
 from schemas.errors import UsageError
 
 EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"

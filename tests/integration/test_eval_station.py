@@ -6,8 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup
-from factory.eval.models.request import EvalRequest
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalRequest, EvalTask, Setup
 from factory.eval.models.spec import EvalSettings
 from factory.eval.process.driver_process import DriverProcess
 from schemas.terms import FailReason

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from factory.export import ExportOrder, find_exporter, run_export
+from factory.export.execution.run import ExportOrder, run_export
 from factory.export.output import WORK_FOLDER
+from factory.export.registry import find_exporter
 from schemas.terms import Recording
 
 pytestmark = pytest.mark.gl

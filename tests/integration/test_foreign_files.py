@@ -16,7 +16,7 @@ from coordinator.expansion.file import load_plan
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from factory.cli.main import _run
 from factory.dataset.reader import Dataset
-from factory.eval.models.spec_file import read_specs
+from factory.eval.models.spec import read_specs
 from factory.scenes.rules import load_rules
 from factory.scenes.targets.target_list import load_target_list
 from factory.scenes.yaml_text import read_yaml

@@ -15,9 +15,9 @@ import structlog
 import zenoh
 
 from coordinator.admin import administer
+from coordinator.ledger.hosts import SESSIONS_OF_HOST
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.workers import SESSIONS_OF_HOST
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator

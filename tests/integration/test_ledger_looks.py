@@ -11,10 +11,10 @@ from sqlalchemy.engine import Engine
 
 from coordinator.archive.staging import Staging
 from coordinator.ledger.engine import open_writer, sqlite_url
+from coordinator.ledger.hosts import note_alive
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, count_jobs
-from coordinator.ledger.workers import note_alive
 from factory.dataset.site import site_of
 from factory.runs.ledger import plan_of, progress_of
 from tests.builders.ledger import room_catalog, room_plan

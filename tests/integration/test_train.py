@@ -16,7 +16,8 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
-from factory.eval.policies import PolicyLimits, find_policy, make_policy
+from factory.eval.models.messages import PolicyLimits
+from factory.eval.policies import find_policy, make_policy
 from factory.train.options import BcOptions
 from factory.train.run import TrainCallbacks, TrainOrder, train_bc
 from schemas.errors import UsageError, WorldError

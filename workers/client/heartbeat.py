@@ -15,8 +15,6 @@ from schemas.wire import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloRep
 from workers.client.host import Host
 from workers.client.spool import Spooled
 
-__all__ = ["Heartbeat", "make_hello"]
-
 _BEATS_PER_LEASE = 4
 _HURRIED_S = 0.25
 _REOPEN_S = 10.0

@@ -1,6 +1,6 @@
 """State that the slots and the heartbeat of one worker share: name, link, stores, leases and shutdown phase.
 
-Contains no worker loop; `slot` and `heartbeat` do.
+Contains no worker loop and sends no message; `slot` and `heartbeat` do.
 """
 
 from __future__ import annotations
@@ -10,16 +10,15 @@ import re
 import secrets
 import threading
 import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from schemas.wire import Trade
-from workers.client.leases import LeaseBook
+from schemas.wire import Lease, LeaseProgress, Trade
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings
 from workers.client.spool import Spool
-
-__all__ = ["Host", "Phase", "make_sid", "tidy_host"]
 
 _MAX_HOST = 48
 _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
@@ -77,6 +76,48 @@ class Phase:
         return _ASK_S if not self.stopping.is_set() else max(0.05, min(_HURRIED_ASK_S, self.left_s))
 
 
+class LeaseBook:
+    """Table of leases in simulation; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._steps: dict[Lease, int] = {}
+        self._lost: set[Lease] = set()
+
+    @contextmanager
+    def held(self, lease: Lease) -> Iterator[None]:
+        """Includes the lease in every heartbeat during the block."""
+        with self._lock:
+            self._steps[lease] = 0
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._steps.pop(lease, None)
+                self._lost.discard(lease)
+
+    def note_step(self, lease: Lease, step: int) -> None:
+        """Records the number of simulated steps for the next heartbeat."""
+        with self._lock:
+            if lease in self._steps:
+                self._steps[lease] = step
+
+    def live(self) -> tuple[LeaseProgress, ...]:
+        """Returns all leases with their progress, for the next heartbeat."""
+        with self._lock:
+            return tuple(LeaseProgress(lease=lease, step=step) for lease, step in self._steps.items())
+
+    def lose(self, leases: Iterable[Lease]) -> None:
+        """Marks leases as lost; ignores leases that are not in simulation."""
+        with self._lock:
+            self._lost |= set(leases) & self._steps.keys()
+
+    def is_lost(self, lease: Lease) -> bool:
+        """Returns whether a lease in simulation is lost, so that its result would be refused."""
+        with self._lock:
+            return lease in self._lost
+
+
 @dataclass(frozen=True)
 class Host:
     """Shared state of one worker for one run."""
@@ -128,3 +169,21 @@ def tidy_host(name: str) -> str:
 def make_sid(host: str) -> str:
     """Returns a new unique session id: the host's name, which has no dot, a dot and random digits."""
     return f"{host}.{secrets.token_hex(4)}"
+
+
+class Backoff:
+    """Exponential backoff from `first_s` to `longest_s` seconds that doubles with each failure."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_s, self._longest_s = first_s, longest_s
+        self.failures = 0
+        """Number of failures since the last success."""
+
+    def fail(self) -> float:
+        """Counts a failure and returns the time to pause, seconds."""
+        self.failures += 1
+        return min(self._longest_s, self._first_s * 2.0 ** min(self.failures - 1, 32))
+
+    def succeed(self) -> None:
+        """Resets the backoff to the shortest pause."""
+        self.failures = 0

@@ -35,8 +35,6 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
-__all__ = ["Link", "ReadChunk"]
-
 R = TypeVar("R", bound=Model)
 ReadChunk = Callable[[BundleChunk], bytes]
 """Returns bytes of a spooled bundle; raises `KeyError` if the bundle does not exist."""

@@ -19,8 +19,6 @@ from schemas.errors import WorldError
 from schemas.keys import MAX_CHUNK_BYTES, Chunk
 from workers.client.host_lock import exclusive_lock
 
-__all__ = ["SceneCache"]
-
 Fetch = Callable[[Chunk], bytes]
 Wait = Callable[[], None]
 

@@ -14,8 +14,6 @@ from schemas.support.child import python_module
 from schemas.terms import RendererKind
 from schemas.wire import Trade
 
-__all__ = ["WorkerSettings"]
-
 _SPARE_BUNDLES = 8
 
 

@@ -18,12 +18,9 @@ from schemas.keys import Chunk, Verb
 from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
 from schemas.wire import Ack, Claim, ClaimReply, Done, Fail, Lease
-from workers.client.backoff import Backoff
-from workers.client.host import Host
+from workers.client.host import Backoff, Host
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
-
-__all__ = ["Slot"]
 
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0

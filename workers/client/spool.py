@@ -24,8 +24,6 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
 from schemas.wire import Lease
 
-__all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]
-
 _MAX_SIBLINGS = 256
 _FOLDER_MODE, _FILE_MODE = 0o700, 0o600
 """Permissions of the owner only, because a sidecar contains the token of a lease."""

@@ -15,16 +15,13 @@ import structlog
 
 from schemas.errors import WorldError
 from schemas.wire import HelloReply, Refusal, Trade
-from workers.client.backoff import Backoff
 from workers.client.heartbeat import Heartbeat, make_hello
-from workers.client.host import Host, Phase, make_sid, tidy_host
+from workers.client.host import Backoff, Host, Phase, make_sid, tidy_host
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings
 from workers.client.slot import Slot
 from workers.client.spool import Spool, folder_of
-
-__all__ = ["Ending", "Supervisor", "run_worker"]
 
 _POLL_S = 0.2
 _DRAIN_S = 3.5

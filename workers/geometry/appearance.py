@@ -14,8 +14,6 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Floats
 
-__all__ = ["Appearance"]
-
 _LONGEST_M = 0.7
 """Longest side of a triangle, metres; longer ones are subdivided, because a triangle is evaluated at its centre only
 and its near part covers more of the image."""

@@ -15,8 +15,6 @@ from schemas.config import CameraConfig
 from schemas.support.portable import product
 from workers.geometry.pose import Pose
 
-__all__ = ["OpticalPose", "intrinsics", "optical_pose", "projection_matrix", "view_matrix"]
-
 Matrix = NDArray[np.float64]
 
 

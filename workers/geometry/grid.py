@@ -17,17 +17,6 @@ from schemas.scene import CompiledScene, Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats
 
-__all__ = [
-    "BODY_CENTRE_M",
-    "CONNECT_CLEARANCE_M",
-    "DISC_OFFSETS_M",
-    "DISC_RADIUS_M",
-    "Grid",
-    "are_within",
-    "body_centre",
-    "straight_end",
-]
-
 DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
 """Centres of the three discs that cover the footprint, x in base_link (docs/design/robot.md#footprint-on-the-grid)."""
 DISC_RADIUS_M = 0.29

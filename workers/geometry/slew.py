@@ -11,8 +11,6 @@ import numpy as np
 
 from schemas.config import RobotConfig
 
-__all__ = ["Twist", "slew"]
-
 
 class Twist(NamedTuple):
     """Planar velocity of base_link."""

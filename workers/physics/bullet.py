@@ -24,14 +24,6 @@ from schemas.support.closing import Closing
 from schemas.support.extras import require_package
 from workers.physics.mesh_lists import MeshLists, as_lists, take_back
 
-__all__ = [
-    "BulletClient",
-    "CameraImage",
-    "Contact",
-    "ShapePlacement",
-    "bullet_version",
-]
-
 _UNLIT = {"shadow": 0, "lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0, "lightSpecularCoeff": 0.0}
 
 Vector = tuple[float, float, float]

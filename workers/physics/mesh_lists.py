@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MESH_TRIANGLES", "MeshLists", "as_lists", "mesh_lists", "recycle", "take_back"]
-
 MESH_TRIANGLES = 40_000
 """Largest number of triangles in a shape; Bullet rejects more than 131072 vertices or 524288 indices."""
 

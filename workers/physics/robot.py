@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 from schemas.config import RobotConfig
 
-__all__ = ["BASE_LINK", "CASTERS", "LEFT_WHEEL", "RIGHT_WHEEL", "robot_urdf"]
-
 BASE_LINK = "base_link"
 LEFT_WHEEL = "wheel_left"
 RIGHT_WHEEL = "wheel_right"

@@ -13,8 +13,6 @@ from schemas.job import Job
 from schemas.terms import FailReason
 from schemas.wire import MAX_DETAIL_CHARS, Detail, States
 
-__all__ = ["SimulationOrder", "SimulationReport", "SimulationReportKind", "failure", "read_report", "to_line"]
-
 
 class SimulationOrder(Model):
     """Order to simulate one attempt."""

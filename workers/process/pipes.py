@@ -7,8 +7,6 @@ import queue
 import threading
 from typing import BinaryIO
 
-__all__ = ["listen", "take_stdout"]
-
 
 def take_stdout() -> BinaryIO:
     """Returns the original stdout for reports, and redirects all other output, also of libraries, to stderr."""

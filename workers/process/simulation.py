@@ -15,8 +15,6 @@ from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, read_report, to_line
 from workers.process.one_core import one_core
 
-__all__ = ["Death", "Simulation"]
-
 log = structlog.get_logger(__name__)
 
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from schemas.scene import CompiledScene
 
-__all__ = ["PartBounds", "reach_of_planes", "visible_parts"]
-
 
 @dataclass(frozen=True)
 class PartBounds:

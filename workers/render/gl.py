@@ -27,8 +27,6 @@ from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import SceneShelf
 
-__all__ = ["GlRenderer"]
-
 _KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""

@@ -18,8 +18,6 @@ from workers.render.cull import PartBounds, visible_parts
 from workers.render.occlude import Occluders
 from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
 
-__all__ = ["GpuScene", "Programs"]
-
 _TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
 """OpenGL's DrawElementsIndirectCommand."""

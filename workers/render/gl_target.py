@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from workers.render import DepthAndIds
 
-__all__ = ["GlTarget", "onto_target"]
-
 _GUARD = 3
 """Width of the viewport as a multiple of the target, which is at its centre. llvmpipe draws a triangle with a corner
 outside the viewport at a third of the speed, and the part of a triangle outside the target at no cost."""

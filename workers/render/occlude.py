@@ -18,8 +18,6 @@ from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, reach_of_planes
 
-__all__ = ["Occluders"]
-
 F64 = NDArray[np.float64]
 
 _LEAST_AREA_M2 = 0.5

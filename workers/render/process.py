@@ -20,8 +20,6 @@ from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind
 from workers.render.shelf import SceneShelf
 
-__all__ = ["ProcessRenderer"]
-
 _KEPT_SCENES = 2
 
 

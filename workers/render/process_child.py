@@ -18,8 +18,6 @@ from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
 
-__all__ = ["main"]
-
 
 def main() -> int:
     """Serves requests until the caller closes the connection or dies; returns the exit code."""

@@ -20,8 +20,6 @@ from workers.geometry.pose import Pose
 from workers.process.one_core import one_core
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
 
-__all__ = ["RenderingProcess"]
-
 _ANSWER_S = 300.0
 _REAP_S = 3.0
 _CAMERA, _ORIGIN = CameraConfig(), Pose(0.0, 0.0, 0.0)

@@ -17,8 +17,6 @@ from schemas.config import CameraConfig
 from workers.geometry.pose import Pose
 from workers.render import DepthAndIds, RenderedFrame
 
-__all__ = ["MAX_SIZE_PX", "FrameMemory", "RenderRequest", "Reply", "ReplyKind", "RequestKind", "to_line"]
-
 MAX_SIZE_PX = 2048
 """Largest width and height of a frame, pixels."""
 _PIXELS = MAX_SIZE_PX * MAX_SIZE_PX

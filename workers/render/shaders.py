@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["BARE", "PLAIN", "TEXTURED", "VERTEX", "ShaderPair"]
-
 VERTEX = np.dtype(
     [
         ("position", "3f4"),

@@ -8,8 +8,6 @@ from typing import Generic, Protocol, TypeVar
 
 from schemas.scene import CompiledScene
 
-__all__ = ["SceneShelf"]
-
 
 class _Closable(Protocol):
     def close(self) -> None: ...

@@ -26,8 +26,6 @@ from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import DepthAndIds, RenderedFrame
 from workers.render.shelf import SceneShelf
 
-__all__ = ["TinyRenderer", "TinyScene"]
-
 _KEPT_SCENES = 2
 _TEXTURE_PX = 128
 """Size to which textures are reduced, pixels: TinyRenderer samples single texels, which flicker at full resolution."""

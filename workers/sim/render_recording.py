@@ -20,8 +20,6 @@ from workers.geometry.pose import Pose
 from workers.sim.attempt import Success
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 
-__all__ = ["render_recording"]
-
 
 def render_recording(
     job: Job, stage: SceneRenderer, states: bytes, out: BinaryIO, on_step: Callable[[int], None]

@@ -24,8 +24,6 @@ from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import FailReason, Split, Tier
 
-__all__ = ["find_damage", "ledger_trouble"]
-
 _LARGEST = 2**53
 _LATEST_S = 32503680000.0
 """Upper limit of times, seconds since 1970: the year 3000."""

@@ -18,8 +18,6 @@ from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import attempts, episodes, jobs, workers
 from schemas.wire import Progress, WorkerStatus
 
-__all__ = ["count_frames", "read_progress"]
-
 _RATE_WINDOW_S = 600.0
 
 _BY_CELL = (

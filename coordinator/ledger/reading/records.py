@@ -18,20 +18,6 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.terms import Split, Tier
 
-__all__ = [
-    "AttemptRecord",
-    "EventRecord",
-    "JobFilter",
-    "JobRecord",
-    "LedgerEpisodes",
-    "count_jobs",
-    "list_jobs",
-    "read_archived",
-    "read_attempts",
-    "read_events",
-    "read_summaries",
-]
-
 _YIELD_ROWS = 1000
 
 
@@ -211,8 +197,7 @@ def _summaries(connection: Connection, query: Select[Any]) -> Iterator[EpisodeSu
         except ValidationError as error:
             raise WorldError(
                 f"the ledger's row of episode {index} cannot be read: stop the run and run `factory repair`, which "
-                "restores "
-                "it from the episode's file"
+                "restores it from the episode's file"
             ) from error
 
 

@@ -8,8 +8,6 @@ from coordinator.options import DEFAULT_LISTEN
 from coordinator.protocol.tls import Guard
 from factory.support.listen import require_loopback, require_tls_endpoints
 
-__all__ = ["open_door"]
-
 _TLS_LISTEN = ("tls/0.0.0.0:7447",)
 
 

@@ -6,7 +6,8 @@ This module is the only user of rich's `Progress`.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -26,8 +27,6 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from factory.cli.common.output import stderr
-
-__all__ = ["Bars"]
 
 _PAUSE_S = 60.0
 _BAR_WIDTHS = (40, 20, 10)
@@ -118,6 +117,14 @@ class Bars(Progress):
         under_way = [task for task in self.tasks if task.started and not task.finished and task.total]
         if under_way:
             self.console.print(self._table(under_way, None, with_notes=True))
+
+
+@contextmanager
+def one_bar(title: str, *counts: ProgressColumn) -> Iterator[Callable[[int, int], None]]:
+    """Shows the bar of one task, which is removed at the end; yields the function that sets done and total."""
+    with Bars(*counts, transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _width(console: Console, table: Table) -> int:

@@ -19,8 +19,6 @@ from schemas.plan import Plan
 from schemas.storage.disk import translated
 from schemas.storage.place import children
 
-__all__ = ["Beginning", "begin"]
-
 
 class Beginning(NamedTuple):
     """The plan of a run, and whether the run is new."""

@@ -11,8 +11,6 @@ from click.shell_completion import CompletionItem
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, Split, Tier
 
-__all__ = ["ALL", "filter_option", "scene_filter", "split_filter", "tier_filter"]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 ALL = "all"

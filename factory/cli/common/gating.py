@@ -23,8 +23,6 @@ from schemas.plan import Plan
 from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
 
-__all__ = ["GateMode", "gate_option", "hold_gate", "try_scene"]
-
 GateMode = Literal["auto", "enforce", "report", "skip"]
 Command = TypeVar("Command", bound=Callable[..., Any])
 

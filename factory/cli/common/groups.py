@@ -10,8 +10,6 @@ from click.shell_completion import CompletionItem
 
 from schemas.support.suggest import did_you_mean
 
-__all__ = ["CommandGroup", "DefaultCommand", "DefaultGroup", "say_no_option"]
-
 _MOST = 2
 """Maximum number of suggested names."""
 

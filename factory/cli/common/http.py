@@ -13,8 +13,6 @@ from coordinator.status.health import StatusSource
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 
-__all__ = ["http_options", "status_pages"]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -63,8 +61,10 @@ def status_pages(source: StatusSource, http: str | None, token_file: Path | None
             raise UsageError("--http-token requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
         yield
         return
-    from coordinator.status.address import parse_address
-    from coordinator.status.server import StatusServer  # its packages are an extra
+    from coordinator.status.server import (
+        StatusServer,  # its packages are an extra
+        parse_address,
+    )
 
     token = _read_token(token_file) if token_file is not None else None
     with StatusServer(parse_address(http, token), source, token) as server:

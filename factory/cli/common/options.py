@@ -18,28 +18,6 @@ from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
 from schemas.terms import ExpertName, Recording, RendererKind
 
-__all__ = [
-    "compare_option",
-    "connect_option",
-    "count_option",
-    "dataset_argument",
-    "expert_option",
-    "former_option",
-    "ledger_option",
-    "listen_option",
-    "out_option",
-    "place_argument",
-    "plan_argument",
-    "renderer_option",
-    "shrink_options",
-    "shrunk_plan",
-    "site_argument",
-    "tls_option",
-    "verbose_option",
-    "warn_of_empty_splits",
-    "workers_option",
-]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -61,6 +39,12 @@ def _complete_plan(context: click.Context, param: click.Parameter, word: str) ->
     return names or [CompletionItem(word, type="file")]
 
 
+plan_seed_option = click.option(
+    "--seed", type=click.IntRange(0), metavar="N", help="Root random seed. Default: the plan's."
+)
+"""`--seed N`: replaces the plan's seed."""
+
+
 def shrink_options(command: Command) -> Command:
     """Adds `--scene --episodes --expert --seed --record`, which change these values of a plan."""
     for option in (
@@ -69,13 +53,10 @@ def shrink_options(command: Command) -> Command:
             type=click.Choice([str(kind) for kind in Recording]),
             help="Stored content: frames, or states, from which readers render frames. Default: the plan's.",
         ),
-        click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root random seed. Default: the plan's."),
+        plan_seed_option,
         expert_option,
-        click.option(
-            "--episodes",
-            type=click.IntRange(min=1),
-            metavar="N",
-            help="Number of episodes, in the plan's proportions. Default: all episodes of the plan.",
+        count_option(
+            "--episodes", None, "Number of episodes, in the plan's proportions. Default: all episodes of the plan."
         ),
         scene_filter(),
     ):
@@ -172,17 +153,37 @@ def workers_option(text: str, default: int | None = None, least: int = 1) -> Cal
 
 
 def count_option(
-    flag: str,
-    default: int,
-    text: str,
-    *,
-    least: int = 1,
-    most: int | None = None,
+    flag: str, default: int | None, text: str, *, least: int = 1, most: int | None = None
 ) -> Callable[[Command], Command]:
-    """Returns an option with an integer value that shows its default."""
+    """Returns an option with an integer value that shows its default, unless the default is `None`."""
+    shows = default is not None
     return click.option(
-        flag, type=click.IntRange(least, most), default=default, show_default=True, metavar="N", help=text
+        flag, type=click.IntRange(least, most), default=default, show_default=shows, metavar="N", help=text
     )
+
+
+def number_option(
+    metavar: str, flag: str, default: float | None, text: str, *names: str, least: float, most: float | None = None
+) -> Callable[[Command], Command]:
+    """Returns an option with a decimal value that shows its default, unless the default is `None`."""
+    kind, shows = click.FloatRange(least, most), default is not None
+    return click.option(flag, *names, type=kind, default=default, show_default=shows, metavar=metavar, help=text)
+
+
+def write_option(
+    metavar: str, text: str, name: str = "out", *, required: bool = False, **checks: bool
+) -> Callable[[Command], Command]:
+    """Returns the option `--out`: the file or folder to write.
+
+    Args:
+        metavar: FILE or DIR.
+        text: help text.
+        name: name of the parameter.
+        required: whether there is no default.
+        checks: arguments of `click.Path`.
+    """
+    kind = click.Path(path_type=Path, **checks)
+    return click.option("-o", "--out", name, type=kind, metavar=metavar, required=required, help=text)
 
 
 def connect_option(text: str, required: bool = False) -> Callable[[Command], Command]:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import click
+from pydantic import BaseModel
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, JustifyMethod
 from rich.table import Table
 
-__all__ = ["FittedTable", "json_option", "print_json", "print_table", "print_text", "say_duration", "stderr", "stdout"]
-
+R = TypeVar("R")
 _PIPE_COLUMNS = 200
 """Width of tables without a terminal, characters."""
 _GAP = 2
@@ -30,6 +30,14 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 def print_json(data: Any) -> None:
     """Prints data as indented JSON."""
     click.echo(json.dumps(data, indent=2, ensure_ascii=False))
+
+
+def print_result(result: R, as_json: bool, show: Callable[[R], None]) -> None:
+    """Prints a result: a model or plain data as JSON, otherwise as text with `show`."""
+    if as_json:
+        print_json(result.model_dump(mode="json") if isinstance(result, BaseModel) else result)
+    else:
+        show(result)
 
 
 def print_text(text: str, console: Console = stdout) -> None:

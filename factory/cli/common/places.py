@@ -1,4 +1,4 @@
-"""Dataset arguments of the command line: a directory, or a URL for commands that support object storage."""
+"""Dataset arguments: a directory, or a URL for commands that support object storage; episode arguments: `ep_000012`."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from click.shell_completion import CompletionItem
 
 from factory.dataset.site import Site, site_of
 from schemas.errors import UsageError
+from schemas.job import episode_id
 from schemas.storage.place import Place, place_of
-
-__all__ = ["DIRECTORY", "PLACE", "SITE"]
 
 
 def _folders(word: str) -> list[CompletionItem]:
@@ -63,3 +62,36 @@ PLACE = _PlaceType()
 """A dataset to read."""
 DIRECTORY = _DirectoryType()
 """A dataset in a local directory."""
+
+
+def episode_index(name: str) -> int:
+    """Returns the number of an episode from its name.
+
+    Raises:
+        UsageError: `name` is neither an episode number nor an episode name.
+    """
+    digits = name.removeprefix("ep_").removesuffix(".zip")
+    if not digits.isascii() or not digits.isdigit() or int(digits) < 1:
+        raise UsageError(f"{name!r} is not a valid episode name; examples: ep_000012, 12")
+    return int(digits)
+
+
+def episode_path(root: Place, name: str) -> Place:
+    """Returns the path of an episode's bundle in a dataset.
+
+    Raises:
+        UsageError: the directory or the episode does not exist.
+    """
+    folder = root / "episodes"
+    if not folder.is_dir():
+        raise UsageError(
+            f"{root} is not a dataset: episodes/ is missing; create a dataset with `factory run demo --out {root}`"
+        )
+    path = folder / f"{episode_id(episode_index(name))}.zip"
+    if not path.is_file():
+        count = len(list(folder.glob("ep_*.zip")))
+        raise UsageError(
+            f"{path.stem} does not exist in {root}, which has {count} episodes; list them with "
+            f"`factory jobs list {root}`"
+        )
+    return path

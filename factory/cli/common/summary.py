@@ -12,8 +12,6 @@ from schemas.storage.place import Place
 from schemas.terms import FailReason
 from schemas.wire import Progress
 
-__all__ = ["print_summary", "say_missing", "summarise"]
-
 _WORDS = {str(FailReason.RELEASED): "returned"}
 """Names of outcomes in the summary, where they differ from the outcome's value."""
 
@@ -51,9 +49,8 @@ def say_missing(site: object, progress: Progress) -> None:
     counts = ", ".join(f"{count} {state}" for state, count in ends.items() if count)
     state = next((state for state, count in ends.items() if count), "failed")
     click.echo(
-        f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): "
-        f"list the reasons with `factory jobs list {site} --state {state}`, requeue an episode with "
-        f"`factory jobs retry {site} EPISODE`",
+        f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): list the reasons with "
+        f"`factory jobs list {site} --state {state}`, requeue an episode with `factory jobs retry {site} EPISODE`",
         err=True,
     )
 

@@ -10,13 +10,12 @@ from pathlib import Path
 
 from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from factory.cli.common.bars import Bars
-from factory.cli.eval.options import splits_of
+from factory.cli.common.bars import Bars, one_bar
+from factory.cli.common.filters import split_filter
 from factory.dataset.reader import Dataset
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import Variant
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import read_specs
+from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.policies import check_name, require_available
 from factory.eval.process.run import Pace
 from factory.eval.results.publish import publish
@@ -28,7 +27,30 @@ from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.errors import UsageError
 from schemas.terms import RendererKind, Split
 
-__all__ = ["Asked", "draw_up", "open_store", "pace_bars", "published"]
+_TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
+
+eval_split_filter = split_filter(
+    f"Split to include; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
+)
+"""`--split SPLIT`."""
+
+
+def splits_of(dataset: Dataset, asked: tuple[str, ...] | None) -> tuple[Split, ...]:
+    """Returns the splits to evaluate, in the paper's order.
+
+    Args:
+        dataset: the dataset.
+        asked: names of splits; empty for all splits with episodes, `None` for all test splits with episodes.
+    """
+    if asked:
+        return tuple(split for split in Split if str(split) in asked)
+    present = set(dataset.metadata["split"].to_pylist())
+    found = tuple(split for split in Split if str(split) in present and (asked is not None or split not in _TRAINED_ON))
+    if not found:
+        raise UsageError(
+            f"{dataset.root} has no episodes in test splits; evaluate on its other splits with --split all"
+        )
+    return found
 
 
 @dataclass(frozen=True)
@@ -108,7 +130,7 @@ def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
 
 def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
     """Writes all results and returns them."""
-    with _one_bar("videos of failures") as tell:
+    with one_bar("videos of failures", *_counts()) as tell:
         return publish(campaign, store, videos, tell)
 
 
@@ -118,15 +140,8 @@ def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
         splits = frozenset(map(Split, asked.splits)) if asked.splits else None
         return read_specs(asked.specs_path).only(splits, asked.episodes)
     chosen = splits_of(dataset, asked.splits)
-    with _one_bar("start states") as tell:
+    with one_bar("start states", *_counts()) as tell:
         return specs_of_dataset(dataset, chosen, tell, asked.episodes)
-
-
-@contextmanager
-def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    with Bars(*_counts(), transient=True) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
 def _counts() -> tuple[ProgressColumn, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import tempfile
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,19 @@ from factory.cli.common.admission import open_door
 from factory.cli.common.groups import DefaultCommand, DefaultGroup
 from factory.cli.common.options import (
     connect_option,
+    count_option,
     former_option,
     listen_option,
+    number_option,
     renderer_option,
     tls_option,
     workers_option,
+    write_option,
 )
-from factory.cli.common.output import json_option, print_json
+from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import DIRECTORY
-from factory.cli.eval.campaign import Asked, draw_up, open_store, pace_bars, published
+from factory.cli.eval.campaign import Asked, draw_up, eval_split_filter, open_store, pace_bars, published
 from factory.cli.eval.compare import command as compare_command
-from factory.cli.eval.options import eval_split_filter
 from factory.cli.eval.specs import command as specs_command
 from factory.cli.eval.tables import print_evaluation
 from factory.dataset.reader import Dataset
@@ -39,8 +42,6 @@ from factory.support.listen import require_loopback, require_tls_endpoints
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
 from workers.client.stopping import stop_on_signals
-
-__all__ = ["command"]
 
 
 @click.group("eval", cls=DefaultGroup)
@@ -65,50 +66,23 @@ def command() -> None:
 @click.option(
     "--ablate-language", is_flag=True, help="Also evaluate with shuffled, wrong-category and empty instructions."
 )
-@click.option(
-    "--episodes",
-    type=click.IntRange(1),
-    metavar="N",
-    help="Number of episodes, selected at even intervals. Default: all.",
-)
+@count_option("--episodes", None, "Number of episodes, selected at even intervals. Default: all.")
 @workers_option("Number of simulation processes on this machine")
 @listen_option("Endpoint to listen on; `factory worker` processes that connect run the episodes. Repeatable.")
 @connect_option("Endpoint of a running coordinator whose workers run the episodes; repeatable.")
 @tls_option
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Output directory. An interrupted evaluation with the same options is continued. Default: no output files.",
+@write_option(
+    "DIR",
+    "Output directory. An interrupted evaluation with the same options is continued. Default: no output files.",
 )
-@click.option(
-    "--act-timeout",
-    type=click.FloatRange(0.01),
-    default=10.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Timeout for each action, seconds.",
-)
-@click.option(
-    "--load-timeout",
-    type=click.FloatRange(0.1),
-    default=300.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Timeout for loading the policy and for each reset, seconds.",
+@number_option("SECONDS", "--act-timeout", 10.0, "Timeout for each action, seconds.", least=0.01)
+@number_option(
+    "SECONDS", "--load-timeout", 300.0, "Timeout for loading the policy and for each reset, seconds.", least=0.1
 )
 @click.option(
     "--pose", "with_pose", is_flag=True, help="Add the robot's pose, in the start frame, to the observations."
 )
-@click.option(
-    "--videos",
-    type=click.IntRange(0),
-    default=12,
-    show_default=True,
-    metavar="N",
-    help="Maximum number of videos of failed episodes for each policy.",
-)
+@count_option("--videos", 12, "Maximum number of videos of failed episodes for each policy.", least=0)
 @click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
 @renderer_option
 @json_option
@@ -143,10 +117,7 @@ def run(
             click.echo(f"interrupted: {kept}", err=True)
             return 130
         evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
-        if as_json:
-            print_json(evaluation.model_dump(mode="json"))
-        else:
-            print_evaluation(evaluation, all_tables)
+        print_result(evaluation, as_json, partial(print_evaluation, all_tables=all_tables))
         if out:
             click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
             _tell_how_to_drive_again(evaluation, store)

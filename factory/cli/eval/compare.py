@@ -6,13 +6,11 @@ from pathlib import Path
 
 import click
 
-from factory.cli.common.output import json_option, print_json
+from factory.cli.common.output import json_option, print_result
 from factory.cli.eval.tables import print_comparison
 from factory.eval.models.result import Variant
 from factory.eval.results.compare import compare
 from factory.eval.results.store import read_policy_folder
-
-__all__ = ["command"]
 
 _RESULTS = click.Path(path_type=Path)
 
@@ -35,8 +33,5 @@ def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
     """
     (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
     found = compare(ones, others, Variant(variant))
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_comparison(found)
+    print_result(found, as_json, print_comparison)
     return 0

@@ -7,21 +7,18 @@ from pathlib import Path
 
 import click
 
-from factory.cli.common.bars import Bars
-from factory.cli.common.options import place_argument
+from factory.cli.common.bars import one_bar
+from factory.cli.common.options import count_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json, print_table
-from factory.cli.eval.options import eval_split_filter, splits_of
+from factory.cli.eval.campaign import eval_split_filter, splits_of
 from factory.dataset.reader import Dataset
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import write_specs
+from factory.eval.models.spec import SpecSet, write_specs
 from factory.eval.specs.from_dataset import specs_of_dataset
 from factory.eval.specs.unfiltered import unfiltered_specs
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 from schemas.terms import Split
 from workers.sim.scene_renderer import SceneRenderer
-
-__all__ = ["command"]
 
 
 @click.command("specs")
@@ -30,13 +27,9 @@ __all__ = ["command"]
 @click.option(
     "--unfiltered", is_flag=True, help="Sample new start states, including those where the expert would fail."
 )
-@click.option(
-    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes. Default: all; with --unfiltered: 100."
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Random seed of --unfiltered."
-)
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="JSON file to write.")
+@count_option("--episodes", None, "Number of episodes. Default: all; with --unfiltered: 100.")
+@count_option("--seed", 0, "Random seed of --unfiltered.", least=0)
+@write_option("FILE", "JSON file to write.", required=True)
 @json_option
 def command(
     root: Place,
@@ -54,12 +47,7 @@ def command(
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)
-    with Bars(transient=True) as bar:
-        task = bar.add_task("start states", total=None)
-
-        def tell(done: int, of: int) -> None:
-            bar.update(task, completed=done, total=of)
-
+    with one_bar("start states") as tell:
         if unfiltered:
             with SceneRenderer() as stage:
                 found = unfiltered_specs(dataset, chosen, episodes or 100, seed, stage, tell)

@@ -13,8 +13,6 @@ from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, 
 from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
 from factory.stats.model import Share
 
-__all__ = ["print_comparison", "print_evaluation"]
-
 _HEAD = ("n", "SR %", "any %", "SPL", "soft-SPL", "NE m", "OP", "coll. %", "timeout %", "fault %")
 _ALWAYS = {"split", "view"}
 

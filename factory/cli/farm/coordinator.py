@@ -20,6 +20,7 @@ from factory.cli.common.http import http_options, status_pages
 from factory.cli.common.options import (
     ledger_option,
     listen_option,
+    number_option,
     out_option,
     plan_argument,
     shrink_options,
@@ -39,8 +40,6 @@ from schemas.storage.disk import require_room
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 
 @click.group("coordinator", cls=CommandGroup)
 def command() -> None:
@@ -55,14 +54,13 @@ def command() -> None:
     "--tls: tls/0.0.0.0:7447."
 )
 @ledger_option
-@click.option(
+@number_option(
+    "SECONDS",
     "--lease",
+    CoordinatorSettings().lease_ttl_s,
+    "Lease time of a job, seconds. A worker that sends no heartbeat for this time loses its job.",
     "lease_ttl_s",
-    type=click.FloatRange(1.0),
-    default=CoordinatorSettings().lease_ttl_s,
-    show_default=True,
-    metavar="SECONDS",
-    help="Lease time of a job, seconds. A worker that sends no heartbeat for this time loses its job.",
+    least=1.0,
 )
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option

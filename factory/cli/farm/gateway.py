@@ -12,7 +12,7 @@ from coordinator.protocol.tls import Guard, read_credentials
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.http import http_options, status_pages
-from factory.cli.common.options import connect_option, listen_option, tls_option, verbose_option
+from factory.cli.common.options import connect_option, listen_option, tls_option, verbose_option, write_option
 from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
 from factory.support.logs import configure_logs
 from schemas.errors import TransientError, UsageError
@@ -20,8 +20,6 @@ from schemas.identity import require_host_name
 from schemas.storage.disk import require_room
 from workers.client.host import tidy_host
 from workers.client.stopping import stop_on_signals
-
-__all__ = ["command"]
 
 _LISTEN, _TLS_LISTEN = ("tcp/127.0.0.1:7448",), ("tls/0.0.0.0:7447",)
 _POLL_S = 0.5
@@ -34,14 +32,8 @@ def command() -> None:
 
 @command.command("start")
 @connect_option("Endpoint of the coordinator; repeatable.", required=True)
-@click.option(
-    "-o",
-    "--out",
-    "root",
-    required=True,
-    metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Directory of this gateway's episodes. An existing one is continued.",
+@write_option(
+    "DIR", "Directory of this gateway's episodes. An existing one is continued.", "root", required=True, file_okay=False
 )
 @listen_option(
     "Endpoint to listen on for workers, repeatable; port 0 selects a free port. Default: tcp/127.0.0.1:7448; with "

@@ -8,14 +8,12 @@ from pathlib import Path
 import click
 
 from coordinator.gateway.gather import GatherReport, gather
-from factory.cli.common.bars import Bars
+from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option
-from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.common.output import json_option, print_result, print_table
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
-
-__all__ = ["command"]
 
 _LISTED = 20
 
@@ -38,22 +36,12 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
     directories, run the command again with the others. Exits with 1 if episodes are missing and not requeued.
     """
     configure_logs()
-    with Bars(transient=True) as bar:
-        task = bar.add_task("gathering", total=None)
+    with one_bar("gathering") as tell:
         found = inspect_dataset(
             root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
-        report = gather(
-            found,
-            sources,
-            datetime.now(UTC),
-            requeue_missing=requeue_missing,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+        report = gather(found, sources, datetime.now(UTC), requeue_missing=requeue_missing, on_progress=tell)
+    print_result(report, as_json, _print)
     return 1 if report.missing and not report.requeued else 0
 
 

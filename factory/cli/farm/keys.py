@@ -10,25 +10,17 @@ from typing import Any, TypeVar
 import click
 
 from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import count_option
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.keys import HostKeys, admit, create_authority, list_hosts, revoke
 from schemas.identity import Role
-
-__all__ = ["command"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 
 
 def _days_option(default: int) -> Callable[[Command], Command]:
-    return click.option(
-        "--days",
-        type=click.IntRange(1, 36500),
-        default=default,
-        show_default=True,
-        metavar="N",
-        help="Validity period of the certificate, days.",
-    )
+    return count_option("--days", default, "Validity period of the certificate, days.", most=36500)
 
 
 @click.group("keys", cls=CommandGroup)

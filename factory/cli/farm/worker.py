@@ -13,6 +13,7 @@ from factory.cli.common.options import (
     connect_option,
     count_option,
     former_option,
+    number_option,
     renderer_option,
     tls_option,
     verbose_option,
@@ -25,8 +26,6 @@ from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
 from workers.client.stopping import stop_at_eof, stop_on_signals
 from workers.client.supervisor import run_worker
-
-__all__ = ["command"]
 
 
 @click.command("worker")
@@ -43,14 +42,13 @@ __all__ = ["command"]
     metavar="DIR",
     help="Directory of finished bundles that the coordinator has not fetched yet. Default: in the user's cache.",
 )
-@click.option(
+@number_option(
+    "SECONDS",
     "--connect-timeout",
+    30.0,
+    "Timeout for the first connection to a coordinator, seconds.",
     "wait_s",
-    type=click.FloatRange(0.0),
-    default=30.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Timeout for the first connection to a coordinator, seconds.",
+    least=0.0,
 )
 @former_option("--wait", "wait_s", "--connect-timeout", type=click.FloatRange(0.0))
 @click.option("--import-policies", is_flag=True, help="Allow evaluations to import policy classes on this host.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,11 @@ from coordinator.ledger.opening import read_info
 from coordinator.ledger.reading.records import JobFilter, JobRecord, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.ledger.states import JobState
 from coordinator.protocol.tls import read_credentials
-from factory.cli.common.episodes import episode_index
 from factory.cli.common.filters import filter_option, scene_filter, split_filter, tier_filter
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import ledger_option, site_argument, tls_option
-from factory.cli.common.output import json_option, print_json, print_table, print_text
+from factory.cli.common.options import count_option, ledger_option, site_argument, tls_option
+from factory.cli.common.output import json_option, print_json, print_result, print_table, print_text
+from factory.cli.common.places import episode_index
 from factory.dataset.site import Site
 from factory.runs.ledger import read_ledger
 from schemas.episode_spec import EpisodeSpec
@@ -27,8 +28,6 @@ from schemas.identity import require_host_name
 from schemas.job import episode_id
 from schemas.terms import Split, Tier
 from schemas.wire import MAX_INDICES, AdminAction, AdminReply, AdminRequest
-
-__all__ = ["command"]
 
 
 @click.group("jobs", cls=CommandGroup)
@@ -42,9 +41,7 @@ def command() -> None:
 @scene_filter()
 @tier_filter()
 @split_filter()
-@click.option(
-    "--limit", type=click.IntRange(1), default=100, show_default=True, metavar="N", help="Maximum number of rows."
-)
+@count_option("--limit", 100, "Maximum number of rows.")
 @ledger_option
 @json_option
 def list_(
@@ -195,10 +192,7 @@ def _administer(
         raise UsageError(f"{len(names)} episodes were given; give at most {MAX_INDICES}, or --all")
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
     reply = _ask(site, request, ledger, tls)
-    if as_json:
-        print_json(reply.model_dump(mode="json"))
-    else:
-        _print_reply(reply, action)
+    print_result(reply, as_json, partial(_print_reply, action=action))
     return 1 if reply.refused else 0
 
 

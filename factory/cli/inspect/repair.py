@@ -10,15 +10,13 @@ from coordinator.expansion.file import load_plan
 from coordinator.recovery.repair_dataset import repair
 from coordinator.recovery.report import RepairReport
 from coordinator.validation.validator import Validator
-from factory.cli.common.bars import Bars
+from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option, site_argument
-from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.common.output import json_option, print_result, print_table
 from factory.dataset.site import Site
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
-
-__all__ = ["command"]
 
 
 @click.command("repair")
@@ -49,8 +47,7 @@ def command(
     """
     configure_logs()
     plan = load_plan(plan_name) if plan_name is not None else None
-    with Bars(transient=True) as bar, Validator() as validator:
-        task = bar.add_task("checking files", total=None)
+    with one_bar("checking files") as tell, Validator() as validator:
         found = inspect_dataset(
             site.place, site.home, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
@@ -60,12 +57,9 @@ def command(
             datetime.now(UTC),
             apply=not dry_run,
             take_over=take_over,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            on_progress=tell,
         )
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     return 1 if dry_run and not report.is_sound else 0
 
 

@@ -7,16 +7,14 @@ from typing import cast
 
 import click
 
-from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_path
+from factory.cli.common.bars import one_bar
 from factory.cli.common.options import place_argument, renderer_option
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_path
 from factory.runs.replay import Replay, replay_episode
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 from schemas.terms import RendererKind
-
-__all__ = ["command"]
 
 
 @click.command("replay")
@@ -31,14 +29,8 @@ def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
     """
     configure_logs()
     path = episode_path(root, episode)
-    with Bars(transient=True) as bar:
-        task = bar.add_task(f"replaying {path.stem}", total=None)
-        outcome = replay_episode(
-            root,
-            path,
-            cast(RendererKind, renderer),
-            lambda step, steps: bar.update(task, completed=step, total=steps),
-        )
+    with one_bar(f"replaying {path.stem}") as tell:
+        outcome = replay_episode(root, path, cast(RendererKind, renderer), tell)
     if as_json:
         print_json({**asdict(outcome), "identical": outcome.is_identical})
     else:

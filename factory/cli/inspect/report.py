@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.options import compare_option, place_argument
+from factory.cli.common.options import compare_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
@@ -16,19 +16,10 @@ from schemas.storage.place import Place
 if TYPE_CHECKING:
     from factory.report import Summary
 
-__all__ = ["command"]
-
 
 @click.command("report")
 @place_argument
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    help="Output folder. An existing report is replaced.",
-)
+@write_option("DIR", "Output folder. An existing report is replaced.", required=True)
 @click.option("--force", is_flag=True, help="Allow a folder that contains other files; they are kept.")
 @compare_option
 @json_option

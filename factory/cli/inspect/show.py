@@ -8,19 +8,18 @@ from pathlib import Path
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_path
-from factory.cli.common.options import place_argument
+from factory.cli.common.options import count_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_path
 from factory.dataset.bundle import EpisodeBundle
 from factory.runs.catalog import find_package
-from factory.visualize.contact_sheet import draw_contact_sheet
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
+from factory.visualize.panels import draw_contact_sheet
 from schemas.bundle import BundleReader
-from schemas.errors import UsageError, WorldError
+from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene
+from schemas.storage.disk import translated
 from schemas.storage.place import Place
-
-__all__ = ["command"]
 
 _GIF_FPS = 15
 _KINDS = (".png", ".mp4", ".gif")
@@ -29,21 +28,8 @@ _KINDS = (".png", ".mp4", ".gif")
 @click.command("show")
 @place_argument
 @click.argument("episode")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Output file: .png, .mp4 or .gif. Default: EPISODE.png.",
-)
-@click.option(
-    "--columns",
-    type=click.IntRange(2, 24),
-    default=6,
-    show_default=True,
-    metavar="N",
-    help="Number of frames per row of a contact sheet.",
-)
+@write_option("FILE", "Output file: .png, .mp4 or .gif. Default: EPISODE.png.", dir_okay=False)
+@count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
 @json_option
 def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
     """Write one episode as a contact sheet or a video.
@@ -65,31 +51,19 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
         job = bundle.meta.job
         with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
             scene = decode_scene(package)
-        _make_room(target)
+        with translated("create", target.parent):
+            target.parent.mkdir(parents=True, exist_ok=True)
         facts = {"file": str(target), "kind": kind[1:], "episode": job.episode_id, "frames": bundle.length}
         if kind == ".png":
-            _save_sheet(target, bundle, scene, columns)
+            sheet = draw_contact_sheet(bundle, scene, columns)
+            with translated("write", target):
+                sheet.save(target)
         else:
             facts |= {"fps": float(_save_film(target, bundle, scene))}
     if as_json:
         print_json(facts | {"bytes": target.stat().st_size})
     else:
         click.echo(str(target))
-
-
-def _make_room(target: Path) -> None:
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WorldError(f"cannot create {target.parent} ({error.strerror}); choose another -o") from error
-
-
-def _save_sheet(target: Path, bundle: BundleReader, scene: CompiledScene, columns: int) -> None:
-    sheet = draw_contact_sheet(bundle, scene, columns)
-    try:
-        sheet.save(target)
-    except OSError as error:
-        raise WorldError(f"cannot write {target} ({error.strerror}); free space or choose another -o") from error
 
 
 def _save_film(target: Path, bundle: BundleReader, scene: CompiledScene) -> Fraction:

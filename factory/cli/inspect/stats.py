@@ -1,17 +1,20 @@
-"""`factory stats`: prints the tables of the paper for a dataset, optionally with the published values."""
+"""`factory stats`: prints the tables of the paper, with the published values in the last columns. Computes nothing."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import click
 
 from factory.cli.common.options import compare_option, place_argument
-from factory.cli.common.output import json_option, print_json
-from factory.cli.inspect.stats_tables import print_statistics
-from factory.stats import measure_dataset
+from factory.cli.common.output import json_option, print_result, print_table, print_text
+from factory.stats import measure_dataset, paper
+from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow, Share, Statistics
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 
-__all__ = ["command"]
+_ROLLOUT = ("N", "share", "NE", "TL", "TL med", "steps", "steps med")
+_DASH = "-"
 
 
 @click.command("stats")
@@ -25,10 +28,167 @@ def command(root: Place, compare_paper: bool | None, as_json: bool) -> int:
     """
     configure_logs()
     statistics = measure_dataset(root, compare_paper)
-    if as_json:
-        print_json(statistics.model_dump(mode="json"))
-    else:
-        print_statistics(statistics)
+    print_result(statistics, as_json, print_statistics)
     for remark in statistics.remarks:
         click.echo(f"{'damage' if remark.is_damage else 'note'}: {remark.file}: {remark.text}", err=True)
     return 0 if statistics.is_sound else 1
+
+
+def print_statistics(statistics: Statistics) -> None:
+    """Prints all tables."""
+    found, planned = statistics.episodes, statistics.planned
+    print_text(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
+    beside = statistics.beside_paper
+    published = "; columns `paper`: published values" if beside else ""
+    print_text(f"NE: navigation error, TL: trajectory length, metres; means unless noted{published}; 95 % intervals")
+    for name, rows in (
+        ("scene", statistics.scenes),
+        ("split", statistics.splits),
+        ("tier", statistics.tiers),
+        ("scene / tier", statistics.scene_tiers),
+    ):
+        _print_rollouts(name, rows)
+    _print_counts("category", statistics.categories, beside)
+    published = f" (paper {_percent(paper.THREE_LARGEST_SHARE)})" if beside else ""
+    print_text(f"three largest categories: {_percent(statistics.three_largest_share)} of the episodes{published}")
+    _print_counts("template", statistics.templates, beside)
+    _print_attempts(statistics.attempts, beside)
+    _print_cells(statistics)
+    _print_errors(statistics.navigation_error, statistics.success_radius_m, beside)
+    _print_fits((*statistics.correlation, paper.FIT) if beside else statistics.correlation)
+    _print_overlap(statistics)
+
+
+def _print_rollouts(name: str, rows: Sequence[RolloutRow]) -> None:
+    has_paper = any(row.paper for row in rows)
+    body = [(row.group, *_rollout_cells(row), *(_published_cells(row) if has_paper else ())) for row in rows]
+    columns = (name, *_ROLLOUT, *(f"paper {column}" for column in _ROLLOUT if has_paper))
+    _table(columns, body)
+
+
+def _rollout_cells(row: RolloutRow) -> tuple[str, ...]:
+    means = (_number(row.ne_mean_m, 3), _number(row.tl_mean_m), _number(row.tl_median_m))
+    return (str(row.n), _percent(row.share), *means, _number(row.steps_mean, 1), _number(row.steps_median, 1))
+
+
+def _published_cells(row: RolloutRow) -> tuple[str, ...]:
+    said = row.paper
+    if said is None:
+        return (_DASH,) * len(_ROLLOUT)
+    means = (_number(said.ne_mean_m, 3), _number(said.tl_mean_m), _number(said.tl_median_m))
+    return (
+        _number(said.n, 0),
+        _percent(said.share),
+        *means,
+        _number(said.steps_mean, 1),
+        _number(said.steps_median, 1),
+    )
+
+
+def _print_counts(name: str, rows: Sequence[CountRow], beside: bool) -> None:
+    body = []
+    for row in rows:
+        said = (_number(row.paper.n, 0), _percent(row.paper.share)) if row.paper else (_DASH, _DASH)
+        body.append((row.group, row.kind, str(row.n), _percent(row.share), *(said if beside else ())))
+    _table((name, "kind", "N", "share", *(("paper N", "paper share") if beside else ())), body)
+
+
+def _print_attempts(rows: Sequence[AttemptRow] | None, beside: bool) -> None:
+    if rows is None:
+        return
+    body = [
+        (
+            row.group,
+            str(row.attempts),
+            str(row.success.count),
+            _interval(row.success),
+            _interval(row.first),
+            _percent(row.collision.share),
+            _percent(row.timeout.share),
+            ", ".join(f"{count} {reason}" for reason, count in row.reasons.items()) or _DASH,
+            *((_published_rate(row),) if beside else ()),
+        )
+        for row in rows
+    ]
+    columns = ("scene / tier", "attempts", "succeeded", "success", "first attempts", "collision", "timeout", "failures")
+    _table((*columns, *(("paper success",) if beside else ())), body)
+
+
+def _published_rate(row: AttemptRow) -> str:
+    if row.paper is None or row.paper.rate is None:
+        return _DASH
+    return "-".join(f"{100 * end:.0f}" for end in row.paper.rate) + " %"
+
+
+def _print_cells(statistics: Statistics) -> None:
+    body = [
+        (row.scene, row.split, row.tier, str(row.planned), str(row.archived), _number(row.attempts, 0))
+        for row in statistics.cells
+    ]
+    _table(("scene", "split", "tier", "planned", "archived", "attempts"), body)
+
+
+def _print_errors(rows: Sequence[ErrorRow], radius_m: float, beside: bool) -> None:
+    levels = next((list(row.quantiles) for row in rows if row.quantiles), [])
+    body = []
+    for row in rows:
+        quantiles = [_number(row.quantiles.get(level), 3) for level in levels]
+        said = (_number(row.paper.ne_mean_m, 3), _number(row.paper.ne_std_m, 4)) if row.paper else (_DASH, _DASH)
+        within = _percent(row.within_radius.share)
+        numbers = (_number(row.mean, 3), _number(row.std, 4), *quantiles, within)
+        body.append((row.group, str(row.n), *numbers, *(said if beside else ())))
+    within_name = f"<= {radius_m:g} m"
+    published = ("paper mean", "paper std") if beside else ()
+    _table(("NE by scene", "N", "mean", "std", *levels, within_name, *published), body)
+
+
+def _print_fits(fits: Sequence[Fit]) -> None:
+    _table(
+        ("TL vs. start distance", "N", "r", "95 % interval", "p", "slope m/m", "intercept m", "remark"),
+        [_fit_cells(fit) for fit in fits],
+    )
+
+
+def _fit_cells(fit: Fit) -> tuple[str, ...]:
+    if fit.r is None or fit.low is None or fit.high is None:
+        return (fit.group, str(fit.n), *(_DASH,) * 5, fit.remark)
+    slope = _number(fit.slope, 3) + ("" if fit.slope_error is None else f" +- {fit.slope_error:.3f}")
+    p = _DASH if fit.p is None else "< 0.001" if fit.p <= 0.001 else f"{fit.p:.3f}"
+    interval = f"{fit.low:.3f} to {fit.high:.3f}"
+    return (fit.group, str(fit.n), _number(fit.r, 3), interval, p, slope, _number(fit.intercept_m, 3), fit.remark)
+
+
+def _print_overlap(statistics: Statistics) -> None:
+    body = [
+        (row.scene, row.split, str(row.targets), str(row.shared), _percent(row.share), str(row.episodes_on_shared))
+        for row in statistics.overlap
+    ]
+    _table(("scene", "split", "targets", "also in train_id", "share", "episodes with shared targets"), body)
+
+
+def _table(columns: Sequence[str], body: Sequence[Sequence[str]]) -> None:
+    by_column = [_aligned([name, *cells]) for name, *cells in zip(columns, *body, strict=True)]
+    head, *rows = zip(*by_column, strict=True)
+    click.echo()
+    print_table("", head, rows)
+
+
+def _aligned(cells: Sequence[str]) -> list[str]:
+    """Aligns the cells and the heading of a column of numbers right."""
+    width = max(map(len, cells))
+    is_number = all(cell[:1].isdigit() or cell.startswith(_DASH) for cell in cells[1:])
+    return [cell.rjust(width) if is_number else cell for cell in cells]
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return _DASH if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return _DASH if share is None else f"{100 * share:.1f} %"
+
+
+def _interval(share: Share) -> str:
+    if share.share is None or share.low is None or share.high is None:
+        return _DASH
+    return f"{100 * share.share:.0f} % ({100 * share.low:.0f}-{100 * share.high:.0f})"

@@ -23,8 +23,6 @@ from schemas.errors import TransientError, UsageError
 from schemas.terms import BUILTIN_CATEGORIES
 from schemas.wire import HostStatus, Progress, WorkerStatus
 
-__all__ = ["command", "draw_progress", "watch_progress"]
-
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
 """Time without an answer after which `--watch` gives up, seconds; a restart of a coordinator takes a few seconds."""

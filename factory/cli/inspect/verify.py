@@ -7,15 +7,13 @@ from typing import Any
 
 import click
 
-from factory.cli.common.bars import Bars
+from factory.cli.common.bars import one_bar
 from factory.cli.common.options import place_argument, workers_option
 from factory.cli.common.output import json_option, print_json
 from factory.support.logs import configure_logs
 from factory.verify.dataset import VerifyReport, verify
 from schemas.plan import MAX_EPISODES
 from schemas.storage.place import Place
-
-__all__ = ["command"]
 
 
 class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
@@ -50,12 +48,9 @@ def command(root: Place, deep: bool, render: int, workers: int | None, as_json: 
     Exits with 1 if anything is damaged.
     """
     configure_logs()
-    with Bars(transient=True) as bar:
-        task = bar.add_task("verifying", total=None)
-        processes = (workers or os.cpu_count() or 1) if deep or render else 1
-        report = verify(
-            root, deep, lambda done, total: bar.update(task, completed=done, total=total), processes, render
-        )
+    processes = (workers or os.cpu_count() or 1) if deep or render else 1
+    with one_bar("verifying") as tell:
+        report = verify(root, deep, tell, processes, render)
     if as_json:
         print_json(_plain(report))
     else:

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.episodes import episode_index
-from factory.cli.common.options import former_option, place_argument
+from factory.cli.common.options import count_option, former_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import episode_index
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import find_package
 from factory.visualize.rerun import view_episode
@@ -19,28 +19,13 @@ from schemas.scene import decode_scene
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 
-__all__ = ["command"]
-
 
 @click.command("view")
 @place_argument
 @click.argument("episode")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write a Rerun recording (.rrd) to this file instead of opening the viewer.",
-)
+@write_option("FILE", "Write a Rerun recording (.rrd) to this file instead of opening the viewer.")
 @former_option("--save", "out", "--out", type=click.Path(path_type=Path))
-@click.option(
-    "--stride",
-    type=click.IntRange(1, 1000),
-    default=2,
-    show_default=True,
-    metavar="N",
-    help="Show every Nth frame.",
-)
+@count_option("--stride", 2, "Show every Nth frame.", most=1000)
 @json_option
 def command(root: Place, episode: str, out: Path | None, stride: int, as_json: bool) -> None:
     """Open one episode in the Rerun viewer.

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter, tier_filter
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import former_option, place_argument
-from factory.cli.common.output import json_option, print_json, print_table, say_duration
+from factory.cli.common.options import count_option, former_option, number_option, place_argument, write_option
+from factory.cli.common.output import json_option, print_result, print_table, say_duration
 from factory.cli.common.places import PLACE
 from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
@@ -25,8 +25,6 @@ from schemas.support.closing import Closing
 from schemas.terms import Split
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 
 @click.group("train", cls=CommandGroup)
 def command() -> None:
@@ -36,14 +34,7 @@ def command() -> None:
 @command.command("bc")
 @place_argument
 @former_option("--data", "root", "DIR|URL", type=PLACE)
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Output directory. An interrupted training with the same options is continued.",
-)
+@write_option("DIR", "Output directory. An interrupted training with the same options is continued.", required=True)
 @click.option(
     "--split",
     type=click.Choice([str(split) for split in Split]),
@@ -53,23 +44,15 @@ def command() -> None:
 )
 @scene_filter()
 @tier_filter()
-@click.option(
-    "--epochs",
-    type=click.IntRange(1, 10_000),
-    default=30,
-    show_default=True,
-    metavar="N",
-    help="Number of epochs, that is passes over all frames.",
-)
-@click.option(
+@count_option("--epochs", 30, "Number of epochs, that is passes over all frames.", most=10_000)
+@number_option(
+    "MINUTES",
     "--minutes",
-    type=click.FloatRange(0.01),
-    metavar="MINUTES",
-    help="Time limit, minutes: no epoch is started that would end later. Default: no limit.",
+    None,
+    "Time limit, minutes: no epoch is started that would end later. Default: no limit.",
+    least=0.01,
 )
-@click.option(
-    "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, metavar="N", help="Random seed."
-)
+@count_option("--seed", 0, "Random seed.", least=0, most=2**32 - 1)
 @click.option(
     "--head",
     type=click.Choice(["continuous", "tokens"]),
@@ -85,24 +68,15 @@ def command() -> None:
     show_default=True,
     help="Width and height of the input image, pixels.",
 )
-@click.option(
-    "--batch", type=click.IntRange(1, 4096), default=32, show_default=True, metavar="N", help="Batch size, frames."
-)
-@click.option(
-    "--rate",
-    type=click.FloatRange(1e-7, 1.0),
-    default=1e-3,
-    show_default=True,
-    metavar="RATE",
-    help="Peak learning rate.",
-)
-@click.option(
+@count_option("--batch", 32, "Batch size, frames.", most=4096)
+@number_option("RATE", "--rate", 1e-3, "Peak learning rate.", least=1e-7, most=1.0)
+@number_option(
+    "WEIGHT",
     "--mask-weight",
-    type=click.FloatRange(0, 100),
-    default=1.0,
-    show_default=True,
-    metavar="WEIGHT",
-    help="Weight of the auxiliary loss, which locates the target in the image. 0: imitation loss only.",
+    1.0,
+    "Weight of the auxiliary loss, which locates the target in the image. 0: imitation loss only.",
+    least=0,
+    most=100,
 )
 @click.option(
     "--device",
@@ -154,10 +128,7 @@ def bc(
     order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes)
     with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
         report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     if not report.finished:
         click.echo(f"{len(report.epochs)} of {epochs} epochs done; run the same command again to continue", err=True)
         return 130 if stop.is_set() else 0

@@ -13,33 +13,30 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import cast
 
 import click
 
 from coordinator.expansion.file import load_plan
 from factory.bench.coordinator import bench_coordinator
-from factory.bench.machine import describe_machine
+from factory.bench.machine import StageRecorder, describe_machine
 from factory.bench.memory import bench_memory
 from factory.bench.model import RenderBench, RolloutBench
 from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
-from factory.bench.sample import make_sample
-from factory.bench.stage_times import StageRecorder
-from factory.bench.work import first_attempts, narrow
+from factory.bench.sample import first_attempts, make_sample, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import count_option, former_option, plan_argument, renderer_option, workers_option
-from factory.cli.common.output import json_option, print_json
+from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
 from factory.cli.other.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from schemas.base import Model
 from schemas.config import CameraConfig
 from schemas.plan import Plan
 from schemas.storage.place import Place
@@ -47,15 +44,11 @@ from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["command"]
-
 _PLAIN_FRAMES = 24
 _SAMPLE_PLAN = "demo"
 _MEMORY_JOBS = 25
 """Number of different jobs of each scene; they are repeated in turn."""
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-Report = TypeVar("Report", bound=Model)
 
 _repeats_option = count_option("--repeats", 3, "Number of timed runs; the result is their median.")
 
@@ -107,7 +100,7 @@ def rollout(
                 results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
                 described = stage.renderer.description
     report = RolloutBench(machine=machine, renderer=described, plan=plan.name, repeats=repeats, scenes=results)
-    _print(report, as_json, show_rollout)
+    print_result(report, as_json, show_rollout)
 
 
 @command.command("render")
@@ -132,7 +125,9 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
                 results[name] = bench_render(scene, stage.renderer, recorder, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
             tell()
-    _print(RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render)
+    print_result(
+        RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render
+    )
 
 
 @command.command("memory")
@@ -152,7 +147,7 @@ def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json
         jobs = [job for turn in turns for job in turn]
         command = WorkerSettings(connect=(), renderer=cast(RendererKind, renderer)).simulation_command
         report = bench_memory(jobs, catalog, command, episodes, tell)
-    _print(report, as_json, show_memory)
+    print_result(report, as_json, show_memory)
 
 
 @command.command("coordinator")
@@ -185,7 +180,7 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
             bundle_bytes=bundle_mb * 1_000_000,
             repeats=repeats,
         )
-    _print(report, as_json, show_coordinator)
+    print_result(report, as_json, show_coordinator)
 
 
 @command.command("read")
@@ -207,7 +202,7 @@ def read(
             root = made = folder / "sample"
             _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), folder)
         report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
-    _print(report, as_json, show_read)
+    print_result(report, as_json, show_read)
 
 
 def _make_sample(root: Path, plan: Plan, folder: Path) -> None:
@@ -227,10 +222,3 @@ def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
     with Bars(refresh_per_second=1) as bar:
         task = bar.add_task(f"bench {name}", total=total)
         yield lambda: bar.advance(task)
-
-
-def _print(report: Report, as_json: bool, show: Callable[[Report], None]) -> None:
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        show(report)

@@ -16,8 +16,6 @@ from factory.bench.model import (
 )
 from factory.cli.common.output import print_table
 
-__all__ = ["show_coordinator", "show_memory", "show_read", "show_render", "show_rollout"]
-
 
 def show_rollout(report: RolloutBench) -> None:
     """Prints the speed of collection in each scene, the time of each stage, and the size of the output."""

@@ -1,20 +1,21 @@
-"""`factory export`: converts a dataset to a training format."""
+"""`factory export`: converts a dataset to a training format. The options of a format are the fields of its model."""
 
 from __future__ import annotations
 
 import os
+import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import click
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import split_filter
-from factory.cli.common.options import former_option, place_argument, workers_option
-from factory.cli.common.output import json_option, print_json, say_duration, stderr
-from factory.cli.publish.export_options import format_options
+from factory.cli.common.options import former_option, place_argument, workers_option, write_option
+from factory.cli.common.output import json_option, print_result, say_duration, stderr
 from factory.export.base import Options
 from factory.export.execution.estimate import ExportEstimate, estimate_export
 from factory.export.execution.report import ExportReport
@@ -26,10 +27,42 @@ from schemas.errors import UsageError
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["command"]
-
 Command = Callable[..., Any]
 _NAMED = 5
+
+
+def format_options(command: Command) -> Command:
+    """Adds one option for each field of each format's option model; the value is `None` if the option is not given."""
+    for name, (info, formats) in reversed(_fields().items()):
+        command = _option(name, info, formats)(command)
+    return command
+
+
+def _fields() -> dict[str, tuple[FieldInfo, list[str]]]:
+    found: dict[str, tuple[FieldInfo, list[str]]] = {}
+    for exporter in map(find_exporter, EXPORTERS):
+        for name, info in exporter.options.model_fields.items():
+            found.setdefault(name, (info, []))[1].append(exporter.name)
+    return found
+
+
+def _option(name: str, info: FieldInfo, formats: list[str]) -> Callable[[Command], Command]:
+    flag = f"--{name.replace('_', '-')}"
+    text = f"{info.description} [{', '.join(formats)}]"
+    kind = _without_none(info.annotation)
+    if kind is bool:
+        return click.option(f"{flag}/--no-{flag[2:]}", name, default=None, help=text)
+    if get_origin(kind) is Literal:
+        return click.option(flag, name, type=click.Choice([str(value) for value in get_args(kind)]), help=text)
+    if kind in (int, float, str):
+        return click.option(flag, name, type=kind, metavar="N" if kind is int else None, help=text)
+    raise TypeError(f"option {flag}: type {kind} is not supported on the command line")
+
+
+def _without_none(annotation: Any) -> Any:
+    if get_origin(annotation) is types.UnionType:
+        return next(kind for kind in get_args(annotation) if kind is not type(None))
+    return annotation
 
 
 class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click 8.2 only
@@ -44,14 +77,7 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
 @click.command("export")
 @place_argument
 @click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="Format of the export.")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    help="Output directory. An interrupted export with the same options is continued.",
-)
+@write_option("DIR", "Output directory. An interrupted export with the same options is continued.", required=True)
 @split_filter()
 @click.option(
     "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
@@ -102,10 +128,7 @@ def command(
     if not report.finished:
         click.echo(f"interrupted after {report.episodes} episodes; run the same command again to continue", err=True)
         return 130
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     return 0 if report.complete and not report.absent else 1
 
 
@@ -127,10 +150,7 @@ def _options(name: str, chosen: dict[str, Any]) -> Options:
 def _estimate(order: ExportOrder, as_json: bool) -> int:
     with stderr.status("measuring one episode"):
         estimate = estimate_export(order)
-    if as_json:
-        print_json(estimate.model_dump(mode="json"))
-    else:
-        _print_estimate(estimate)
+    print_result(estimate, as_json, _print_estimate)
     return 0 if estimate.fits else 1
 
 

@@ -14,8 +14,6 @@ from factory.export.execution.manifest import MANIFEST_FILE
 from factory.push import PushPlan, plan_push, push
 from factory.push.files import batches_of, require_repository
 
-__all__ = ["command"]
-
 
 @click.command("push")
 @dataset_argument

@@ -12,15 +12,18 @@ import click
 from coordinator.expansion.file import load_plan
 from factory.cli.common.gating import try_scene
 from factory.cli.common.options import (
+    count_option,
     expert_option,
     former_option,
+    number_option,
     plan_argument,
+    plan_seed_option,
     renderer_option,
     shrunk_plan,
     verbose_option,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.common.output import json_option, print_result, print_table
 from factory.runs.catalog import open_catalog
 from factory.runs.gate import GateReport
 from factory.stats.model import Share
@@ -32,8 +35,6 @@ from schemas.terms import BUILTIN_CATEGORIES, RendererKind
 from workers.client.stopping import stop_on_signals
 from workers.experts import require_expert
 
-__all__ = ["command"]
-
 
 @click.command("gate")
 @plan_argument(default="paper")
@@ -44,24 +45,17 @@ __all__ = ["command"]
     metavar="SCENE",
     help=f"Scene of the plan to measure. Built-in: {', '.join(BUILTIN_CATEGORIES)}.",
 )
-@click.option(
-    "--episodes",
-    type=click.IntRange(1),
-    default=50,
-    show_default=True,
-    metavar="N",
-    help="Number of first attempts, one per episode.",
-)
-@click.option(
+@count_option("--episodes", 50, "Number of first attempts, one per episode.")
+@number_option(
+    "SHARE",
     "--min-success",
-    type=click.FloatRange(0.0, 1.0),
-    default=0.8,
-    show_default=True,
-    metavar="SHARE",
-    help="Minimum success rate, 0 to 1; below it the command exits with 1.",
+    0.8,
+    "Minimum success rate, 0 to 1; below it the command exits with 1.",
+    least=0.0,
+    most=1.0,
 )
 @expert_option
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root random seed. Default: the plan's.")
+@plan_seed_option
 @workers_option("Number of simulation processes")
 @renderer_option
 @json_option
@@ -93,10 +87,7 @@ def command(
     if report is None:
         click.echo("interrupted; no result", err=True)
         return 130
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        _print(report)
+    print_result(report, as_json, _print)
     return 0 if report.passed else 1
 
 

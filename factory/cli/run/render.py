@@ -9,7 +9,7 @@ import click
 
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.options import place_argument, renderer_option, verbose_option, workers_option
-from factory.cli.common.output import json_option, print_json
+from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import SITE
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.cli.run.run import RunBar
@@ -21,8 +21,6 @@ from schemas.storage.place import Place
 from schemas.support.extras import require_package
 from schemas.terms import RendererKind
 from workers.client.stopping import stop_on_signals
-
-__all__ = ["command"]
 
 
 @click.command("render")
@@ -57,9 +55,6 @@ def command(root: Place, site: Site, workers: int | None, renderer: str, as_json
         click.echo(f"interrupted; continue with: factory render {root} -o {site}", err=True)
         return 130
     summary = summarise(site.place, progress)
-    if as_json:
-        print_json(summary)
-    else:
-        print_summary(summary)
+    print_result(summary, as_json, print_summary)
     say_missing(site, progress)
     return 1 if progress.missing else 0

@@ -20,7 +20,7 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_json, say_duration
+from factory.cli.common.output import json_option, print_result, say_duration
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
@@ -33,8 +33,6 @@ from schemas.terms import RendererKind
 from schemas.wire import Progress
 from workers.client.stopping import stop_on_signals
 from workers.experts import require_expert
-
-__all__ = ["RunBar", "command"]
 
 
 @click.command("run")
@@ -81,10 +79,7 @@ def command(
         click.echo(f"interrupted; continue with: factory run --out {site}", err=True)
         return 130
     summary = summarise(site.place, progress)
-    if as_json:
-        print_json(summary)
-    else:
-        print_summary(summary)
+    print_result(summary, as_json, print_summary)
     say_missing(site, progress)
     return 1 if progress.missing else 0
 

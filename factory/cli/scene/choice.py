@@ -12,7 +12,8 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from factory.runs.imported import find_imported
+from factory.cli.common.options import count_option
+from factory.runs.catalog import find_imported
 from factory.scenes.stage_file import STAGE_SUFFIXES, find_fault
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
@@ -20,7 +21,7 @@ from schemas.scene import CompiledScene, decode_scene
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES
 
-__all__ = ["chosen_scene", "open_scene", "scene_argument", "seed_option"]
+seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 
 
 def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
@@ -31,15 +32,6 @@ def _complete(context: click.Context, param: click.Parameter, word: str) -> list
 
 scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=_complete)
 """SCENE|PACKAGE: the name of a built-in or imported scene, or a scene package (`*.scene.zip`)."""
-
-seed_option = click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Random seed of the layout of a built-in scene.",
-)
 
 
 def chosen_scene(scene: str, seed: int) -> CompiledScene:

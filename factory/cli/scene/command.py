@@ -9,21 +9,18 @@ from pathlib import Path
 import click
 
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import former_option, verbose_option
-from factory.cli.common.output import json_option, print_json, stderr
+from factory.cli.common.options import count_option, former_option, verbose_option, write_option
+from factory.cli.common.output import json_option, print_json, print_result, stderr
 from factory.cli.scene import inspect as scene_inspect
 from factory.cli.scene import list as scene_list
 from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
 from factory.cli.scene import targets as scene_targets
 from factory.cli.scene.choice import seed_option
-from factory.cli.scene.package import describe_package, print_others, print_package
-from factory.cli.scene.steps import next_steps, print_steps
+from factory.cli.scene.package import describe_package, next_steps, print_others, print_package, print_steps
 from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-
-__all__ = ["command"]
 
 
 @click.group("scene", cls=CommandGroup)
@@ -43,14 +40,7 @@ def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
     file = click.Path(path_type=Path)
     for option in (
         former_option("--cache", "cache", "--out", type=file),
-        click.option(
-            "-o",
-            "--out",
-            "cache",
-            type=file,
-            metavar="DIR",
-            help="Output folder of the scene package. Default: the user's cache.",
-        ),
+        write_option("DIR", "Output folder of the scene package. Default: the user's cache.", "cache"),
         click.option(
             "--targets",
             type=file,
@@ -85,23 +75,13 @@ def build(
     with stderr.status(f"building {name}, seed {seed}"):
         path = build_scene(name, seed, cache or scene_cache(), book, chosen)
     facts = describe_package(path)
-    if as_json:
-        print_json(facts)
-    else:
-        print_package(facts)
+    print_result(facts, as_json, print_package)
 
 
 @command.command("import")
 @click.argument("usd", type=click.Path(path_type=Path))
 @click.option("--name", metavar="NAME", help="Name of the scene. Default: the file name without suffix.")
-@click.option(
-    "--max-triangles",
-    type=click.IntRange(1),
-    default=MAX_TRIANGLES,
-    show_default=True,
-    metavar="N",
-    help="Maximum number of triangles; a larger stage is an error.",
-)
+@count_option("--max-triangles", MAX_TRIANGLES, "Maximum number of triangles; a larger stage is an error.")
 @click.option("--allow-outside", is_flag=True, help="Also read textures outside of the stage's folder.")
 @_edit_options
 @json_option

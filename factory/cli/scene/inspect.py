@@ -7,12 +7,11 @@ from typing import Any
 
 import click
 
-from factory.cli.common.output import json_option, print_json, print_table, print_text
+from factory.cli.common.options import write_option
+from factory.cli.common.output import json_option, print_result, print_table, print_text
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
-from factory.cli.scene.words import say_counts, say_rest
-from schemas.errors import WorldError
-
-__all__ = ["command"]
+from factory.cli.scene.package import say_counts, say_rest
+from schemas.storage.disk import translated
 
 _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
 
@@ -20,13 +19,7 @@ _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "boun
 @click.command("inspect")
 @scene_argument
 @seed_option
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Also write a map with targets and start points to this PNG file.",
-)
+@write_option("FILE", "Also write a map with targets and start points to this PNG file.")
 @json_option
 def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
     """Print the categories, targets and extents of a scene.
@@ -38,19 +31,10 @@ def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
 
     compiled = chosen_scene(scene, seed)
     if out is not None:
-        _write_map(out, encode_topdown(compiled))
+        with translated("write", out):
+            out.write_bytes(encode_topdown(compiled))
     facts = describe_scene(compiled)
-    if as_json:
-        print_json(facts)
-    else:
-        _print(facts)
-
-
-def _write_map(path: Path, picture: bytes) -> None:
-    try:
-        path.write_bytes(picture)
-    except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
+    print_result(facts, as_json, _print)
 
 
 def _print(facts: dict[str, Any]) -> None:

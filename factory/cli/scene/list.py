@@ -9,14 +9,12 @@ from typing import Any
 import click
 
 from factory.cli.common.output import json_option, print_json, print_table
-from factory.cli.scene.words import say_counts
-from factory.runs.imported import find_imported
+from factory.cli.scene.package import say_counts
+from factory.runs.catalog import find_imported
 from factory.support.settings import scene_cache
 from schemas.errors import FactoryError
 from schemas.scene import read_scene_info
 from schemas.terms import BUILTIN_CATEGORIES
-
-__all__ = ["command"]
 
 
 @click.command("list")

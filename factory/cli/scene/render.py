@@ -7,22 +7,18 @@ from typing import cast
 
 import click
 
-from factory.cli.common.options import count_option, renderer_option
+from factory.cli.common.options import count_option, renderer_option, write_option
 from factory.cli.common.output import json_option, print_json, stderr
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 from factory.support.logs import configure_logs
-from schemas.errors import WorldError
+from schemas.storage.disk import translated
 from schemas.terms import RendererKind
-
-__all__ = ["command"]
 
 
 @click.command("render")
 @scene_argument
 @seed_option
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), metavar="DIR", help="Output folder of the images. Default: ./SCENE."
-)
+@write_option("DIR", "Output folder of the images. Default: ./SCENE.")
 @count_option("--views", 6, "Number of views from 1.5 m above the floor.", least=0, most=64)
 @count_option("--robot-views", 4, "Number of views from the robot's camera.", least=0, most=64)
 @count_option("--colours", 0, "Number of targets to show with their colour names.", least=0, most=500)
@@ -47,13 +43,9 @@ def command(
     configure_logs()
     compiled = chosen_scene(scene, seed)
     folder = out or Path(compiled.info.name)
-    paths: list[str] = []
-    try:
-        with stderr.status(f"rendering {compiled.info.name}"):
-            for path in draw_scene(compiled, folder, Wanted(views, robot_views, colours), cast(RendererKind, renderer)):
-                paths.append(str(path))
-    except OSError as error:
-        raise WorldError(f"cannot write to {folder} ({error.strerror}); choose another --out") from error
+    wanted = Wanted(views, robot_views, colours)
+    with translated("write to", folder), stderr.status(f"rendering {compiled.info.name}"):
+        paths = [str(path) for path in draw_scene(compiled, folder, wanted, cast(RendererKind, renderer))]
     if as_json:
         print_json({"scene": compiled.info.name, "pictures": paths})
     else:

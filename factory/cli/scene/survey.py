@@ -9,25 +9,19 @@ from typing import TYPE_CHECKING
 
 import click
 
+from factory.cli.common.options import number_option
 from factory.cli.common.output import json_option, print_json, print_table, print_text
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
 
 if TYPE_CHECKING:
     from factory.scenes.survey.report import SpawnSight, SurveyReport
 
-__all__ = ["command", "say_survey"]
-
 
 @click.command("survey")
 @scene_argument
 @seed_option
-@click.option(
-    "--within",
-    type=click.FloatRange(0.1),
-    default=2.0,
-    show_default=True,
-    metavar="METRES",
-    help="Floor within this distance of a start point counts as covered, metres.",
+@number_option(
+    "METRES", "--within", 2.0, "Floor within this distance of a start point counts as covered, metres.", least=0.1
 )
 @json_option
 def command(scene: str, seed: int, within: float, as_json: bool) -> int:

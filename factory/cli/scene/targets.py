@@ -6,23 +6,17 @@ from pathlib import Path
 
 import click
 
+from factory.cli.common.options import write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
-from schemas.errors import UsageError, WorldError
-
-__all__ = ["command"]
+from schemas.errors import UsageError
+from schemas.storage.disk import translated
 
 
 @click.command("targets")
 @scene_argument
 @seed_option
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Output file; - prints to stdout. Default: targets_SCENE.yaml.",
-)
+@write_option("FILE", "Output file; - prints to stdout. Default: targets_SCENE.yaml.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
@@ -42,10 +36,8 @@ def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool)
         return
     if path.exists() and not force:
         raise UsageError(f"{path} exists and may contain your edits; replace it with --force")
-    try:
+    with translated("write", path):
         path.write_text(format_target_list(info), encoding="utf-8")
-    except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
     if as_json:
         print_json({"file": str(path), "scene": info.name, "targets": len(info.targets)})
     else:

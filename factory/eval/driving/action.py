@@ -12,8 +12,6 @@ from factory.eval.driving.policy import PolicyFailure, PolicyFault
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.geometry.slew import Twist
 
-__all__ = ["ACTION_KINDS", "MAX_CHUNK", "ActionChunk", "read_actions"]
-
 ACTION_KINDS = ("continuous", "tokens")
 MAX_CHUNK = 1000
 """Maximum number of actions in one policy output."""

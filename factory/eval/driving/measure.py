@@ -1,4 +1,4 @@
-"""Metrics of one rollout: progress, SPL, soft-SPL, and the success rule for any instance.
+"""Metrics of one rollout: progress, SPL, soft-SPL, the success rule for any instance, and odometry.
 
 Pure functions; positions in the world frame, metres. Simulates nothing.
 
@@ -19,8 +19,6 @@ from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 from workers.planning import geodesic_field, geodesic_m
-
-__all__ = ["floor_distance_m", "has_stopped_at", "path_length_m", "progress", "soft_spl", "spl", "stops_at_any"]
 
 _NEARBY_M = 0.6
 """Search radius for the nearest reachable grid cell around a pose close to furniture, metres."""
@@ -109,3 +107,18 @@ def floor_distance_m(grid: Grid, xy: ArrayLike, target: Target, radius_m: float)
         return None
     row, column = cells[nearest]
     return math.fsum((float(gaps[nearest]), float(field[row, column])))
+
+
+def yaws_of(track: Floats) -> Floats:
+    """Returns the headings, (frames,) radians, of a (frames, 7) track x, y, z, qw, qx, qy, qz."""
+    w, x, y, z = track[:, 3:].T
+    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def odometry(track: Floats) -> Floats:
+    """Returns the last pose of a (frames, 7) track in the frame of its first pose: x, y in metres, yaw in radians."""
+    yaws = yaws_of(track[[0, -1]])
+    dx, dy = track[-1, :2] - track[0, :2]
+    cos, sin = math.cos(yaws[0]), math.sin(yaws[0])
+    turn = math.remainder(float(yaws[1] - yaws[0]), 2 * math.pi)
+    return np.array((cos * dx + sin * dy, cos * dy - sin * dx, turn))

@@ -14,23 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.request import Actions
+from factory.eval.models.messages import Actions
 from schemas.job import Job
 from schemas.terms import ExpertName
-
-__all__ = [
-    "BlindPolicy",
-    "EpisodeInfo",
-    "Policy",
-    "PolicyFailure",
-    "PolicyFault",
-    "PolicyInput",
-    "PrivilegedPolicy",
-    "PrivilegedState",
-    "ServerAway",
-    "kind_of_actions",
-    "uses_camera",
-]
 
 
 class PolicyInput(TypedDict):

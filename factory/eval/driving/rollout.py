@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from factory.eval.driving import measure
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.odometry import odometry, yaws_of
+from factory.eval.driving.measure import odometry, yaws_of
 from factory.eval.driving.policy import (
     EpisodeInfo,
     Policy,
@@ -32,15 +32,12 @@ from factory.eval.driving.policy import (
     uses_camera,
 )
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import EvalTask
-from factory.eval.models.request import EvalRequest
+from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
-
-__all__ = ["TRACK_HZ", "PolicyCallObserver", "progresses", "request_fields", "run_episode", "thin_track"]
 
 TRACK_HZ = 10
 

@@ -23,8 +23,6 @@ from workers.sim.closed_loop import ClosedLoop
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import is_spawn_stable
 
-__all__ = ["NoFirmStand", "Simulator"]
-
 
 class NoFirmStand(WorldError):
     """The robot is not stable at the start pose of a spec."""

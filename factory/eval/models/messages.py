@@ -1,4 +1,7 @@
-"""Messages between the evaluation process and its driver processes, one JSON line each. Opens no pipe."""
+"""Evaluation requests, and messages between the evaluation process and its driver processes. Opens no pipe.
+
+Equal requests have equal results. A message is one JSON line.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +11,50 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from factory.eval.models.request import Actions, EvalRequest
-from factory.eval.models.result import EpisodeResult
-from factory.eval.models.spec import EvalSettings
-from schemas.base import Model, Positive
+from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.models.spec import EvalSettings, EvalSpec
+from schemas.base import Model, Name, Positive, Sha256
 from schemas.terms import RendererKind
 
-__all__ = ["DriverOrder", "EvalReport", "EvalReportKind", "EvalTask", "Setup", "read_report", "to_line"]
+Actions = tuple[tuple[float, float], ...]
+"""Actions (v, w) in m/s and rad/s, one pair per step."""
+Key = tuple[str, Variant, str]
+"""Spec id, variant and instruction, which identify an episode among the results of a policy."""
 
 
-class Setup(Model):
+class EvalRequest(Model):
+    """Episode and instruction for a policy."""
+
+    spec: EvalSpec
+    spec_digest: Sha256
+    instruction: str
+    variant: Variant = Variant.ORIGINAL
+    recorded: Name | None = None
+    """Archived episode whose actions `replay` or `playback` executes."""
+    with_pose: bool = False
+
+    @property
+    def key(self) -> Key:
+        """Key of its result."""
+        return self.spec.spec_id, self.variant, self.instruction
+
+
+class PolicyLimits(Model):
+    """Time limits, passed to every policy on construction."""
+
+    act_timeout_s: Positive = 10.0
+    """Timeout of each action except the first, seconds."""
+    load_timeout_s: Positive = 300.0
+    """Timeout of a reset, and of the first action, which may compile models, seconds."""
+    reconnect_s: Positive = 30.0
+    """Timeout of reconnecting to a policy server, seconds."""
+
+
+class Setup(PolicyLimits):
     """Settings of all tasks of a campaign."""
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
-    act_timeout_s: Positive = 10.0
-    load_timeout_s: Positive = 300.0
-    reconnect_s: Positive = 30.0
 
 
 class EvalTask(Model):

@@ -10,8 +10,6 @@ from pydantic import Field
 from schemas.base import Fraction, Model, Name, NonNegative, Sha256
 from schemas.terms import Split, Tier
 
-__all__ = ["RESULTS_FORMAT", "EpisodeResult", "EvalEnd", "Variant"]
-
 RESULTS_FORMAT = 1
 """Format version of the results. Readers accept this version and older ones, and raise an error for a newer one."""
 

@@ -1,4 +1,4 @@
-"""Models of evaluation episodes: start pose, instruction, target and settings. Opens nothing.
+"""Models of evaluation episodes: start pose, instruction, target and settings, and their JSON file.
 
 The same spec set gives the same results with the same policy and software.
 """
@@ -6,9 +6,11 @@ The same spec set gives the same results with the same policy and software.
 from __future__ import annotations
 
 import hashlib
+import json
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from schemas.base import Model, Name, NonNegative, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
@@ -16,13 +18,13 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan, canonical_json
+from schemas.storage.disk import replacing
 from schemas.terms import ExpertName, Split
-
-__all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet", "spread"]
 
 SPECS_FORMAT = 1
 """Format version of the file of specs. Readers accept this version and older ones; a newer one raises an error."""
 _NO_PLAN = "0" * 64
+_MOST_BYTES = 1 << 30
 
 
 class EvalSettings(Model):
@@ -136,3 +138,46 @@ def spread(count: int, wanted: int | None) -> list[int]:
     if wanted is None or wanted >= count:
         return list(range(count))
     return [number * count // wanted for number in range(wanted)]
+
+
+def read_specs(path: Path) -> SpecSet:
+    """Reads a file of specs.
+
+    Raises:
+        UsageError: The file does not exist, is not a file of specs, or its format is newer than this software.
+    """
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise UsageError(f"{path} is larger than {_MOST_BYTES >> 20} MiB, so it is not a specs file")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path} cannot be read ({error}); create a specs file with `factory eval specs`") from error
+    _refuse_newer(path, text)
+    try:
+        return SpecSet.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the beginning"
+        raise UsageError(f"{path} is not a valid specs file: at {where}: {first['msg']}") from error
+
+
+def write_specs(specs: SpecSet, path: Path) -> None:
+    """Writes a file of specs atomically.
+
+    Raises:
+        WorldError: The file cannot be written.
+    """
+    with replacing(path) as part:
+        part.write_text(specs.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+
+def _refuse_newer(path: Path, text: str) -> None:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return
+    version = found.get("format") if isinstance(found, dict) else None
+    if isinstance(version, int) and version > SPECS_FORMAT:
+        raise UsageError(
+            f"{path} has format {version}, this software reads formats up to {SPECS_FORMAT}: upgrade minivla-factory"
+        )

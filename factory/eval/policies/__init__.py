@@ -8,12 +8,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy
+from factory.eval.models.messages import PolicyLimits
 from factory.eval.policies.bc import BcPolicy, bc_file
-from factory.eval.policies.experts import ExpertPolicy
-from factory.eval.policies.limits import PolicyLimits
-from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
 from factory.eval.policies.remote import RemotePolicy
-from factory.eval.policies.simple import RandomPolicy, StopPolicy
+from factory.eval.policies.simple import ExpertPolicy, PlaybackPolicy, RandomPolicy, ReplayPolicy, StopPolicy
 from factory.eval.policies.user_class import load_class, require_module
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
@@ -23,7 +21,6 @@ from schemas.terms import ExpertName
 __all__ = [
     "POLICIES",
     "PolicyEntry",
-    "PolicyLimits",
     "check_name",
     "describe_knowledge",
     "file_of",
@@ -36,6 +33,7 @@ __all__ = [
 
 PolicyFactory = Callable[[str, PolicyLimits], Policy]
 """Function of the text after the first colon of the policy name and the time limits; returns the policy."""
+_WIRE = ("websockets", "msgpack")
 
 
 class PolicyEntry(NamedTuple):
@@ -56,7 +54,6 @@ class PolicyEntry(NamedTuple):
     process with the OpenGL libraries."""
 
 
-_WIRE = ("websockets", "msgpack")
 POLICIES: Mapping[str, PolicyEntry] = MappingProxyType(
     {
         "expert": PolicyEntry(lambda rest, _: ExpertPolicy(_expert_name(rest)), "expert[:NAME]"),

@@ -19,8 +19,6 @@ from factory.train.vocabulary import encode
 from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 
-__all__ = ["LOOKS_TO_STAND", "BcPolicy", "bc_file"]
-
 LOOKS_TO_STAND = 2
 """Consecutive stop predictions after which the robot stops. It continues to drive until then: after a single wrong
 prediction, a stopped robot would see the same view again and never move."""
@@ -79,8 +77,7 @@ class BcPolicy:
         if mine != found:
             raise UsageError(
                 f"the policy was trained at {mine[0]} Hz with a camera of {mine[1]:g} degrees, but the episodes have "
-                f"{found[0]} Hz and "
-                f"{found[1]:g} degrees: train on episodes with the same rate and camera"
+                f"{found[0]} Hz and {found[1]:g} degrees: train on episodes with the same rate and camera"
             )
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])

@@ -6,8 +6,6 @@ from factory.eval.policies import find_policy
 from schemas.base import Model
 from schemas.dataset_meta import software_versions
 
-__all__ = ["PolicyNote", "note_of"]
-
 
 class PolicyNote(Model):
     """Metadata stored next to the results of a policy."""

@@ -1,24 +1,99 @@
 """Policy on a websocket server with the protocol of openpi's client: metadata on connect, observation in, actions out.
 
 Sends one request at a time. The size of a reply is limited, and replies are never unpickled. Runs no model itself.
+Arrays are encoded in msgpack with the keys of `openpi_client.msgpack_numpy`: a map of data, dtype and shape.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import ExitStack, suppress
 from typing import Any
 
+import numpy as np
+
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
-from factory.eval.policies.limits import PolicyLimits
-from factory.eval.policies.wire import MAX_ANSWER_BYTES, WireError, pack, unpack
+from factory.eval.models.messages import PolicyLimits
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package
 
-__all__ = ["RemotePolicy"]
-
+MAX_ANSWER_BYTES = 16 << 20
+_KINDS = "biuf"
+"""Supported dtype kinds: bool, integers, unsigned integers and floats; no objects, records or complex numbers."""
 _OPEN_S, _CLOSE_S = 5.0, 0.5
 _RETRY_S = 0.5
+
+
+class WireError(Exception):
+    """Invalid message bytes, or a value that cannot be encoded."""
+
+
+def pack(message: Any) -> bytes:
+    """Encodes a message as msgpack.
+
+    Raises:
+        WireError: The message contains a value that cannot be encoded.
+    """
+    try:
+        data: bytes = _msgpack().packb(message, default=_pack_numpy)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WireError(f"cannot be encoded: {error}") from error
+    return data
+
+
+def unpack(data: bytes) -> Any:
+    """Decodes a msgpack message; arrays share the memory of `data` and are read-only.
+
+    Raises:
+        WireError: The bytes are not a valid message, or an array in it is inconsistent.
+    """
+    try:
+        return _msgpack().unpackb(data, object_hook=_unpack_numpy, strict_map_key=False)
+    except WireError:
+        raise
+    except Exception as error:  # the extension raises many exception types
+        raise WireError(f"is not a valid msgpack message: {type(error).__name__}: {error}") from error
+
+
+def _pack_numpy(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype.kind in _KINDS:
+        return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": value.shape}
+    if isinstance(value, np.generic) and value.dtype.kind in _KINDS:
+        return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+    raise TypeError(f"{type(value).__name__} {getattr(value, 'dtype', '')}".strip())
+
+
+def _unpack_numpy(found: dict[Any, Any]) -> Any:
+    if b"__ndarray__" in found:
+        dtype, shape, data = _dtype(found), tuple(found.get(b"shape", ())), found.get(b"data", b"")
+        if not all(isinstance(side, int) and side >= 0 for side in shape) or not isinstance(data, bytes):
+            raise WireError(f"contains an array of shape {shape!r}")
+        if math.prod(shape) * dtype.itemsize != len(data):
+            raise WireError(f"contains an array {dtype.str} {shape} in {len(data)} bytes")
+        return np.frombuffer(data, dtype).reshape(shape)
+    if b"__npgeneric__" in found:
+        return _dtype(found).type(found.get(b"data"))
+    return found
+
+
+def _dtype(found: dict[Any, Any]) -> np.dtype[Any]:
+    name = found.get(b"dtype")
+    try:
+        dtype = np.dtype(name) if isinstance(name, str) else None
+    except TypeError:
+        dtype = None
+    if dtype is None or dtype.kind not in _KINDS:
+        raise WireError(f"contains an array of dtype {name!r}")
+    return dtype
+
+
+def _msgpack() -> Any:
+    try:
+        import msgpack
+    except ImportError as error:
+        raise missing_package("msgpack", "a remote policy") from error
+    return msgpack
 
 
 class RemotePolicy:

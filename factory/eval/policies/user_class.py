@@ -18,8 +18,6 @@ from factory.eval.driving.policy import Policy
 from schemas.errors import UsageError
 from schemas.support.suggest import did_you_mean
 
-__all__ = ["load_class", "require_module"]
-
 _IMPORTER = importlib.__file__
 _EXAMPLE = "docs/evaluation/my_policy.py is an example"
 

@@ -26,14 +26,11 @@ from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies import PolicyLimits, describe_knowledge, make_policy
-from factory.eval.process.shared_status import Activity, SharedStatus
-from factory.eval.process.status_updates import StatusWriter
+from factory.eval.policies import describe_knowledge, make_policy
+from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
 from workers.sim.scene_renderer import SceneRenderer
-
-__all__ = ["main"]
 
 SendReport = Callable[[EvalReport], None]
 
@@ -132,12 +129,7 @@ class _Driver:
                 with contextlib.suppress(Exception):
                     close()
             self._policy, self._name = None, name
-            limits = PolicyLimits(
-                act_timeout_s=self._setup.act_timeout_s,
-                load_timeout_s=self._setup.load_timeout_s,
-                reconnect_s=self._setup.reconnect_s,
-            )
-            self._policy = make_policy(name, limits, order.policy_file)
+            self._policy = make_policy(name, self._setup, order.policy_file)
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
             knows = describe_knowledge(self._policy)

@@ -1,6 +1,6 @@
 """Manages one driver process: sends orders, receives reports, and kills the process when its policy hangs.
 
-Does not select episodes and does not store results.
+A killed or dead process gives a failed result. Does not select episodes and does not store results.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import time
 from typing import NamedTuple
 
 from factory.eval.driving.policy import PolicyFault
+from factory.eval.driving.rollout import progresses, request_fields
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup, read_report, to_line
+from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies import renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from schemas.support.child import SAFE_PATH, child_environment, python_module
 from schemas.support.jsonl_process import JsonlProcess, describe_exit
 from workers.process.one_core import one_core
-
-__all__ = ["CHILD", "DriverEnded", "DriverProcess"]
 
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
@@ -156,3 +156,38 @@ def _last_output(process: JsonlProcess[EvalReport]) -> str:
 def _environment() -> dict[str, str]:
     """Returns the environment of a process that can run a user's policy, whose imports must work as in a script."""
     return {name: value for name, value in child_environment(os.environ).items() if name != SAFE_PATH}
+
+
+def interrupted_result(task: EvalTask, detail: str, fault: PolicyFault, state: DriverStatus) -> EpisodeResult:
+    """Returns the failed result of an episode whose driver process was killed or died.
+
+    Args:
+        task: Task of the episode.
+        detail: Description of the end.
+        fault: Kind of the policy failure.
+        state: Last shared status of the driver process.
+    """
+    spec = task.request.spec
+    start_m = state.start_m or spec.spawn_dist_m
+    now_m, least_m = (state.now_m, state.least_m) if state.start_m else (start_m, start_m)
+    nothing = None if spec.geodesic_m is None else 0.0
+    return EpisodeResult(
+        **request_fields(task),
+        end=EvalEnd(fault),
+        detail=detail,
+        success=False,
+        any_instance=False,
+        num_steps=state.steps,
+        spawn_dist_m=start_m,
+        trajectory_length_m=state.driven_m,
+        final_ne_m=now_m,
+        min_ne_m=least_m,
+        spl=nothing,
+        soft_spl=nothing,
+        **progresses(start_m, now_m, least_m, task.setup.settings.task),
+        contact_steps=state.contact_steps,
+        clipped_actions=0,
+        act_ms=0.0,
+        seconds=0.0,
+        track=(spec.spawn_pose,),
+    )

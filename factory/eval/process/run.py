@@ -14,14 +14,11 @@ from dataclasses import dataclass
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies.note import note_of
-from factory.eval.process.driver_process import DriverEnded, DriverProcess
-from factory.eval.process.interrupted import interrupted_result
+from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
 from factory.eval.specs.from_dataset import Places
 from schemas.errors import UsageError, WorldError
-
-__all__ = ["Pace", "run_campaign"]
 
 _POLL_S = 0.05
 _TRIES = 2

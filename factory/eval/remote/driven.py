@@ -15,8 +15,6 @@ from schemas.base import Model
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 
-__all__ = ["Driven", "read_driven", "write_driven"]
-
 _MEMBER = "driven.json"
 _LIMITS = ContainerLimits(members=1, member_bytes=4 << 20)
 

@@ -19,15 +19,12 @@ from factory.eval.models.messages import EvalReport as Outcome
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies import is_user_class
 from factory.eval.policies.note import note_of
-from factory.eval.process.driver_process import DriverEnded, DriverProcess
-from factory.eval.process.interrupted import interrupted_result
+from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
 from factory.eval.remote.driven import Driven, write_driven
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker
 from workers.process.messages import SimulationOrder, failure
 from workers.process.pipes import listen, take_stdout
-
-__all__ = ["main"]
 
 _POLL_S, _TELL_S = 0.1, 1.0
 _NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"

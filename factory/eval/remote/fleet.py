@@ -1,6 +1,6 @@
 """A campaign on many machines: its tasks as the jobs of a run, with the ledger, leases and workers of collection.
 
-Every result is archived once, then added to the results. An interrupted campaign can be resumed. Runs no episodes.
+Every result is archived once, then added once to the results. An interrupted campaign can be resumed. Runs no episodes.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,24 +19,25 @@ from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.reader import open_ledger
-from coordinator.ledger.reading.records import JobFilter, list_jobs
+from coordinator.ledger.reading.records import JobFilter, list_jobs, read_archived
 from coordinator.ledger.states import JobState
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_presence
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.eval.models.messages import EvalTask
 from factory.eval.process.run import Pace
-from factory.eval.remote.intake import Intake
+from factory.eval.remote.driven import read_driven
 from factory.eval.remote.judge import ResultJudge
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, with_actions
+from schemas.dataset import file_name_of
 from schemas.errors import WorldError
+from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.wire import EvalPayload
-
-__all__ = ["FleetAccess", "run_fleet"]
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
@@ -153,3 +154,53 @@ def _require_whole(root: Path, store: Store) -> None:
             f"some episodes could not be run; the others are in {store.root}. Correct the cause and run "
             f"the same command again:\n{reasons}"
         )
+
+
+class Intake:
+    """Record of the finished tasks, including those of earlier runs.
+
+    Args:
+        store: store of the results.
+        tasks: all tasks of the campaign, by job index.
+        tell: progress callback, called for each policy.
+    """
+
+    def __init__(self, store: Store, tasks: Mapping[int, EvalTask], tell: Callable[[Pace], None]) -> None:
+        self._store, self._tasks, self._tell = store, tasks, tell
+        policies = dict.fromkeys(task.policy for task in tasks.values())
+        kept = {name: {result.key: result.success for result in store.results(name)} for name in policies}
+        self._done = {
+            index: kept[task.policy][task.request.key]
+            for index, task in tasks.items()
+            if task.request.key in kept[task.policy]
+        }
+        for policy in policies:
+            self._tell(self._pace(policy))
+
+    @property
+    def left(self) -> Mapping[int, EvalTask]:
+        """Unfinished tasks, by job index."""
+        return {index: task for index, task in self._tasks.items() if index not in self._done}
+
+    def take(self, root: Path) -> None:
+        """Adds the results that were archived since the last call.
+
+        Args:
+            root: Directory of the run.
+        """
+        with open_ledger(ledger_url_of(root)) as connection:
+            archived = read_archived(connection)
+        for index in sorted(archived - self._done.keys()):
+            with (root / file_name_of(episode_id(index))).open("rb") as file:
+                driven = read_driven(file)
+            policy = driven.result.policy
+            if self._store.note_of(policy) is None:
+                self._store.note(driven.note)
+            self._store.add(driven.result)
+            self._done[index] = driven.result.success
+            self._tell(self._pace(policy))
+
+    def _pace(self, policy: str) -> Pace:
+        numbers = [index for index, task in self._tasks.items() if task.policy == policy]
+        done = [self._done[index] for index in numbers if index in self._done]
+        return Pace(policy, len(done), len(numbers), sum(done))

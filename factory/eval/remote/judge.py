@@ -1,17 +1,24 @@
-"""Validates evaluation results from workers before they are archived. Limits sizes; opens one file at a time."""
+"""Validates evaluation results from workers before they are archived. Limits sizes; opens one file at a time.
+
+Compares a result with the request, with itself and with the limits of the robot; does not repeat the simulation.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
+from factory.eval.driving import measure
+from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
 from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult
-from factory.eval.remote.check_result import result_findings
+from factory.eval.models.spec import EvalSettings
 from factory.eval.remote.driven import read_driven
 from schemas.base import Model, Sha256
 from schemas.errors import InvalidBundle
@@ -19,10 +26,14 @@ from schemas.job import Job
 from schemas.plan import canonical_json
 from schemas.scene import Target
 
-__all__ = ["EvalReceipt", "ResultJudge", "result_digest"]
-
 _CLOCKS = {"act_ms", "seconds"}
 """Fields that are not reproducible."""
+_TRACK_SLACK_M = 0.003
+"""Poses of a track are rounded to 1 mm."""
+_SPAWN_SLACK_M, _SPAWN_SLACK_RAD = 0.1, 0.2
+"""Displacement during the warm-up steps, in which the robot settles."""
+_SPEED_SLACK, _PUSH_M = 1.5, 0.05
+"""A sliding robot can be faster than commanded, and contacts with obstacles can displace it."""
 
 
 class EvalReceipt(Model):
@@ -77,3 +88,85 @@ class ResultJudge:
 
     def close(self) -> None:
         """Does nothing."""
+
+
+def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> list[str]:
+    """Returns all contradictions between a result and its task; empty if the result is plausible.
+
+    Args:
+        result: result of a worker.
+        task: task with its request and policy.
+        target: target of the spec in the compiled scene.
+    """
+    asked, settings = request_fields(task), task.setup.settings
+    found = [
+        f"{name} is {getattr(result, name)!r}, expected {wanted!r}"
+        for name, wanted in asked.items()
+        if getattr(result, name) != wanted
+    ]
+    return [
+        *found,
+        *_of_the_end(result, settings),
+        *_of_the_measures(result, settings),
+        *_of_the_track(result, task, target),
+    ]
+
+
+def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
+    task = settings.task
+    if result.success != (result.end == "success"):
+        yield f"success is {result.success}, and the end {result.end}"
+    if result.success and not result.any_instance:
+        yield "success is true, but any_instance is false"
+    if result.num_steps > task.max_steps:
+        yield f"{result.num_steps} steps, more than the {task.max_steps} of the task"
+    if result.end == "timeout" and result.num_steps < task.max_steps:
+        yield f"timeout after {result.num_steps} of {task.max_steps} steps"
+    if result.success and result.final_ne_m > task.success_radius_m:
+        yield f"success {result.final_ne_m:.3f} m from the target, the radius is {task.success_radius_m:g} m"
+    if result.contact_steps > result.num_steps:
+        yield f"{result.contact_steps} steps with contact of {result.num_steps}"
+
+
+def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
+    """Checks derived fields for exact equality, because the same software computed them."""
+    wanted = progresses(result.spawn_dist_m, result.final_ne_m, result.min_ne_m, settings.task)
+    way = result.geodesic_m
+    if not result.end.is_of_the_policy:
+        wanted["spl"] = None if way is None else measure.spl(result.success, way, result.trajectory_length_m)
+    for name, value in wanted.items():
+        if getattr(result, name) != value:
+            yield f"{name} is {getattr(result, name)}, and {value} by the other measures"
+    if not result.min_ne_m <= min(result.spawn_dist_m, result.final_ne_m):
+        yield f"closest point {result.min_ne_m:.3f} m away, farther than start or end"
+
+
+def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iterator[str]:
+    track, spec, settings = result.track, task.request.spec, task.setup.settings
+    hz = settings.task.control_hz
+    every = max(1, round(hz / TRACK_HZ))
+    x, y, yaw = spec.spawn_pose
+    if not track:
+        yield "no track"
+        return
+    if math.dist(track[0][:2], (x, y)) > _SPAWN_SLACK_M or (
+        abs(math.remainder(track[0][2] - yaw, 2 * math.pi)) > _SPAWN_SLACK_RAD
+    ):
+        yield f"the track starts at {track[0]}, the episode at ({x:.3f}, {y:.3f}, {yaw:.3f})"
+    if len(track) == 1 and result.end.is_of_the_policy:
+        return  # the driver process was killed, so its poses are not available
+    frames = {result.num_steps, result.num_steps + 1}
+    if len(track) not in {math.ceil((count - 1) / every) + 1 for count in frames}:
+        yield f"{len(track)} poses in the track of {result.num_steps} steps, one every {every}"
+        return
+    gaps = [math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(track)]
+    most_m = _SPEED_SLACK * settings.robot.max_speed_mps * every / hz + _PUSH_M
+    if max(gaps, default=0.0) > most_m:
+        yield f"{max(gaps):.3f} m between two poses of the track, at most {most_m:.3f} m is possible"
+    if sum(gaps) > result.trajectory_length_m + len(track) * _TRACK_SLACK_M:
+        yield f"driven {result.trajectory_length_m:.3f} m, the track alone is {sum(gaps):.3f} m long"
+    goal = target.centroid_m[:2]
+    for name, place in (("spawn_dist_m", 0), ("final_ne_m", -1)):
+        said, seen = getattr(result, name), math.dist(track[place][:2], goal)
+        if abs(said - seen) > _TRACK_SLACK_M:
+            yield f"{name} is {said:.3f} m, by the track {seen:.3f} m"

@@ -19,8 +19,6 @@ from schemas.keys import EVALUATION_PREFIX
 from schemas.plan import Budget, Plan, canonical_json
 from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
 
-__all__ = ["attachments_of", "catalog_of", "number_tasks", "plan_of", "planned_of"]
-
 Attached = Mapping[str, tuple[Attachment, Path]]
 """Policy name -> attachment and path of its file."""
 _BUDGET = Budget(attempts_per_draw=1, draws=1)

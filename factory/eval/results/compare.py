@@ -15,8 +15,6 @@ from factory.stats.model import Share
 from schemas.base import Fraction, Model
 from schemas.errors import UsageError
 
-__all__ = ["PairedComparison", "compare"]
-
 Count = Annotated[int, Field(ge=0)]
 
 

@@ -14,8 +14,6 @@ from pydantic import Field
 
 from schemas.base import Model
 
-__all__ = ["RESAMPLES", "IntervalEstimate", "mcnemar_p", "mean_of", "means_of"]
-
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 _SEED = 20180718

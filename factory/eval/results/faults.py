@@ -10,8 +10,6 @@ from pydantic import Field
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from schemas.base import Model, Name
 
-__all__ = ["FaultCount", "faults_of"]
-
 
 class FaultCount(Model):
     """Episodes of a policy that ended with one kind of policy failure, under all instruction variants."""

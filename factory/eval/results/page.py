@@ -12,8 +12,6 @@ from factory.eval.results.summary_text import ablation_rows, describe_ends, faul
 from factory.html import data_uri, render
 from factory.stats.model import Share
 
-__all__ = ["FailureExample", "write_page"]
-
 _HEAD = (
     "n",
     "SR, %",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
@@ -17,9 +17,8 @@ from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import Places
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
+from schemas.storage.disk import replacing
 from workers.sim.scene_renderer import SceneRenderer
-
-__all__ = ["PAGE_FILE", "RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 _VIDEOS = "videos"
@@ -43,15 +42,12 @@ def publish(
         WorldError: The directory cannot be written.
     """
     evaluation = evaluation_of(campaign, store)
-    try:
-        _write(store.root / RESULTS_FILE, (evaluation.model_dump_json(indent=1) + "\n").encode())
-        _write_table(store.root / TABLE_FILE, [row for name in campaign.policies for row in store.results(name)])
-        page = write_page(evaluation, _failures(campaign, store, videos, tell))
-        _write(store.root / PAGE_FILE, page.encode())
-    except OSError as error:
-        raise WorldError(
-            f"cannot write to {store.root}: {error.strerror}; free some space and run the same command again"
-        ) from error
+    _write(store.root / RESULTS_FILE, (evaluation.model_dump_json(indent=1) + "\n").encode())
+    rows = [row for name in campaign.policies for row in store.results(name)]
+    with replacing(store.root / TABLE_FILE) as part:
+        pq.write_table(pa.Table.from_pylist([_flat(row) for row in rows]), part)
+    page = write_page(evaluation, _failures(campaign, store, videos, tell))
+    _write(store.root / PAGE_FILE, page.encode())
     return evaluation
 
 
@@ -126,15 +122,8 @@ def _remarks(campaign: Campaign) -> list[str]:
 
 
 def _write(path: Path, data: bytes) -> None:
-    part = path.with_name(f"{path.name}.part")
-    part.write_bytes(data)
-    part.replace(path)
-
-
-def _write_table(path: Path, rows: Sequence[EpisodeResult]) -> None:
-    part = path.with_name(f"{path.name}.part")
-    pq.write_table(pa.Table.from_pylist([_flat(row) for row in rows]), part)
-    part.replace(path)
+    with replacing(path) as part:
+        part.write_bytes(data)
 
 
 def _flat(row: EpisodeResult) -> dict[str, object]:

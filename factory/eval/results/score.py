@@ -19,8 +19,6 @@ from schemas.base import Fraction, Model, Sha256
 from schemas.language import TEMPLATES
 from schemas.terms import CATEGORIES, Split, Tier
 
-__all__ = ["GROUPS", "MEANS", "Ablation", "Evaluation", "PolicyScores", "Score", "score_policy", "side_by_side"]
-
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
         "split": "By split",

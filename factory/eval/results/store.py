@@ -15,14 +15,12 @@ from typing import IO
 from pydantic import ValidationError
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Variant
-from factory.eval.models.spec import SpecSet
-from factory.eval.models.spec_file import read_specs, write_specs
+from factory.eval.models.spec import SpecSet, read_specs, write_specs
 from factory.eval.policies.note import PolicyNote
 from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError
+from schemas.storage.disk import replacing, translated
 from schemas.support.closing import Closing
-
-__all__ = ["EvalManifest", "Store", "folder_name", "read_policy_folder"]
 
 _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
 
@@ -51,11 +49,9 @@ class Store(Closing):
         self.root = root
         self._specs = specs
         self._logs: dict[str, IO[bytes]] = {}
-        try:
+        with translated("write", root):
             root.mkdir(parents=True, exist_ok=True)
             self._agree(manifest)
-        except OSError as error:
-            raise WorldError(f"cannot write {root}: {error.strerror}") from error
 
     def close(self) -> None:
         """Closes the logs."""
@@ -72,15 +68,11 @@ class Store(Closing):
         Raises:
             WorldError: The file cannot be written.
         """
-        try:
+        with translated("write to", self.root):
             log = self._log(result.policy)
             log.write(result.model_dump_json().encode() + b"\n")
             log.flush()
             os.fsync(log.fileno())
-        except OSError as error:
-            raise WorldError(
-                f"cannot write to {self.root}: {error.strerror}; free some space and run the same command again"
-            ) from error
 
     def folder_of(self, policy: str) -> Path:
         """Returns the folder of a policy's results; if it is deleted, the policy is evaluated again."""
@@ -219,6 +211,5 @@ def _read_log(path: Path, cut: bool) -> Iterator[EpisodeResult]:
 
 
 def _write(path: Path, model: Model) -> None:
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(model.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+    with replacing(path) as part:
+        part.write_text(model.model_dump_json(indent=1) + "\n", encoding="utf-8")

@@ -8,8 +8,6 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import PolicyScores
 from factory.stats.model import Share
 
-__all__ = ["ablation_rows", "describe_ends", "fault_lines", "policies_without_instruction"]
-
 
 def ablation_rows(
     policies: Sequence[PolicyScores],

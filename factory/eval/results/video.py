@@ -21,8 +21,6 @@ from schemas.scene import CompiledScene, Target
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 
-__all__ = ["FILM_CRF", "FILM_RATE", "choose_failures", "draw_frames", "draw_poster"]
-
 FILM_RATE = Fraction(8)
 """Frame rate of the films, pictures per second."""
 FILM_CRF = 28

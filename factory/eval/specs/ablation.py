@@ -16,8 +16,6 @@ from schemas.errors import UsageError
 from schemas.language import TEMPLATES, instruction, needs_colour
 from schemas.scene import SceneInfo
 
-__all__ = ["ABLATIONS", "donors", "instructions"]
-
 ABLATIONS = (Variant.SHUFFLED, Variant.WRONG, Variant.EMPTY)
 _WRONG_STREAM, _SHUFFLE_STREAM, _DONOR_STREAM = 11, 12, 13
 

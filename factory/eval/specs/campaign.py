@@ -5,17 +5,36 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from factory.eval.models.messages import EvalTask, Setup
-from factory.eval.models.request import EvalRequest
+from factory.eval.models.messages import Actions, EvalRequest, EvalTask, Setup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies import find_policy
 from factory.eval.specs.ablation import donors, instructions
 from factory.eval.specs.from_dataset import Places
-from factory.eval.specs.recordings import read_actions_of
-from schemas.errors import UsageError
+from schemas.bundle import BundleReader
+from schemas.dataset import file_name_of
+from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 
-__all__ = ["Campaign", "require_recordings", "tasks_for", "with_actions"]
+
+def read_actions_of(root: Path, episode: str) -> Actions:
+    """Returns the recorded commands of an episode.
+
+    Args:
+        root: Dataset directory.
+        episode: Episode id.
+
+    Raises:
+        ArchiveCorrupt: The episode is missing or damaged.
+    """
+    path = root / file_name_of(episode)
+    try:
+        with path.open("rb") as file:
+            commands = BundleReader(file).arrays.actions_continuous
+    except FileNotFoundError as error:
+        raise ArchiveCorrupt(f"{path} is missing: run `factory verify`") from error
+    except InvalidBundle as error:
+        raise ArchiveCorrupt(f"{path} is damaged ({'; '.join(error.findings)}): run `factory verify --deep`") from error
+    return tuple((float(v), float(w)) for v, w in commands)
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,6 @@ from schemas.terms import Split
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
-__all__ = ["Places", "categories_in_view", "specs_of_dataset"]
-
 _SAME_PLACE_M = 0.005
 """Maximum distance of a redrawn pose to the recorded one to count as equal, metres; the warm-up moves the robot."""
 _SAME_HEADING_RAD = 0.01

@@ -27,8 +27,6 @@ from workers.geometry.grid import body_centre
 from workers.planning import geodesic_m
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 
-__all__ = ["unfiltered_specs"]
-
 _DRAW_STREAM, _SEED_STREAM = 21, 22
 _REDRAWS = 40
 

@@ -18,8 +18,6 @@ from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.disk import translated
 
-__all__ = ["ExportEstimate", "estimate_export"]
-
 _TRIES = 3
 
 

@@ -16,8 +16,6 @@ from schemas.base import Model, Sha256
 from schemas.dataset_meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
 
-__all__ = ["MANIFEST_FILE", "ExportManifest", "Source", "read_manifest", "require_same_export", "write_manifest"]
-
 MANIFEST_FILE = "export.json"
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from schemas.base import Model
 
-__all__ = ["ExportReport", "Skip"]
-
 
 class Skip(Model):
     """Episode that could not be exported, with the reason."""

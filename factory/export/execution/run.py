@@ -13,17 +13,14 @@ from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.base import ExportPiece, Finish, Options
 from factory.export.execution.manifest import ExportManifest, Source, of_software, require_same_export, write_manifest
-from factory.export.execution.pool import run_tasks
+from factory.export.execution.pool import ExportTask, make_piece, run_tasks
 from factory.export.execution.report import ExportReport, Skip
 from factory.export.execution.selection import select
-from factory.export.execution.task import ExportTask, make_piece
 from factory.export.output import Output
 from factory.export.registry import AnyExporter, find_exporter, require_packages
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
 from schemas.storage.place import Place
-
-__all__ = ["ExportOrder", "ExportProgress", "plan_manifest", "run_export"]
 
 _NAMED = 5
 

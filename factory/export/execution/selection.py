@@ -9,8 +9,6 @@ from schemas.errors import UsageError
 from schemas.job import episode_id
 from schemas.plan import MAX_EPISODES
 
-__all__ = ["parse_episodes", "select"]
-
 
 def parse_episodes(text: str) -> list[str]:
     """Parses ids and ranges such as `1-50,ep_000060`.

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from schemas.measure import yaw_of
 from schemas.tokens import tokens_of
 
-__all__ = ["ACTION_NAMES", "POSE_NAMES", "STATE_NAMES", "TOKEN_NAMES", "FrameColumns", "frame_columns", "kept_frames"]
-
 STATE_NAMES = ("x_m", "y_m", "yaw_rad", "v_mps", "w_rps")
 ACTION_NAMES = ("v_mps", "w_rps")
 TOKEN_NAMES = ("v", "w")

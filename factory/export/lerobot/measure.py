@@ -11,8 +11,6 @@ from factory.export.lerobot.numbering import Numbered, Numbering
 from factory.export.lerobot.piece import empty_tally, read_columns, stats_of_images
 from factory.export.lerobot.statistics import ImageTally, RunningStats, vector_stats
 
-__all__ = ["DatasetStats", "Stats", "episode_stats"]
-
 Stats = dict[str, dict[str, Any]]
 """Feature -> statistic -> values."""
 

@@ -16,8 +16,6 @@ from factory.export.base import ExportPiece
 from factory.export.lerobot.piece import LeRobotFacts
 from schemas.terms import Split
 
-__all__ = ["ABOUT", "Numbered", "Numbering", "number_pieces"]
-
 _SPLIT_ORDER = {str(split): place for place, split in enumerate(Split)}
 ABOUT = (
     "episode_id",

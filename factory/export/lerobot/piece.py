@@ -12,16 +12,23 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts
+from factory.export.base import EpisodeFacts, stride_of
 from factory.export.lerobot.columns import FrameColumns, frame_columns, kept_frames
-from factory.export.lerobot.depth import LARGEST_CODE, DepthCode
-from factory.export.lerobot.features import DEPTH, FILES, IDS, RGB, VECTORS, LeRobotOptions, data_schema, video_keys
+from factory.export.lerobot.features import (
+    DEPTH,
+    FILES,
+    IDS,
+    LARGEST_CODE,
+    RGB,
+    VECTORS,
+    DepthCode,
+    LeRobotOptions,
+    data_schema,
+    video_keys,
+)
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
-from factory.export.options import stride_of
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.arrays import FRAME_SIZE_PX
-
-__all__ = ["FRAMES_FILE", "LeRobotFacts", "empty_tally", "read_columns", "stats_of_images", "write_piece"]
 
 FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]

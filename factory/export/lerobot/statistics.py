@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from schemas.base import Model
 
-__all__ = ["QUANTILES", "ImageCounts", "ImageTally", "RunningStats", "image_stats", "sampled_frames", "vector_stats"]
-
 Stats = dict[str, Any]
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _BINS = 4096

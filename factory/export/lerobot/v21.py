@@ -10,16 +10,13 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from factory.export.base import Finish
+from factory.export.base import Decimated, Finish
 from factory.export.lerobot.columns import STATE_NAMES
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import FILES, RGB, data_schema
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import Numbered
 from factory.export.lerobot.piece import LeRobotFacts, read_columns
-from factory.export.options import Decimated
-
-__all__ = ["MODALITY", "LeRobotV21Exporter", "LeRobotV21Options"]
 
 VERSION = "v2.1"
 _CHUNK = 1000

@@ -23,8 +23,6 @@ from factory.export.lerobot.statistics import QUANTILES
 from factory.export.video import join_videos
 from schemas.dataset import EpisodeSummary
 
-__all__ = ["FileLimits", "LeRobotExporter", "episodes_schema", "tasks_table", "write_dataset"]
-
 VERSION = "v3.0"
 _EPISODES_A_BATCH = 200
 _FILE = "chunk-{:03d}/file-{:03d}"

@@ -13,19 +13,16 @@ from typing import IO, Any
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, Finish
+from factory.export.base import Decimated, EpisodeFacts, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
-from factory.export.options import Decimated, stride_of
 from factory.runs.catalog import find_package
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
-
-__all__ = ["START_TIME_S", "McapExporter", "McapOptions"]
 
 START_TIME_S = 1_767_225_600
 """Default start time of ROS 2 stamps, 2026-01-01 00:00 UTC, seconds since 1970."""

@@ -13,22 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from factory.dataset.episode import Episode
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
-from schemas.episode import EpisodeMeta
 from schemas.measure import yaw_of
 from schemas.scene import CompiledScene, Target
-
-__all__ = [
-    "OPTICAL_FROM_BASE",
-    "TOPICS",
-    "TopicMessage",
-    "calibration",
-    "measured_twists",
-    "motion_messages",
-    "stamp_of",
-    "static_messages",
-]
 
 WORLD, BASE, OPTICAL = "world", "base_link", "front_optical"
 OPTICAL_FROM_BASE = (-0.5, 0.5, -0.5, 0.5)
@@ -70,45 +59,39 @@ def stamp_of(t: int, hz: int) -> int:
     return t * _NANOSECONDS // hz
 
 
-def static_messages(meta: EpisodeMeta, poses: NDArray[np.float64], scene: CompiledScene) -> Iterator[TopicMessage]:
-    """Yields the messages that are published once, at frame 0: instruction, map, target, calibration, paths."""
-    stamp = _timestamp(0)
+def static_messages(episode: Episode, scene: CompiledScene, stamp_ns: int) -> Iterator[TopicMessage]:
+    """Yields the messages that are published once, at frame 0: instruction, map, target, paths.
+
+    Args:
+        episode: the episode.
+        scene: scene of the episode.
+        stamp_ns: time of frame 0, nanoseconds.
+    """
+    meta, stamp = episode.meta, _timestamp(stamp_ns)
     yield TopicMessage(
         "/instruction", {"timestamp": stamp, "level": _INFO, "message": meta.job.instruction, "name": meta.episode_id}
     )
     yield TopicMessage("/map", _map_message(scene, stamp))
     yield TopicMessage("/target", {"entities": [_target_message(scene.info.target(meta.job.target_id), stamp)]})
-    yield TopicMessage(
-        "/path/driven", {"timestamp": stamp, "frame_id": WORLD, "poses": [_pose(row) for row in poses.tolist()]}
-    )
-    if meta.route.planned:
-        z = scene.info.floor_height_m
-        planned = [_pose((x, y, z, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))) for x, y, yaw in meta.route.planned]
-        yield TopicMessage("/path/planned", {"timestamp": stamp, "frame_id": WORLD, "poses": planned})
+    for topic, poses in paths_of(episode, scene):
+        yield TopicMessage(topic, {"timestamp": stamp, "frame_id": WORLD, "poses": poses})
 
 
-def motion_messages(
-    t: int,
-    camera: CameraConfig,
-    stamp_ns: int,
-    pose: NDArray[np.float64],
-    twist: NDArray[np.float64],
-    action: NDArray[np.float32],
-    tokens: NDArray[np.int16],
+def frame_messages(
+    episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool
 ) -> Iterator[TopicMessage]:
-    """Yields the transforms, odometry and action of frame t.
+    """Yields the transforms, calibration, odometry and action of a frame, and its images.
 
     Args:
+        episode: the episode.
         t: index of the frame.
-        camera: camera with its mounting pose.
-        stamp_ns: time since frame 0, nanoseconds.
-        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world frame.
+        stamp_ns: time of the frame, nanoseconds.
         twist: (2,) measured v (m/s) and w (rad/s).
-        action: (2,) commanded v (m/s) and w (rad/s).
-        tokens: (2,) tokens of the action.
+        with_images: whether to yield the images: RGB as PNG, depth in metres as 32FC1 (0 without a hit), ids as 16UC1.
     """
-    stamp = _timestamp(stamp_ns)
-    body = _pose(pose.tolist())
+    stamp, camera = _timestamp(stamp_ns), episode.meta.job.camera
+    action, tokens = episode.actions[t], episode.tokens[t]
+    body = pose_of(episode.poses[t].tolist())
     yield TopicMessage("/tf", {"transforms": [_transform(BASE, WORLD, body, stamp), _camera_transform(camera, stamp)]})
     yield TopicMessage("/camera/calibration", {"timestamp": stamp, **calibration(camera)})
     v, w = (float(value) for value in twist)
@@ -134,22 +117,26 @@ def motion_messages(
             "w_token": int(tokens[1]),
         },
     )
+    if with_images:
+        png = episode.stored(f"rgb_front/{t:06d}.png")
+        yield TopicMessage("/camera/rgb", {"timestamp": stamp, "frame_id": OPTICAL, "data": png, "format": "png"})
+        yield TopicMessage("/camera/depth", _raw_image(stamp, "32FC1", episode.depth(t).astype("<f4", copy=False)))
+        yield TopicMessage("/camera/ids", _raw_image(stamp, "16UC1", episode.ids(t).astype("<u2", copy=False)))
 
 
-def rgb_message(stamp_ns: int, png: bytes) -> TopicMessage:
-    """Returns the message of an RGB frame, as PNG."""
-    values = {"timestamp": _timestamp(stamp_ns), "frame_id": OPTICAL, "data": png, "format": "png"}
-    return TopicMessage("/camera/rgb", values)
+def paths_of(episode: Episode, scene: CompiledScene) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Yields the topic and the poses of the driven path and, for experts that plan, of the planned path."""
+    yield "/path/driven", [pose_of(row) for row in episode.poses.tolist()]
+    if planned := episode.meta.route.planned:
+        z = scene.info.floor_height_m
+        rows = [(x, y, z, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)) for x, y, yaw in planned]
+        yield "/path/planned", [pose_of(row) for row in rows]
 
 
-def depth_message(stamp_ns: int, depth: NDArray[np.float32]) -> TopicMessage:
-    """Returns the message of a depth frame (H, W), metres along the optical axis, as 32FC1; 0 without a hit."""
-    return TopicMessage("/camera/depth", _raw_image(stamp_ns, "32FC1", depth.astype("<f4", copy=False)))
-
-
-def ids_message(stamp_ns: int, ids: NDArray[np.uint16]) -> TopicMessage:
-    """Returns the message of an instance id frame (H, W), as 16UC1."""
-    return TopicMessage("/camera/ids", _raw_image(stamp_ns, "16UC1", ids.astype("<u2", copy=False)))
+def pose_of(row: Any) -> dict[str, dict[str, float]]:
+    """Returns a pose message of x, y, z, qw, qx, qy, qz."""
+    x, y, z, qw, qx, qy, qz = row
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}}
 
 
 def calibration(camera: CameraConfig) -> dict[str, Any]:
@@ -187,11 +174,6 @@ def _timestamp(stamp_ns: int) -> dict[str, int]:
     return {"seconds": stamp_ns // _NANOSECONDS, "nanos": stamp_ns % _NANOSECONDS}
 
 
-def _pose(row: Any) -> dict[str, dict[str, float]]:
-    x, y, z, qw, qx, qy, qz = row
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}}
-
-
 def _transform(child: str, parent: str, pose: dict[str, dict[str, float]], stamp: dict[str, int]) -> dict[str, Any]:
     return {
         "timestamp": stamp,
@@ -204,13 +186,13 @@ def _transform(child: str, parent: str, pose: dict[str, dict[str, float]], stamp
 
 def _camera_transform(camera: CameraConfig, stamp: dict[str, int]) -> dict[str, Any]:
     qx, qy, qz, qw = OPTICAL_FROM_BASE
-    return _transform(OPTICAL, BASE, _pose((camera.x_m, camera.y_m, camera.z_m, qw, qx, qy, qz)), stamp)
+    return _transform(OPTICAL, BASE, pose_of((camera.x_m, camera.y_m, camera.z_m, qw, qx, qy, qz)), stamp)
 
 
-def _raw_image(stamp_ns: int, encoding: str, image: NDArray[Any]) -> dict[str, Any]:
+def _raw_image(stamp: dict[str, int], encoding: str, image: NDArray[Any]) -> dict[str, Any]:
     height, width = image.shape
     return {
-        "timestamp": _timestamp(stamp_ns),
+        "timestamp": stamp,
         "frame_id": OPTICAL,
         "width": width,
         "height": height,
@@ -227,7 +209,7 @@ def _map_message(scene: CompiledScene, stamp: dict[str, int]) -> dict[str, Any]:
     return {
         "timestamp": stamp,
         "frame_id": WORLD,
-        "pose": _pose((x, y, info.floor_height_m, 1.0, 0.0, 0.0, 0.0)),
+        "pose": pose_of((x, y, info.floor_height_m, 1.0, 0.0, 0.0, 0.0)),
         "column_count": columns,
         "cell_size": {"x": info.grid_resolution_m, "y": info.grid_resolution_m},
         "row_stride": columns,
@@ -240,8 +222,8 @@ def _map_message(scene: CompiledScene, stamp: dict[str, int]) -> dict[str, Any]:
 def _target_message(target: Target, stamp: dict[str, int]) -> dict[str, Any]:
     x, y, z = target.centroid_m
     width, depth, height = target.size_m
-    pose = _pose((x, y, z, 1.0, 0.0, 0.0, 0.0))
-    above = _pose((x, y, z + height / 2 + 0.2, 1.0, 0.0, 0.0, 0.0))
+    pose = pose_of((x, y, z, 1.0, 0.0, 0.0, 0.0))
+    above = pose_of((x, y, z + height / 2 + 0.2, 1.0, 0.0, 0.0, 0.0))
     return {
         "timestamp": stamp,
         "frame_id": WORLD,

@@ -19,8 +19,6 @@ from factory.export.mcap.ros2_cdr import definition_of
 from factory.export.mcap.ros2_cdr import encode as encode_cdr
 from schemas.scene import CompiledScene
 
-__all__ = ["FOXGLOVE", "ROS2", "Profile"]
-
 _LATCHED_QOS = """\
 - history: 1
   depth: 1
@@ -62,36 +60,6 @@ class Profile:
     """Topic -> metadata of its channel."""
 
 
-def _foxglove_static(episode: Episode, scene: CompiledScene, _stamp_ns: int) -> Iterator[TopicMessage]:
-    return foxglove.static_messages(episode.meta, episode.poses, scene)
-
-
-def _foxglove_at(
-    episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool
-) -> Iterator[TopicMessage]:
-    camera = episode.meta.job.camera
-    yield from foxglove.motion_messages(
-        t, camera, stamp_ns, episode.poses[t], twist, episode.actions[t], episode.tokens[t]
-    )
-    if with_images:
-        yield foxglove.rgb_message(stamp_ns, episode.stored(f"rgb_front/{t:06d}.png"))
-        yield foxglove.depth_message(stamp_ns, episode.depth(t))
-        yield foxglove.ids_message(stamp_ns, episode.ids(t))
-
-
-def _ros2_static(episode: Episode, scene: CompiledScene, stamp_ns: int) -> Iterator[TopicMessage]:
-    return ros2.static_messages(episode.meta, episode.poses, scene, stamp_ns)
-
-
-def _ros2_at(
-    episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool
-) -> Iterator[TopicMessage]:
-    yield from ros2.motion_messages(stamp_ns, episode.poses[t], twist, episode.actions[t], episode.tokens[t])
-    if with_images:
-        png = episode.stored(f"rgb_front/{t:06d}.png")
-        yield from ros2.image_messages(stamp_ns, episode.meta.job.camera, png, episode.depth(t), episode.ids(t))
-
-
 FOXGLOVE = Profile(
     name="",
     schema_encoding="protobuf",
@@ -99,8 +67,8 @@ FOXGLOVE = Profile(
     topics=foxglove.TOPICS,
     schema_of=descriptor_set,
     encode=encode_protobuf,
-    static_messages=_foxglove_static,
-    frame_messages=_foxglove_at,
+    static_messages=foxglove.static_messages,
+    frame_messages=foxglove.frame_messages,
 )
 ROS2 = Profile(
     name="ros2",
@@ -109,7 +77,7 @@ ROS2 = Profile(
     topics=ros2.ROS2_TOPICS,
     schema_of=definition_of,
     encode=encode_cdr,
-    static_messages=_ros2_static,
-    frame_messages=_ros2_at,
+    static_messages=ros2.static_messages,
+    frame_messages=ros2.frame_messages,
     facts_of_topic=lambda topic: {"offered_qos_profiles": _LATCHED_QOS if topic in ros2.LATCHED else ""},
 )

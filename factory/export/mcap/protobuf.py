@@ -10,8 +10,6 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["ACTION", "descriptor_set", "encode"]
-
 ACTION = "minivla.Action"
 """Message type that is not part of Foxglove's schemas."""
 _FIELDS = (

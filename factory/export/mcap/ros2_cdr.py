@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["definition_of", "encode"]
-
 _DTYPES = {"octet": "uint8", "char": "uint8", "byte": "uint8"}
 _BASE, _NAME = 1, 2
 """Values of `rosbags.interfaces.Nodetype`; 3 is an array, 4 a sequence."""

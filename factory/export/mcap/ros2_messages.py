@@ -6,7 +6,6 @@ scene; `odom` is equal to it, because odometry is exact.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -14,12 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibration
+from factory.dataset.episode import Episode
+from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibration, paths_of, pose_of
 from schemas.config import CameraConfig
-from schemas.episode import EpisodeMeta
 from schemas.scene import CompiledScene, Target
-
-__all__ = ["LATCHED", "ROS2_TOPICS", "image_messages", "motion_messages", "static_messages"]
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
 CAMERA, OPTICAL = "front_camera_link", "front_camera_optical_frame"
@@ -53,45 +50,37 @@ LATCHED = frozenset({"/tf_static", "/instruction", "/target", "/map", "/path/dri
 """Topics that are published once, with transient-local durability."""
 
 
-def static_messages(
-    meta: EpisodeMeta, poses: NDArray[np.float64], scene: CompiledScene, stamp_ns: int
-) -> Iterator[TopicMessage]:
+def static_messages(episode: Episode, scene: CompiledScene, stamp_ns: int) -> Iterator[TopicMessage]:
     """Yields the messages that are published once, at frame 0.
 
     Args:
-        meta: metadata of the episode.
-        poses: (T, 7) x, y, z, qw, qx, qy, qz of base_link in the world frame.
+        episode: the episode.
         scene: scene of the episode.
         stamp_ns: time of frame 0, nanoseconds.
     """
-    yield TopicMessage("/tf_static", {"transforms": list(_static_transforms(meta.job.camera, stamp_ns))})
-    yield TopicMessage("/instruction", {"data": meta.job.instruction})
-    yield TopicMessage("/target", {"markers": _markers(scene.info.target(meta.job.target_id), stamp_ns)})
+    job = episode.meta.job
+    yield TopicMessage("/tf_static", {"transforms": list(_static_transforms(job.camera, stamp_ns))})
+    yield TopicMessage("/instruction", {"data": job.instruction})
+    yield TopicMessage("/target", {"markers": _markers(scene.info.target(job.target_id), stamp_ns)})
     yield TopicMessage("/map", _map(scene, stamp_ns))
-    yield TopicMessage("/path/driven", _path([_pose(row) for row in poses.tolist()], stamp_ns))
-    if meta.route.planned:
-        z = scene.info.floor_height_m
-        planned = [_pose((x, y, z, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))) for x, y, yaw in meta.route.planned]
-        yield TopicMessage("/path/planned", _path(planned, stamp_ns))
+    header = _header(MAP, stamp_ns)
+    for topic, poses in paths_of(episode, scene):
+        yield TopicMessage(topic, {"header": header, "poses": [{"header": header, "pose": pose} for pose in poses]})
 
 
-def motion_messages(
-    stamp_ns: int,
-    pose: NDArray[np.float64],
-    twist: NDArray[np.float64],
-    action: NDArray[np.float32],
-    tokens: NDArray[np.int16],
+def frame_messages(
+    episode: Episode, t: int, stamp_ns: int, twist: NDArray[np.float64], with_images: bool
 ) -> Iterator[TopicMessage]:
-    """Yields the transforms, odometry and command of a frame.
+    """Yields the transforms, odometry and command of a frame, and its images with their calibration.
 
     Args:
+        episode: the episode.
+        t: index of the frame.
         stamp_ns: time of the frame, nanoseconds.
-        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world frame.
         twist: (2,) measured v (m/s) and w (rad/s).
-        action: (2,) commanded v (m/s) and w (rad/s).
-        tokens: (2,) tokens of the action.
+        with_images: whether to yield the images: RGB as PNG, depth in metres (+Inf without a hit, REP 117), ids.
     """
-    body = _pose(pose.tolist())
+    action, body = episode.actions[t], pose_of(episode.poses[t].tolist())
     yield TopicMessage("/tf", {"transforms": [_transform(ODOM, BASE, body, stamp_ns)]})
     moving = {"linear": {"x": float(twist[0])}, "angular": {"z": float(twist[1])}}
     header = _header(ODOM, stamp_ns)
@@ -99,40 +88,26 @@ def motion_messages(
         "/odom", {"header": header, "child_frame_id": BASE, "pose": {"pose": body}, "twist": {"twist": moving}}
     )
     yield TopicMessage("/cmd_vel", {"linear": {"x": float(action[0])}, "angular": {"z": float(action[1])}})
-    yield TopicMessage("/action_tokens", {"data": tokens.astype(np.uint8)})
+    yield TopicMessage("/action_tokens", {"data": episode.tokens[t].astype(np.uint8)})
+    if with_images:
+        yield from _image_messages(episode, t, _header(OPTICAL, stamp_ns))
 
 
-def image_messages(
-    stamp_ns: int, camera: CameraConfig, png: bytes, depth: NDArray[np.float32], ids: NDArray[np.uint16]
-) -> Iterator[TopicMessage]:
-    """Yields the images of a frame with their calibration.
-
-    Args:
-        stamp_ns: time of the frame, nanoseconds.
-        camera: pinhole camera.
-        png: (640, 640, 3) sRGB as PNG.
-        depth: (640, 640) metres along the optical axis; 0 without a hit, which becomes +Inf (REP 117).
-        ids: (640, 640) instance ids.
-    """
-    header = _header(OPTICAL, stamp_ns)
-    info = _camera_info(camera, header)
+def _image_messages(episode: Episode, t: int, header: dict[str, Any]) -> Iterator[TopicMessage]:
+    info = _camera_info(episode.meta.job.camera, header)
+    png, depth = episode.stored(f"rgb_front/{t:06d}.png"), episode.depth(t)
     colour = {"header": header, "format": "rgb8; png compressed bgr8", "data": png}
     yield TopicMessage("/camera/rgb/image_raw/compressed", colour)
     yield TopicMessage("/camera/rgb/camera_info", info)
     metres = np.where(depth > 0, depth, np.float32(np.inf)).astype("<f4")
     yield TopicMessage("/camera/depth/image_raw", _image(header, "32FC1", metres))
     yield TopicMessage("/camera/depth/camera_info", info)
-    yield TopicMessage("/camera/ids/image_raw", _image(header, "mono16", ids.astype("<u2")))
+    yield TopicMessage("/camera/ids/image_raw", _image(header, "mono16", episode.ids(t).astype("<u2")))
 
 
 def _header(frame: str, stamp_ns: int) -> dict[str, Any]:
     stamp = {"sec": stamp_ns // _NANOSECONDS, "nanosec": stamp_ns % _NANOSECONDS}
     return {"stamp": stamp, "frame_id": frame}
-
-
-def _pose(row: Any) -> dict[str, dict[str, float]]:
-    x, y, z, qw, qx, qy, qz = row
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}}
 
 
 def _transform(parent: str, child: str, pose: dict[str, dict[str, float]], stamp_ns: int) -> dict[str, Any]:
@@ -143,9 +118,9 @@ def _transform(parent: str, child: str, pose: dict[str, dict[str, float]], stamp
 def _static_transforms(camera: CameraConfig, stamp_ns: int) -> Iterator[dict[str, Any]]:
     qx, qy, qz, qw = OPTICAL_FROM_BASE
     mount = (camera.x_m, camera.y_m, camera.z_m, 1.0, 0.0, 0.0, 0.0)
-    yield _transform(MAP, ODOM, _pose((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)), stamp_ns)
-    yield _transform(BASE, CAMERA, _pose(mount), stamp_ns)
-    yield _transform(CAMERA, OPTICAL, _pose((0.0, 0.0, 0.0, qw, qx, qy, qz)), stamp_ns)
+    yield _transform(MAP, ODOM, pose_of((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)), stamp_ns)
+    yield _transform(BASE, CAMERA, pose_of(mount), stamp_ns)
+    yield _transform(CAMERA, OPTICAL, pose_of((0.0, 0.0, 0.0, qw, qx, qy, qz)), stamp_ns)
 
 
 def _camera_info(camera: CameraConfig, header: dict[str, Any]) -> dict[str, Any]:
@@ -169,16 +144,11 @@ def _image(header: dict[str, Any], encoding: str, image: NDArray[Any]) -> dict[s
     return {"header": header, "height": height, "width": width, "encoding": encoding, "step": step, "data": data}
 
 
-def _path(poses: list[dict[str, Any]], stamp_ns: int) -> dict[str, Any]:
-    header = _header(MAP, stamp_ns)
-    return {"header": header, "poses": [{"header": header, "pose": pose} for pose in poses]}
-
-
 def _map(scene: CompiledScene, stamp_ns: int) -> dict[str, Any]:
     info = scene.info
     rows, columns = scene.occupancy.shape
     x, y = info.grid_origin_m
-    origin = _pose((x, y, info.floor_height_m, 1.0, 0.0, 0.0, 0.0))
+    origin = pose_of((x, y, info.floor_height_m, 1.0, 0.0, 0.0, 0.0))
     size = {"resolution": info.grid_resolution_m, "width": columns, "height": rows, "origin": origin}
     data = np.where(scene.occupancy > 0, _OCCUPIED, _FREE).astype(np.int8).reshape(-1)
     return {"header": _header(MAP, stamp_ns), "info": size, "data": data}

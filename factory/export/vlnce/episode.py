@@ -17,19 +17,6 @@ from numpy.typing import NDArray
 from schemas.episode import EpisodeMeta
 from schemas.measure import yaw_of
 
-__all__ = [
-    "PAD",
-    "from_habitat",
-    "rotation_of",
-    "scene_file",
-    "thin_track",
-    "to_habitat",
-    "tokens_of_text",
-    "vlnce_episode",
-    "vocabulary_of",
-    "words_of",
-]
-
 PAD, UNKNOWN = "<pad>", "<unk>"
 _WORD = re.compile(r"[a-z0-9]+|[^\sa-z0-9]")
 _SPACING_M = 0.25

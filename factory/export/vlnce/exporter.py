@@ -1,6 +1,7 @@
 """Exporter of format `vlnce`: evaluation episodes of VLN-CE and Habitat, `<split>/<split>.json.gz`, with driven paths.
 
-Writes no frames: a simulator renders them from the scene mesh. `vlnce.episode` documents the axes.
+Writes no frames: a simulator renders them from the scene mesh, a binary glTF 2.0 file with unlit colours and textures,
+without the baked light, because glTF has no light maps. `vlnce.episode` documents the axes.
 """
 
 from __future__ import annotations
@@ -12,17 +13,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from factory.export.output import Output
 from factory.export.vlnce.episode import scene_file, to_habitat, tokens_of_text, vlnce_episode, vocabulary_of, words_of
-from factory.export.vlnce.glb import encode_glb
 from factory.runs.catalog import find_package
-from schemas.scene import SceneInfo, decode_scene
+from schemas.scene import CompiledScene, SceneInfo, decode_scene
 from schemas.storage.place import Place
-
-__all__ = ["VlnceExporter"]
 
 PIECE_FILE = "episode.json"
 _GZIP_LEVEL = 6
@@ -38,6 +40,8 @@ _CARD = """
 - `scene_id` is `minivla/<scene>/<scene>.glb` below Habitat's folder of scenes: `scene_datasets/` here. The
   meshes have textures and colours, but not the baked light; Habitat computes the navigation mesh.
 """
+_UNLIT = "KHR_materials_unlit"
+_COLOUR = "COLOR_0"
 
 
 class VlnceExporter(Exporter[Options, EpisodeFacts]):
@@ -129,3 +133,67 @@ def _write_scene(out: Output, root: Place, name: str, sha256: str) -> None:
 def _scene_of(root: Place, name: str, sha256: str) -> SceneInfo:
     with find_package(root, name, sha256).path.open("rb") as package:
         return decode_scene(package).info
+
+
+def encode_glb(scene: CompiledScene) -> bytes:
+    """Returns the visible triangles of a scene as .glb: one mesh per texture and one for plain colours."""
+    from trimesh import Scene
+    from trimesh.exchange.gltf import export_glb
+
+    content = Scene(base_frame=scene.info.name)
+    for layer in np.unique(scene.part_texture).tolist():
+        name = f"texture_{layer}" if layer >= 0 else "colours"
+        content.add_geometry(_mesh_of(scene, layer, name), node_name=name, geom_name=name)
+    data: bytes = export_glb(content, include_normals=False, tree_postprocessor=_complete)
+    return data
+
+
+def _mesh_of(scene: CompiledScene, layer: int, name: str) -> Any:
+    from trimesh import Trimesh
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    vertices = _vertices_of(scene, layer)
+    x, y, z = scene.positions[vertices].T
+    texture = Image.fromarray(scene.textures[layer]) if layer >= 0 else None
+    material = PBRMaterial(name=name, metallicFactor=0.0, roughnessFactor=1.0, baseColorTexture=texture)
+    return Trimesh(
+        np.column_stack([x, z, -y]),
+        np.arange(len(vertices)).reshape(-1, 3),
+        visual=TextureVisuals(scene.uvs[vertices] if layer >= 0 else None, material),
+        vertex_attributes={_COLOUR: _colours_of(scene, vertices)},
+        process=False,
+    )
+
+
+def _complete(tree: dict[str, Any]) -> None:
+    """Adds unlit materials and 16-bit vertex colours, which trimesh does not write.
+
+    trimesh writes the attribute `COLOR_0` as application-specific, with an underscore and not normalized.
+    """
+    tree["extensionsUsed"] = [_UNLIT]
+    for material in tree["materials"]:
+        material["extensions"] = {_UNLIT: {}}
+    for mesh in tree["meshes"]:
+        attributes = mesh["primitives"][0]["attributes"]
+        attributes[_COLOUR] = attributes.pop(f"_{_COLOUR}")
+        tree["accessors"][attributes[_COLOUR]]["normalized"] = True
+
+
+def _vertices_of(scene: CompiledScene, layer: int) -> NDArray[np.int64]:
+    parts = np.flatnonzero(scene.part_texture == layer)
+    runs = [np.arange(scene.part_first[part], scene.part_first[part] + scene.part_count[part]) for part in parts]
+    return np.concatenate(runs).astype(np.int64)
+
+
+def _colours_of(scene: CompiledScene, vertices: NDArray[np.int64]) -> NDArray[np.uint16]:
+    colours = np.full((len(vertices), 4), 65535, np.uint16)
+    colours[:, :3] = np.rint(_linear(scene.colours[vertices]) * 65535)
+    return colours
+
+
+def _linear(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Converts sRGB to linear 0..1; glTF vertex colours are linear, glTF textures are sRGB."""
+    values = colours / 255.0
+    curve: NDArray[np.float64] = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return curve

@@ -11,7 +11,7 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger import claims, operator, outcomes, workers
+from coordinator.ledger import claims, hosts, operator, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.opening import open_run, read_info
@@ -449,17 +449,15 @@ def test_a_lease_belongs_to_the_host_that_claimed_it(desk):
 def test_sessions_are_bounded_and_silent_ones_are_removed(desk, monkeypatch):
     def hello(host: str, number: int) -> bool:
         with desk.open() as connection:
-            return workers.register(
-                connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), desk.now
-            )
+            return hosts.register(connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), desk.now)
 
-    monkeypatch.setattr(workers, "SESSIONS_OF_HOST", 5)
-    monkeypatch.setattr(workers, "SESSIONS", 8)
+    monkeypatch.setattr(hosts, "SESSIONS_OF_HOST", 5)
+    monkeypatch.setattr(hosts, "SESSIONS", 8)
     assert [hello("one", number) for number in range(7)] == [True] * 5 + [False] * 2
     assert hello("one", 3)
     assert [hello("two", number) for number in range(4)] == [True] * 3 + [False]
     with desk.open() as connection:
-        workers.note_alive(connection, "one.9", "one", desk.now)
+        hosts.note_alive(connection, "one.9", "one", desk.now)
         assert len(read_progress(connection, desk.now).workers) == 8
     desk.now += timedelta(hours=1)
     assert [hello("three", number) for number in range(6)] == [True] * 5 + [False]

@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from coordinator.expansion.file import load_plan
-from factory.bench.machine import describe_machine, forget_peak, measure_memory, resident_mib
+from factory.bench.machine import (
+    StageRecorder,
+    describe_machine,
+    forget_peak,
+    measure_memory,
+    resident_mib,
+    stage_costs,
+)
 from factory.bench.model import Spread
 from factory.bench.read import bench_read
 from factory.bench.render import poses_in
-from factory.bench.stage_times import StageRecorder, stage_costs
-from factory.bench.work import narrow
+from factory.bench.sample import narrow
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset

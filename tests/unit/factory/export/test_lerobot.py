@@ -16,14 +16,15 @@ import pytest
 from PIL import Image
 
 from factory.dataset.reader import Dataset
-from factory.export import ExportOrder, ExportPiece, Finish, find_exporter, run_export
+from factory.export.base import ExportPiece, Finish
+from factory.export.execution.run import ExportOrder, run_export
 from factory.export.lerobot.columns import frame_columns
-from factory.export.lerobot.depth import DepthCode
-from factory.export.lerobot.features import DEPTH, IDS, RGB, LeRobotOptions
+from factory.export.lerobot.features import DEPTH, IDS, RGB, DepthCode, LeRobotOptions
 from factory.export.lerobot.piece import LeRobotFacts
 from factory.export.lerobot.v21 import MODALITY
 from factory.export.lerobot.v30 import FileLimits, write_dataset
 from factory.export.output import Output
+from factory.export.registry import find_exporter
 from factory.export.video import read_video
 from schemas.errors import UsageError
 from schemas.tokens import tokens_of

@@ -16,11 +16,12 @@ from click.testing import CliRunner
 
 from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
-from factory.export import EXPORTERS, ExportOrder, find_exporter, run_export
 from factory.export.execution.pool import run_tasks
+from factory.export.execution.run import ExportOrder, run_export
 from factory.export.execution.selection import parse_episodes, select
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.paper import PaperOptions
+from factory.export.registry import EXPORTERS, find_exporter
 from schemas.errors import UsageError, WorldError
 from tests.builders.dataset import make_dataset
 

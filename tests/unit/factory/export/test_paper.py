@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from PIL import Image
 
 from factory.dataset.reader import Dataset
-from factory.export import ExportOrder, run_export
+from factory.export.execution.run import ExportOrder, run_export
 from factory.export.paper import PaperOptions
 from schemas.dataset import PUBLISHED_COLUMNS
 from schemas.dataset_meta import read_dataset_meta

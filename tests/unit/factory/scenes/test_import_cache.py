@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.runs.imported import find_imported
+from factory.runs.catalog import find_imported
 from factory.scenes.build import find_import, import_scene
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.targets.target_list import TargetEntry, TargetList

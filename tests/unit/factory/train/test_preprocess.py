@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.train.augment import Batch, augment
-from factory.train.preprocess import FAR_M, SIZES, shrink_depth, shrink_mask, shrink_rgb, to_input
+from factory.train.preprocess import FAR_M, SIZES, Batch, augment, shrink_depth, shrink_mask, shrink_rgb, to_input
 from schemas.encoding.arrays import FRAME_SIZE_PX
 
 

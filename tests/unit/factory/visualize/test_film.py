@@ -15,9 +15,8 @@ from click.testing import CliRunner
 from PIL import Image
 
 from factory.cli.inspect.show import command
-from factory.visualize.contact_sheet import draw_contact_sheet
 from factory.visualize.film import draw_film, facts_of_step, film_rate
-from factory.visualize.panels import TrackMap, show_depth, show_ids
+from factory.visualize.panels import TrackMap, draw_contact_sheet, show_depth, show_ids
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene

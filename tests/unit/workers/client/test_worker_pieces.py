@@ -6,9 +6,7 @@ import pytest
 
 from schemas.keys import sid_belongs_to
 from schemas.wire import Hello, Lease
-from workers.client.backoff import Backoff
-from workers.client.host import Phase, make_sid, tidy_host
-from workers.client.leases import LeaseBook
+from workers.client.host import Backoff, LeaseBook, Phase, make_sid, tidy_host
 from workers.client.settings import WorkerSettings
 
 LEASE = Lease(job_id=1, fence=1, token="0" * 32)

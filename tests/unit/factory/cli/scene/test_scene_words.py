@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factory.cli.scene.words import say_counts, say_rest
+from factory.cli.scene.package import say_counts, say_rest
 from factory.scenes.inspection import list_other_things
 from tests.builders.scene import box_room
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.eval.models.spec import SPECS_FORMAT
-from factory.eval.models.spec_file import read_specs, write_specs
+from factory.eval.models.spec import SPECS_FORMAT, read_specs, write_specs
 from schemas.errors import UsageError
 from schemas.terms import Split
 from tests.builders.eval_results import spec_of, specs_of

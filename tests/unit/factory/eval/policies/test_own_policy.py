@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from factory.eval.driving.policy import PrivilegedPolicy, uses_camera
+from factory.eval.models.messages import PolicyLimits
 from factory.eval.policies import describe_knowledge, make_policy, require_available
-from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.user_class import load_class
 from schemas.errors import UsageError
 
@@ -75,7 +75,7 @@ def test_every_page_names_an_existing_class_of_the_example(folder: Path, monkeyp
 
 
 PRIVILEGED = """
-from factory.eval.policies.experts import ExpertPolicy
+from factory.eval.policies.simple import ExpertPolicy
 class Oracle(ExpertPolicy):
     def __init__(self): super().__init__("planner")
 """

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from factory.eval.process.shared_status import Activity, SharedStatus
-from factory.eval.process.status_updates import StatusWriter
+from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from workers.geometry.pose import Pose
 
 DRIVE: Any = SimpleNamespace(steps=3, contact_steps=1)

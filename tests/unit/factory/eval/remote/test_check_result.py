@@ -10,14 +10,12 @@ from typing import Any
 import pytest
 
 from factory.eval.driving.rollout import progresses, request_fields
-from factory.eval.models.messages import EvalTask, Setup
-from factory.eval.models.request import EvalRequest
+from factory.eval.models.messages import EvalRequest, EvalTask, Setup
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
 from factory.eval.policies.note import PolicyNote
-from factory.eval.remote.check_result import result_findings
 from factory.eval.remote.driven import Driven, read_driven, write_driven
-from factory.eval.remote.judge import ResultJudge, result_digest
+from factory.eval.remote.judge import ResultJudge, result_digest, result_findings
 from schemas.encoding.container import ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.scene import Target

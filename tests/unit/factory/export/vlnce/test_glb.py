@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from factory.export.vlnce.glb import encode_glb
+from factory.export.vlnce.exporter import encode_glb
 from tests.builders.scene import Box, build_scene, room_walls
 
 RED = (255, 0, 0)
