@@ -164,7 +164,7 @@ class BundleReader(Closing):
         arrays = {spec.name: self._array(spec) for spec in EPISODE_ARRAYS}
         self.pose_dtype = arrays[POSES.name].dtype
         """Type of the stored poses; float32 in bundles of format 1."""
-        self.arrays = EpisodeArrays(**{**arrays, POSES.name: arrays[POSES.name].astype(POSES.dtype)})  # type: ignore[arg-type]
+        self.arrays = EpisodeArrays(**{**arrays, POSES.name: arrays[POSES.name].astype(POSES.dtype)})
 
     @cached_property
     def meta(self) -> EpisodeMeta:
@@ -178,8 +178,9 @@ class BundleReader(Closing):
     def _array(self, spec: ArraySpec) -> NDArray[np.generic]:
         shape = tuple(self.length if side is None else side for side in spec.shape)
         data = self._in.read(f"{spec.name}.npy")
-        is_former = spec.former_dtype is not None and is_npy_of(data, spec.former_dtype, shape)
-        array = decode_npy(spec.name, data, spec.former_dtype if is_former else spec.dtype, shape)
+        former = spec.former_dtype
+        dtype = former if former is not None and is_npy_of(data, former, shape) else spec.dtype
+        array = decode_npy(spec.name, data, dtype, shape)
         findings = spec.violations(array, self.length)
         if findings:
             raise InvalidBundle("bundle refused", findings)

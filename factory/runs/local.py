@@ -18,7 +18,8 @@ from pathlib import Path
 import structlog
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.options import CoordinatorOptions, FindStates, simulate_all
+from coordinator.options import CoordinatorOptions
+from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists

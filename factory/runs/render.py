@@ -113,11 +113,13 @@ class StatesSource:
         try:
             data = path.read_bytes()
         except OSError as error:
-            return self._warn(job, f"{path} cannot be read: {error}")
+            return _refuse(job, f"{path} cannot be read: {error}")
         if hashlib.sha256(data).digest() != sha256:
-            return self._warn(job, f"{path} has another SHA-256 than the metadata")
+            return _refuse(job, f"{path} has another SHA-256 than the metadata")
         text = base64.b64encode(data).decode()
-        return text if len(text) <= MAX_STATES_CHARS else self._warn(job, f"{path} is larger than a message")
+        return text if len(text) <= MAX_STATES_CHARS else _refuse(job, f"{path} is larger than a message")
 
-    def _warn(self, job: Job, reason: str) -> None:
-        log.warning("states_unusable", episode=job.episode_id, reason=reason, remedy="the episode is simulated again")
+
+def _refuse(job: Job, reason: str) -> str | None:
+    log.warning("states_unusable", episode=job.episode_id, reason=reason, remedy="the episode is simulated again")
+    return None

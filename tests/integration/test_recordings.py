@@ -47,7 +47,7 @@ def renderings() -> Renderings:
 def stage(tmp_path_factory: pytest.TempPathFactory, renderings: StageTimer) -> Iterator[SceneRenderer]:
     path = tmp_path_factory.mktemp("room") / "room.scene"
     path.write_bytes(PACKAGE)
-    with SceneRenderer("gl", renderings, apart=True) as found:
+    with SceneRenderer("gl", renderings) as found:
         found.load(path, SHA256)
         yield found
 

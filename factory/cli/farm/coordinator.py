@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.options import CoordinatorOptions, simulate_all
+from coordinator.options import CoordinatorOptions
+from coordinator.protocol.protocol import simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import open_door

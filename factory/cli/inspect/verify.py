@@ -21,7 +21,7 @@ class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since
 
     name = "count"
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Returns the number; `all` is the largest one."""
         if value == "all":
             return MAX_EPISODES
