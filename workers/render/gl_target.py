@@ -72,7 +72,7 @@ class GlTarget:
         Args:
             window: part of the images that is drawn; `None` for the whole images.
         """
-        self._images.scissor = None if window is None else _box(window)
+        self._images.scissor = None if window is None else _box(window)  # type: ignore[assignment]
         self._images.use()
         self._images.color_mask = _DEPTH_ONLY
         self._images.clear(depth=0.0)
