@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
@@ -56,13 +56,8 @@ class Job(EpisodeSpec):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
-    record: Recording = Recording.FRAMES
-    """What the episode stores."""
-
-    @model_serializer(mode="wrap")
-    def _leave_out_default(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        data: dict[str, Any] = serialize(self)  # digests of episodes from before this field must not change
-        return data if self.record is not Recording.FRAMES else {k: v for k, v in data.items() if k != "record"}
+    record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
+    """What the episode stores; omitted for frames, so that former digests stay valid."""
 
     @property
     def episode_id(self) -> str:

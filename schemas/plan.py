@@ -137,8 +137,8 @@ class Plan(Model):
     """Fraction of episodes in each split."""
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Controller that drives."""
-    record: Recording = Recording.FRAMES
-    """What an episode stores."""
+    record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
+    """What an episode stores; omitted for frames, so that former digests stay valid."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories"] = "instances"
@@ -163,8 +163,7 @@ class Plan(Model):
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        unused = {"disjoint_instances": False, "record": Recording.FRAMES}
-        return {key: value for key, value in data.items() if key not in unused or value != unused[key]}
+        return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
 
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:

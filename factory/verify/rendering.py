@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.shared_renderer import shared_renderer
 from schemas.encoding.digest import frame_digest
+from schemas.episode import EpisodeMeta
 from schemas.terms import Recording
 from workers.render import RenderedFrame
 
 
 def compare_rendered(bundle: EpisodeBundle) -> list[str]:
-    """Renders every frame with a recorded digest; returns one finding if any differs, else an empty list.
+    """Renders every frame with a recorded digest and returns the findings.
 
-    The finding has the number of differing frames and both renderers; if frames are stored, also how far colour, depth
-    and ids differ: largest difference, share of the pixels, and mean difference of the differing frames.
+    A finding about digests has the number of differing frames and both renderers; if frames are stored, also how far
+    colour, depth and ids differ: largest difference, share of the values, and mean difference of the differing frames.
 
     Raises:
         WorldError: this machine cannot render.
@@ -25,20 +28,40 @@ def compare_rendered(bundle: EpisodeBundle) -> list[str]:
     job, digests = bundle.meta.job, bundle.meta.frame_digests
     steps = range(bundle.length) if job.record is Recording.FRAMES else job.sampled_steps(bundle.length)
     differing: list[int] = []
+    target_pixels: dict[int, int] = {}
     distances = {name: _Distance() for name in ("rgb", "depth", "ids")}
     for t, recorded in zip(steps, digests, strict=False):  # a wrong number of digests is another finding
         frame = bundle.render(t)
+        target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) != recorded:
             differing.append(t)
             if bundle.has_frames:
                 _add_distances(distances, bundle, t, frame)
-    if not differing:
-        return []
+    found = _visibility_findings(bundle.meta, target_pixels)
+    return [*found, _digest_finding(bundle, differing, distances)] if differing else found
+
+
+def _digest_finding(bundle: EpisodeBundle, differing: list[int], distances: dict[str, _Distance]) -> str:
     text = (
-        f"{len(differing)} of {len(digests)} frames differ when they are rendered again, first frame {differing[0]}; "
-        f"recorded with {bundle.meta.provenance.fingerprint.renderer}, rendered with {shared_renderer().description}"
+        f"{len(differing)} of {len(bundle.meta.frame_digests)} frames differ when they are rendered again, first frame "
+        f"{differing[0]}; recorded with {bundle.meta.provenance.fingerprint.renderer}, rendered with "
+        f"{shared_renderer().description}"
     )
-    return [f"{text}; {'; '.join(f'{name}: {far}' for name, far in distances.items())}" if bundle.has_frames else text]
+    return "; ".join([text, *(f"{name}: {far}" for name, far in distances.items() if bundle.has_frames)])
+
+
+def _visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> list[str]:
+    """Returns a finding if the recorded visibility of the target contradicts the rendered frames.
+
+    Args:
+        meta: metadata of the episode.
+        target_pixels: number of pixels of the target by rendered step.
+    """
+    seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
+    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
+    if said is None or seen <= said <= most:
+        return []
+    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} rendered frames show the target"]
 
 
 def _add_distances(distances: dict[str, _Distance], bundle: EpisodeBundle, t: int, frame: RenderedFrame) -> None:
