@@ -45,14 +45,18 @@ plan_seed_option = click.option(
 """`--seed N`: replaces the plan's seed."""
 
 
+record_option = click.option(
+    "--record",
+    type=click.Choice([str(kind) for kind in Recording]),
+    help="Stored content: frames, or states, from which readers render frames. Default: the plan's.",
+)
+"""`--record frames|states`: replaces the plan's recording."""
+
+
 def shrink_options(command: Command) -> Command:
     """Adds `--scene --episodes --expert --seed --record`, which change these values of a plan."""
     for option in (
-        click.option(
-            "--record",
-            type=click.Choice([str(kind) for kind in Recording]),
-            help="Stored content: frames, or states, from which readers render frames. Default: the plan's.",
-        ),
+        record_option,
         plan_seed_option,
         expert_option,
         count_option(
