@@ -1,6 +1,6 @@
 """Renders frames of episodes for this process: one rendering process, shared by all threads and all episodes.
 
-A forked process starts a rendering process of its own. The module reads no bundles.
+A forked process starts another rendering process. The module reads no bundles.
 """
 
 from __future__ import annotations
