@@ -6,7 +6,7 @@ PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
 AUDIT  := .venv-audit
-JOBS   ?= 2
+JOBS   ?= 3
 DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
@@ -28,7 +28,8 @@ $(READY): requirements.txt pyproject.toml
 run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
 
-# JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process
+# JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process.
+# Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time
 test: $(READY)
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 

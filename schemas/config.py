@@ -5,7 +5,7 @@ Contains values only. A plan may override each of them; every episode records th
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -106,6 +106,14 @@ class SpawnConfig(Model):
     approach_clearance_m: NonNegative = 0.10
     """Required free space beside the body on the straight line to the success circle, for experts that drive straight,
     metres."""
+
+
+class InstructionConfig(Model):
+    """Parameters of the instructions (docs/design/starts.md#start-view)."""
+
+    unique: Literal["scene", "view", "off"] = "off"
+    """Where an instruction fits exactly one object: in the scene; in the scene, or else in view of the start; `off`
+    sets no condition."""
 
 
 class ExpertConfig(Model):

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
+from schemas.start_view import StartView
 from schemas.terms import ExpertName, Recording
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
@@ -58,6 +59,13 @@ class Job(EpisodeSpec):
     """Parameters of the planner expert."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """What the episode stores; omitted for frames, so that former digests stay valid."""
+    start_view: StartView | None = None
+    """Conditions on the image at the start; `None` sets none and is left out of the JSON."""
+
+    @model_serializer(mode="wrap")
+    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = serialize(self)
+        return {key: value for key, value in data.items() if key != "start_view" or value is not None}
 
     @property
     def episode_id(self) -> str:

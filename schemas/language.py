@@ -13,6 +13,7 @@ __all__ = [
     "instruction",
     "needs_colour",
     "say_category",
+    "says_in_front",
     "templates_for",
 ]
 
@@ -61,6 +62,11 @@ TEMPLATES = MappingProxyType({**TRAIN_TEMPLATES, **OOD_TEMPLATES})
 def needs_colour(template_id: str) -> bool:
     """Returns whether a template has a colour slot."""
     return "{color}" in TEMPLATES[template_id]
+
+
+def says_in_front(template_id: str) -> bool:
+    """Returns whether a template says that the target is in front of the robot."""
+    return "in front of you" in TEMPLATES[template_id]
 
 
 def templates_for(split: Split, colour: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.support import portable
 
-__all__ = ["TrackMeasure", "measure_track", "yaw_of"]
+__all__ = ["TrackMeasure", "measure_track", "target_in_view", "yaw_of"]
 
 
 class TrackMeasure(NamedTuple):
@@ -52,3 +52,14 @@ def measure_track(poses: NDArray[np.float64], centroid_m: tuple[float, float, fl
         final_ne_3d_m=math.dist(track[-1].tolist(), centroid_m),
         min_ne_m=float(to_goal.min()),
     )
+
+
+def target_in_view(ids: NDArray[np.uint16], instance_id: int, min_pixels: int) -> bool:
+    """Returns whether a frame shows the target; the last frame of an episode tells whether it is in view on arrival.
+
+    Args:
+        ids: (H, W) instance ids of the frame.
+        instance_id: id of the target.
+        min_pixels: smallest mask of a visible target, pixels (`gains.min_mask_px` of the job).
+    """
+    return int(np.count_nonzero(ids == instance_id)) >= min_pixels

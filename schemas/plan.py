@@ -22,7 +22,15 @@ from pydantic import (
 )
 
 from schemas.base import Fraction, Model, Name
-from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import (
+    CameraConfig,
+    ExpertConfig,
+    InstructionConfig,
+    PlannerConfig,
+    RobotConfig,
+    SpawnConfig,
+    TaskConfig,
+)
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, Recording, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
@@ -38,7 +46,8 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "tiers", "splits", "disjoint_instances"})
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous"})
+_LATER_PLAN_KEYS = frozenset({"disjoint_instances", "instructions"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -64,7 +73,11 @@ class ScenePlan(Model):
     """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
     allow_outside: bool = False
     """Whether textures of a custom scene may be stored outside its folder."""
+    ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
+    """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
 
+    ambiguous: tuple[Name, ...] = ()
+    """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
     tiers: dict[Tier, Fraction] = Field(default_factory=dict)
     """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
     splits: dict[Split, Fraction] = Field(default_factory=dict)
@@ -106,6 +119,9 @@ class ScenePlan(Model):
         both = sorted(set(seen) & set(held_out))
         if both:
             raise ValueError(f"categories both seen and held out: {', '.join(both)}")
+        unnamed = sorted(set(self.ambiguous) - {*seen, *held_out})
+        if unnamed:
+            raise ValueError(f"`ambiguous` lists categories that are neither seen nor held out: {', '.join(unnamed)}")
         if not seen:
             raise ValueError("a scene with `usd` needs `seen = [...]`, the categories to train on")
         return self
@@ -141,10 +157,13 @@ class Plan(Model):
     """What an episode stores; omitted for frames, so that former digests stay valid."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
-    balance: Literal["instances", "categories"] = "instances"
-    """Uniform choice over the target instances (as in the paper), or over the categories first."""
+    balance: Literal["instances", "categories", "categories_overall"] = "instances"
+    """Even choice over the target instances (as in the paper), over the categories of each scene first, or over the
+    categories of all scenes first."""
     disjoint_instances: bool = False
     """Whether training and the evaluation of seen categories use different instances if a scene has enough of them."""
+    instructions: InstructionConfig = InstructionConfig()
+    """Parameters of the instructions."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -163,7 +182,8 @@ class Plan(Model):
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
+        unused = {key for key in _LATER_PLAN_KEYS if getattr(self, key) == type(self).model_fields[key].default}
+        return {key: value for key, value in data.items() if key not in unused}
 
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:

@@ -29,6 +29,7 @@ __all__ = [
     "CompiledScene",
     "Instance",
     "SceneInfo",
+    "Sky",
     "Target",
     "decode_scene",
     "encode_scene",
@@ -48,6 +49,8 @@ MAX_SCENE_BYTES = 512 << 20
 _LIMITS = ContainerLimits(members=64, member_bytes=MAX_SCENE_BYTES)
 
 Vector3 = tuple[Finite, Finite, Finite]
+Channel = Annotated[int, Field(ge=0, le=255)]
+Colour = tuple[Channel, Channel, Channel]
 Tiers = Annotated[tuple[Tier, ...], Field(max_length=len(Tier))]
 
 
@@ -91,6 +94,17 @@ class Target(Model):
         return (x - width / 2, y - depth / 2), (x + width / 2, y + depth / 2)
 
 
+class Sky(Model):
+    """Background of an open scene, where no surface is visible: sRGB 0..255."""
+
+    zenith: Colour = (82, 138, 204)
+    """Colour straight up."""
+    horizon: Colour = (214, 226, 236)
+    """Colour at the height of the camera."""
+    ground: Colour = (150, 148, 142)
+    """Colour below the horizon, beyond the clip range of the camera."""
+
+
 class SceneInfo(Model):
     """JSON metadata of a compiled package."""
 
@@ -122,6 +136,8 @@ class SceneInfo(Model):
     """Area of the connected floor that the robot can occupy, square metres."""
     notes: Annotated[tuple[Text, ...], Field(max_length=100_000)] = ()
     """Warnings of the importer about skipped or estimated properties, one line each."""
+    sky: Sky | None = None
+    """Background of an open scene; `None`, as in a closed scene and an older package, is black."""
 
     @model_validator(mode="after")
     def _targets_are_instances(self) -> SceneInfo:
@@ -231,7 +247,8 @@ def encode_scene(scene: CompiledScene, level: int = 9) -> bytes:
     """
     buffer = io.BytesIO()
     with ContainerWriter(buffer) as out:
-        out.add("scene.json", scene.info.model_dump_json(indent=1).encode())
+        unused = {"sky"} if scene.info.sky is None else None  # so that an older package keeps its bytes
+        out.add("scene.json", scene.info.model_dump_json(indent=1, exclude=unused).encode())
         for field in fields(scene):
             if field.name != "info":
                 out.add(f"{field.name}.npy.zst", encode_npy_zst(getattr(scene, field.name), level=level))

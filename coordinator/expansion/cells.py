@@ -10,10 +10,11 @@ from coordinator.expansion.apportion import apportion, webster_sequence
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 
-__all__ = ["Cells", "cells", "empty_splits"]
+__all__ = ["Cell", "Cells", "cells", "empty_splits"]
 
 Share = TypeVar("Share", Split, Tier)
-Cells = dict[tuple[Split, Tier], int]
+Cell = tuple[Split, Tier]
+Cells = dict[Cell, int]
 
 
 def cells(plan: Plan, scene: ScenePlan) -> Cells:

@@ -6,7 +6,7 @@ The result depends on the plan and the compiled scenes only, not on the machine 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
@@ -15,13 +15,17 @@ import numpy as np
 
 from coordinator.expansion.apportion import least_used
 from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.cells import Cell
+from coordinator.expansion.level import category_quotas
 from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene, scene_cells
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import InvalidPlan
 from schemas.job import Job
-from schemas.language import instruction, needs_colour, templates_for
+from schemas.language import instruction, says_in_front
 from schemas.plan import Plan, ScenePlan
-from schemas.scene import Target
+from schemas.referents import referents, referents_of
+from schemas.scene import SceneInfo
+from schemas.start_view import IN_FRONT_RAD, StartView
 from schemas.terms import Split, Tier
 
 __all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]
@@ -50,18 +54,20 @@ def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
     """Returns draw 0 of every episode, ordered by episode number (from 1).
 
     Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
-    evenly; with `plan.balance == "categories"` the category is sampled first.
+    evenly. With `plan.balance == "categories"` the category is sampled first; with `categories_overall`, each cell has
+    an exact quota of each category, which makes the categories of the whole plan as even as its scenes permit.
 
     Raises:
         InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
     scenes = tuple(each_scene(plan, catalog))
     _require_possible(plan, scenes)
+    quotas = category_quotas(scenes) if plan.balance == "categories_overall" else {}
     jobs: list[PlannedJob] = []
     templates: Counter[str] = Counter()
     for number, scene in enumerate(scenes):
         rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
-        jobs.extend(_expand_scene(scene, rng, len(jobs) + 1, templates))
+        jobs.extend(_expand_scene(scene, rng, len(jobs) + 1, templates, quotas.get(scene.scene.name, {})))
     return tuple(jobs)
 
 
@@ -95,8 +101,11 @@ def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
     named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
         yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
+    ambiguous = {name for categories in named.values() for name in categories & present} - cells.present
+    if ambiguous:
+        yield f"scenes[{number}] {scene.name}: {_ambiguous_message(cells, ambiguous)}"
     for (split, tier), count in cells.quota.items():
-        if named[split] & present and not cells.pool(split, tier):
+        if named[split] & cells.present and not cells.pool(split, tier):
             yield (
                 f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
                 f"{cells.plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
@@ -119,11 +128,25 @@ def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> s
     return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
 
 
+def _ambiguous_message(cells: SceneCells, ambiguous: Set[str]) -> str:
+    unique = ", ".join(cells.wording.unique)
+    return (
+        f'instructions.unique is "scene", but no instruction fits only one {" or ".join(sorted(ambiguous))}; '
+        f"unique there: {unique or 'nothing'}; remove the other categories from seen and held_out, or set "
+        'instructions.unique to "view", or list them in `ambiguous` of the scene'
+    )
+
+
 def _expand_scene(
-    cells: SceneCells, rng: np.random.Generator, first_index: int, templates: Counter[str]
+    cells: SceneCells,
+    rng: np.random.Generator,
+    first_index: int,
+    templates: Counter[str],
+    quotas: Mapping[Cell, Counter[str]],
 ) -> Iterator[PlannedJob]:
     """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
-    plan = cells.plan
+    plan, wording = cells.plan, cells.wording
+    decks = {cell: [str(name) for name in rng.permutation(list(quota.elements()))] for cell, quota in quotas.items()}
     slots = [cell for cell, count in cells.quota.items() for _ in range(count)]
     pools = {cell: cells.pool(*cell) for cell in cells.quota}
     categories: Counter[str] = Counter()
@@ -131,13 +154,14 @@ def _expand_scene(
     for index, slot in enumerate(rng.permutation(len(slots)), first_index):
         split, tier = slots[int(slot)]
         options = pools[split, tier]
-        if plan.balance == "categories":
-            category = least_used(sorted({target.category for target in options}), categories, rng)
+        if plan.balance != "instances":
+            names = sorted({target.category for target in options})
+            category = decks[split, tier].pop() if decks else least_used(names, categories, rng)
             options = tuple(target for target in options if target.category == category)
         target_id = least_used([target.target_id for target in options], targets, rng)
         target = next(option for option in options if option.target_id == target_id)
-        colour = _said_colour(plan, target)
-        template_id = least_used(templates_for(split, colour), templates, rng)
+        colour = wording.colour_of(target)
+        template_id = least_used(wording.templates(split, target), templates, rng)
         episode = _episode(cells.scene.name, tier, split, target.category, target.target_id, colour, template_id)
         yield PlannedJob(index, 0, episode)
 
@@ -145,21 +169,24 @@ def _expand_scene(
 def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
-    The first redraws keep the category; later redraws use all targets of the cell. The result depends on plan, scene,
-    index and draw only, so that it does not depend on which worker failed or when.
+    The first redraws keep the category; later redraws use all targets of the cell. With `categories_overall`, half of
+    all draws keep the category. The result depends on plan, scene, index and draw only, so that it does not depend on
+    which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
     scene = next(scene for scene in plan.scenes if scene.name == former.scene)
-    options = scene_cells(plan, scene, catalog[scene.name]).pool(former.split, former.tier)
-    same_category = (
-        [target for target in options if target.category == former.category] if draw <= _SAME_CATEGORY_DRAWS else []
-    )
+    cells = scene_cells(plan, scene, catalog[scene.name])
+    options = cells.pool(former.split, former.tier)
+    same_category = tuple(target for target in options if target.category == former.category)
+    if plan.balance == "categories_overall" and draw <= plan.budget.draws // 2:
+        options = same_category or options
+    elif draw > _SAME_CATEGORY_DRAWS:
+        same_category = ()
     fresh = [target for target in same_category or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)
-    colour = _said_colour(plan, target)
-    keeps = colour != "unknown" or not needs_colour(former.template_id)
-    template_id = former.template_id if keeps else _draw(templates_for(former.split, colour), rng)
+    colour, templates = cells.wording.colour_of(target), cells.wording.templates(former.split, target)
+    template_id = former.template_id if former.template_id in templates else _draw(templates, rng)
     words = target.category, target.target_id, colour, template_id
     return PlannedJob(planned.index, draw, _episode(scene.name, former.tier, former.split, *words))
 
@@ -185,15 +212,24 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         gains=plan.gains,
         planner=plan.planner,
         record=plan.record,
+        start_view=_start_view(plan, entry.info, planned.episode),
     )
+
+
+def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView | None:
+    """Returns the conditions on the start of an episode; `None` if there are none."""
+    within_rad = IN_FRONT_RAD if says_in_front(episode.template_id) else None
+    if plan.instructions.unique == "off":
+        return None if within_rad is None else StartView(within_rad=within_rad)
+    target = {info.target(episode.target_id).instance_id}
+    alike = referents(info, episode.category) - target
+    is_exempt = any(scene.name == episode.scene and episode.category in scene.ambiguous for scene in plan.scenes)
+    rivals = frozenset() if is_exempt else referents_of(episode, info) - target
+    return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
 
 
 def _draw(options: Sequence[Option], rng: np.random.Generator) -> Option:
     return options[int(rng.integers(len(options)))]
-
-
-def _said_colour(plan: Plan, target: Target) -> str:
-    return target.colour if plan.colors == "on" else "unknown"
 
 
 @lru_cache(maxsize=_SHARED_SPECS)

@@ -5,7 +5,7 @@ The module does not assign instances of held-out categories: only the split `tes
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -44,7 +44,7 @@ def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
     return target.connected_tiers if plan.expert is ExpertName.PLANNER else target.straight_tiers
 
 
-def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry, quota: Cells) -> Sides:
+def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cells) -> Sides:
     """Returns the side of every startable instance of a seen category; empty where nothing is to be kept apart.
 
     The instances of each category are divided in proportion to the episodes of training and evaluation, with at least
@@ -58,7 +58,7 @@ def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry, quota: Cells) -> S
     if not plan.disjoint_instances or not all(wanted.values()):
         return {}
     tiers = {tier for _, tier in quota}
-    options = [t for t in entry.info.targets if t.category in scene.categories.seen]
+    options = [t for t in targets if t.category in scene.categories.seen]
     options = [t for t in options if tiers & set(startable_tiers(plan, t))]
     number = [part.name for part in plan.scenes].index(scene.name)
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _SIDES_STREAM, number)))

@@ -5,7 +5,7 @@ The functions have no side effects.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import TypeVar
@@ -56,7 +56,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
 
 def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:
     """Returns the scene reduced to feasible categories, tiers and splits; `None` if no cell is feasible."""
-    part = _with_categories(plan, scene, {target.category for target in entry.info.targets})
+    part = _with_categories(plan, scene, scene_cells(plan, scene, entry).present)
     if part is None:
         return None
     found = scene_cells(plan, part, entry)
@@ -95,7 +95,7 @@ def _subsets(keys: list[Share]) -> list[tuple[Share, ...]]:
     return [some for size in range(len(keys), 0, -1) for some in combinations(keys, size)]
 
 
-def _with_categories(plan: Plan, scene: ScenePlan, present: set[str]) -> ScenePlan | None:
+def _with_categories(plan: Plan, scene: ScenePlan, present: Set[str]) -> ScenePlan | None:
     """Returns the scene with its present categories only and without the splits that have no category left."""
     seen, held_out = (tuple(name for name in names if name in present) for names in scene.categories)
     part: ScenePlan | None = scene
@@ -125,7 +125,7 @@ def _moved(wanted: Cells, found: Cells) -> int:
 
 
 def _change_message(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
-    present = {target.category for target in entry.info.targets}
+    present = scene_cells(plan, scene, entry).present
     if part is None:
         is_there = any(name in present for names in scene.categories for name in names)
         why = "no target of these categories is reachable" if is_there else "it has none of the requested categories"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cells, cells
 from coordinator.expansion.instances import Side, Sides, side_of, sides_of, startable_tiers
+from coordinator.expansion.wording import Wording
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import Split, Tier
@@ -25,16 +27,30 @@ class SceneCells:
     """Compiled scene."""
     quota: Cells
     """Number of episodes of each cell."""
-    sides: Sides
-    """Side of each instance that is reserved for training or for evaluation."""
+
+    @cached_property
+    def wording(self) -> Wording:
+        """Words that instructions may use in the scene."""
+        return Wording(self.plan, self.scene, self.entry.info)
+
+    @cached_property
+    def sides(self) -> Sides:
+        """Side of each instance that is reserved for training or for evaluation."""
+        return sides_of(self.plan, self.scene, self.wording.targets, self.quota)
+
+    @property
+    def present(self) -> frozenset[str]:
+        """Categories with a target that an instruction may name."""
+        return frozenset(target.category for target in self.wording.targets)
 
     def pool(self, split: Split, tier: Tier) -> tuple[Target, ...]:
-        """Returns the permitted targets of a cell: of the split's categories and side, and startable by the expert."""
+        """Returns the permitted targets of a cell: of the split's categories and side, startable by the expert,
+        and permitted to be named."""
         categories = categories_of(self.scene, split)
         sides = {} if split is Split.TEST_OOD_OBJ else self.sides
         return tuple(
             target
-            for target in self.entry.info.targets
+            for target in self.wording.targets
             if target.category in categories
             and tier in startable_tiers(self.plan, target)
             and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
@@ -43,8 +59,7 @@ class SceneCells:
 
 def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
     """Returns the cells of one scene of a plan."""
-    quota = cells(plan, scene)
-    return SceneCells(plan, scene, entry, quota, sides_of(plan, scene, entry, quota))
+    return SceneCells(plan, scene, entry, cells(plan, scene))
 
 
 def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:

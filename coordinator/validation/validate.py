@@ -11,6 +11,7 @@ from coordinator.validation.job import job_findings, table_findings, target_find
 from coordinator.validation.motion import motion_findings
 from coordinator.validation.rollout import rollout_findings, visibility_findings
 from coordinator.validation.route import route_findings
+from coordinator.validation.start import start_findings
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import POSES
 from schemas.job import Job
@@ -55,6 +56,7 @@ def validate(
         if len(survey.digests) < bundle.length:
             return findings  # the remaining checks need every frame
         findings += visibility_findings(meta, survey.target_pixels)
+        findings += start_findings(meta, arrays, bundle.ids(0))
         digests = survey.digests
     digest = bundle.content_digest(digests)
     if digest != meta.content_digest:

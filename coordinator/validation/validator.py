@@ -19,9 +19,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import structlog
 from pydantic import Field, ValidationError
 
 from coordinator.validation.sandbox import SECCOMP
@@ -45,8 +44,6 @@ __all__ = [
     "Verdict",
     "sandbox_of",
 ]
-
-log = structlog.get_logger(__name__)
 
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
 """Maximum number and length of the findings of a verdict; the output of a child with a hostile bundle is untrusted."""
@@ -133,7 +130,7 @@ class Validator(Closing):
                 verdict = self._ask(child, task, path)
                 if verdict is not None:
                     return _summary_or_raise(verdict)
-                self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
+                self._limit.write(_log().warning, "validator_died", file=str(path), how=child.last_words)
         raise InvalidBundle(
             "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.last_words})"]
         )
@@ -284,10 +281,16 @@ def sandbox_of(judge: object) -> tuple[str, ...]:
 def _log_sandbox(layers: Sequence[str]) -> None:
     active = ", ".join(layers)
     if SECCOMP in layers:
-        log.info("validator_sandbox", active=active)
+        _log().info("validator_sandbox", active=active)
     else:
         remedy = "install the extra `sandbox` (pyseccomp) and the system's libseccomp2 to forbid files and network too"
-        log.warning("validator_sandbox", active=active, remedy=remedy)
+        _log().warning("validator_sandbox", active=active, remedy=remedy)
+
+
+def _log() -> Any:
+    import structlog  # not at the start of each child, which it would slow down
+
+    return structlog.get_logger(__name__)
 
 
 def _summary_or_raise(verdict: Verdict) -> EpisodeSummary:

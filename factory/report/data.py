@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.stats import Statistics
+from factory.stats.language import EpisodeView
 from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_meta import DatasetMeta
 from schemas.tokens import GRID_POINTS
@@ -33,13 +34,15 @@ class FrameSample:
 
 @dataclass
 class Drives:
-    """Data read from the episode files: tracks, token counts, sample frames."""
+    """Data read from the episode files: tracks, token counts, sample frames, objects in view."""
 
     tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
     tokens: NDArray[np.int64] = field(default_factory=lambda: np.zeros((GRID_POINTS, GRID_POINTS), np.int64))
     """Number of steps per point of the action grid: [speed token, yaw rate token]."""
     samples: list[FrameSample] = field(default_factory=list)
+    views: list[EpisodeView] = field(default_factory=list)
+    """Objects in view of the episodes, for the language statistics."""
 
     @property
     def steps(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 
 import numpy as np
@@ -13,18 +13,17 @@ from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.floor_map import map_of
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
-from factory.stats.rows import Rows, read_rows
+from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
+from factory.stats.views import read_view
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
-from schemas.scene import decode_scene
+from schemas.scene import SceneInfo, decode_scene
 from schemas.storage.place import Place
 
-__all__ = ["choose_samples", "gather", "spread_evenly"]
+__all__ = ["choose_samples", "gather"]
 
 ProgressCallback = Callable[[int, int], None]
-_MOST_DRIVES = 2000
-"""Maximum number of episodes opened for tracks and actions; the statistics use all rows."""
 _TRACK_POINTS = 48
 """Number of points of a thinned track; it resolves the turns of the robot."""
 _FRAMES_TRIED = 6
@@ -51,38 +50,39 @@ def gather(
         ArchiveCorrupt: the metadata or the table of episodes cannot be read.
     """
     rows = read_rows(root)
-    maps = _read_maps(root, rows)
+    maps, infos = _read_scenes(root, rows)
     drives = Drives()
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
-        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, _MOST_DRIVES)}
+        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, MOST_OPENED)}
         chosen = [row for row in rows.episodes if row.episode_id in opened]
         for done, row in enumerate(chosen, 1):
-            _read_drive(root, row, row.episode_id in shown, drives, rows)
+            _read_drive(root, row, row.episode_id in shown, infos, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
     return ReportInput(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
 
 
-def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
+def _read_drive(
+    root: Place, row: EpisodeSummary, is_sample: bool, infos: Mapping[str, SceneInfo], drives: Drives, rows: Rows
+) -> None:
     name = file_name_of(row.episode_id)
     with Episode(root / name, row) as episode:
         try:
             tokens, track = episode.tokens, _thin(episode.poses[:, :2])
         except ArchiveCorrupt as error:
-            rows.add_damage(name, f"skipped in trajectories, actions and frames: {_format_error(error, root)}")
+            rows.add_damage(name, f"skipped in trajectories, actions and frames: {format_error(error, root)}")
             return
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
-        if is_sample:
-            _read_sample(episode, name, drives, rows, root)
-
-
-def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: Place) -> None:
-    try:
-        drives.samples.append(_best_frame(episode))
-    except ArchiveCorrupt as error:
-        rows.add_damage(name, f"skipped in the sample frames: {_format_error(error, root)}")
+        try:
+            view = read_view(episode, infos)
+            samples = [_best_frame(episode)] if is_sample else []
+        except ArchiveCorrupt as error:
+            rows.add_damage(name, f"skipped in the frames and the instructions: {format_error(error, root)}")
+            return
+        drives.views += [view] if view else []
+        drives.samples += samples
 
 
 def _thin(track: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -100,20 +100,20 @@ def _best_frame(episode: Episode) -> FrameSample:
     return FrameSample(episode.summary, t, episode.rgb(t), masks[t])
 
 
-def _read_maps(root: Place, rows: Rows) -> dict[str, FloorMap]:
-    found: dict[str, FloorMap] = {}
+def _read_scenes(root: Place, rows: Rows) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
+    """Returns the map of each scene by its name, and its metadata by the SHA-256 of its package."""
+    maps: dict[str, FloorMap] = {}
+    infos: dict[str, SceneInfo] = {}
     for name, sha256 in rows.meta.scenes.items():
         try:
             with find_package(root, name, sha256).path.open("rb") as file:
-                found[name] = map_of(decode_scene(file))
+                scene = decode_scene(file)
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
-            rows.add_damage(SCENES, f"the map of {name} is missing: {_format_error(error, root)}")
-    return found
-
-
-def _format_error(error: Exception, root: Place) -> str:
-    """Returns an error message on one line with paths relative to the dataset, so that pages are reproducible."""
-    return " ".join(str(error).replace(f"{root}/", "").split())
+            text = f"the map of {name} is missing, and its episodes in the instructions: {format_error(error, root)}"
+            rows.add_damage(SCENES, text)
+        else:
+            maps[name], infos[sha256] = map_of(scene), scene.info
+    return maps, infos
 
 
 def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
@@ -126,13 +126,6 @@ def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[Episo
     queues = [_in_turn([row for row in episodes if row.scene == scene]) for scene in scenes]
     mixed = [row for turn in zip_longest(*queues) for row in turn if row is not None]
     return sorted(mixed[:count], key=lambda row: (list(scenes).index(row.scene), row.index))
-
-
-def spread_evenly(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
-    """Returns all episodes, or `count` of them evenly spaced from the first to the last."""
-    if len(episodes) <= count:
-        return list(episodes)
-    return [episodes[place * (len(episodes) - 1) // max(count - 1, 1)] for place in range(count)]
 
 
 def _in_turn(episodes: Sequence[EpisodeSummary]) -> list[EpisodeSummary]:

@@ -126,7 +126,7 @@ def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
 
 
 def _limits(scene: ScenePlan) -> StageLimits:
-    return StageLimits(allow_outside=scene.allow_outside)
+    return StageLimits(allow_outside=scene.allow_outside, ceiling_m=scene.ceiling_m)
 
 
 def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:

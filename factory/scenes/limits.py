@@ -1,4 +1,4 @@
-"""Limits of a scene import: number of triangles, and files outside the folder of the stage.
+"""Limits of a scene import: number of triangles, and files outside the folder of the stage; and what is added to it.
 
 Data only; the importer enforces the limits.
 """
@@ -20,6 +20,8 @@ class StageLimits:
     """Maximum number of triangles in the world; every instance counts."""
     allow_outside: bool = False
     """Whether textures outside the folder of the root layer are read."""
+    ceiling_m: float | None = None
+    """Height above the floor of a flat ceiling that is added over the stage, metres; `None` adds none."""
 
 
 USUAL_LIMITS = StageLimits()

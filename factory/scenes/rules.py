@@ -1,4 +1,4 @@
-"""Category rules: a YAML table that maps prim names to categories, with plausible sizes.
+"""Category rules: a YAML table that maps prim names to categories, with plausible sizes, shapes and colours.
 
 Reads the table. Does not read stages.
 """
@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Collection, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
 import yaml
-from pydantic import AfterValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator, TypeAdapter, ValidationError, model_validator
 
 from factory.scenes.yaml_text import read_yaml, say_absence
 from schemas.base import Model, Name, NonNegative, Positive
 from schemas.errors import UsageError
+from schemas.terms import COLOUR_NAMES
 
 __all__ = ["BUILTIN_RULES", "CategoryRule", "RuleBook", "load_rules", "split_name"]
 
@@ -31,23 +33,58 @@ def _compiles(pattern: str) -> str:
     return pattern
 
 
+def _is_colour(name: str) -> str:
+    if name not in COLOUR_NAMES:
+        raise ValueError(f"{name!r} is not a colour name; colour names: {', '.join(COLOUR_NAMES)}")
+    return name
+
+
 Pattern = Annotated[str, AfterValidator(_compiles)]
+Colour = Annotated[str, AfterValidator(_is_colour)]
 
 
 class CategoryRule(Model):
-    """Rule that assigns a category to prims by name and size."""
+    """Rule that assigns a category to prims by name, size, shape and colour."""
 
     category: Name
-    include: tuple[Pattern, ...]
-    """Regular expressions; at least one must match within the split name."""
+    """Category that the rule assigns; several rules may assign one."""
+    words: tuple[Pattern, ...] = ()
+    """Names and synonyms; each matches as whole words of the split name, in singular or plural."""
+    include: tuple[Pattern, ...] = ()
+    """Regular expressions that are searched within the split name. One of them or of `words` must match."""
     exclude: tuple[Pattern, ...] = ()
     """Regular expressions; none may match within the split name."""
     smallest_m: NonNegative = 0.05
     """Minimum plausible length of the longest side, metres."""
     largest_m: Positive = 40.0
     """Maximum plausible length of the longest side, metres."""
+    height_m: tuple[NonNegative, Positive] = (0.0, 40.0)
+    """Plausible vertical extents, from and to, metres."""
+    thickest_m: Positive | None = None
+    """Maximum plausible width of the footprint at any rotation, metres: a panel is thin. `None` is any width."""
+    colours: tuple[Colour, ...] = ()
+    """Plausible dominant colours; empty is any colour."""
     has_colour: bool = True
     """Whether instructions may name the colour. False for racks and monitors: their content has the colour."""
+
+    @model_validator(mode="after")
+    def _has_a_pattern(self) -> CategoryRule:
+        if not (self.words or self.include):
+            raise ValueError(f"the rule of {self.category} needs `words` or `include`")
+        return self
+
+    @cached_property
+    def _included(self) -> re.Pattern[str]:
+        whole = [f"(?:^|_)(?:{word})(?:s|es)?(?:_|$)" for word in self.words]
+        return re.compile("|".join((*whole, *self.include)))
+
+    @cached_property
+    def _excluded(self) -> re.Pattern[str] | None:
+        return re.compile("|".join(self.exclude)) if self.exclude else None
+
+    def names(self, words: str) -> bool:
+        """Returns whether the patterns of the rule match a split name."""
+        return bool(self._included.search(words)) and not (self._excluded and self._excluded.search(words))
 
 
 class RuleBook(Model):
@@ -60,20 +97,18 @@ class RuleBook(Model):
         """Categories whose colour is never named."""
         return frozenset(rule.category for rule in self.rules if not rule.has_colour)
 
-    @cached_property
-    def _patterns(self) -> tuple[tuple[CategoryRule, re.Pattern[str], re.Pattern[str] | None], ...]:
-        return tuple(
-            (rule, re.compile("|".join(rule.include)), re.compile("|".join(rule.exclude)) if rule.exclude else None)
-            for rule in self.rules
-        )
+    def only(self, categories: Collection[str]) -> RuleBook:
+        """Returns the rules of some categories."""
+        return RuleBook(rules=tuple(rule for rule in self.rules if rule.category in categories))
+
+    def matches(self, name: str) -> Iterator[CategoryRule]:
+        """Yields the rules whose patterns match a prim name or label, in their order."""
+        words = split_name(name)
+        return (rule for rule in self.rules if rule.names(words))
 
     def match(self, name: str) -> CategoryRule | None:
-        """Returns the first rule that matches a prim name or label, or `None`."""
-        words = split_name(name)
-        for rule, include, exclude in self._patterns:
-            if include.search(words) and not (exclude and exclude.search(words)):
-                return rule
-        return None
+        """Returns the first rule whose patterns match a prim name or label, or `None`."""
+        return next(self.matches(name), None)
 
 
 def split_name(name: str) -> str:

@@ -2,5 +2,5 @@
 
 __all__ = ["COMPILER_VERSION"]
 
-COMPILER_VERSION = 9
+COMPILER_VERSION = 10
 """Incremented when the same stage compiles to different bytes."""

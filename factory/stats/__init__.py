@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from factory.stats.compute import compute_statistics, measure_dataset
-from factory.stats.model import Statistics
+from factory.stats.model import LanguageStatistics, Statistics
 
-__all__ = ["Statistics", "compute_statistics", "measure_dataset"]
+__all__ = ["LanguageStatistics", "Statistics", "compute_statistics", "measure_dataset"]

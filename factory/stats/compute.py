@@ -70,4 +70,5 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
         navigation_error=rollouts.navigation_errors(episodes, scenes, radius_m),
         correlation=rollouts.correlations(episodes, scenes),
         overlap=counts.overlaps(episodes, plan),
+        far=rollouts.far_starts(episodes, scenes, radius_m),
     )

@@ -1,22 +1,34 @@
-"""Statistical functions: means, quantiles, Wilson intervals, Pearson correlation, Fisher intervals.
+"""Statistical functions: means with t intervals, quantiles, Wilson intervals, Pearson correlation, Fisher intervals.
 
 Pure functions over numbers; no I/O.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import scipy  # loads `scipy.stats`, a second, at its first use
 from numpy.typing import ArrayLike, NDArray
 
-from factory.stats.model import Fit, Share
+from factory.stats.model import Fit, Interval, Share
 
-__all__ = ["CONFIDENCE", "QUANTILES", "deviation_of", "fit_line", "mean_of", "median_of", "quantiles_of", "share_of"]
+__all__ = [
+    "CONFIDENCE",
+    "QUANTILES",
+    "deviation_of",
+    "fit_line",
+    "interval_of",
+    "mean_of",
+    "median_of",
+    "quantiles_of",
+    "share_of",
+]
 
 CONFIDENCE = 0.95
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)
+_FEWEST_FOR_INTERVAL = 2
 _FEWEST_FOR_FIT = 3
 _ALIKE = 1e-9
 """Relative spread (peak to peak over largest magnitude) below which all values count as equal."""
@@ -35,6 +47,15 @@ def median_of(values: Sequence[float]) -> float | None:
 def deviation_of(values: Sequence[float]) -> float | None:
     """Returns the sample standard deviation (n - 1), or `None` for fewer than two values."""
     return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+def interval_of(values: Sequence[float]) -> Interval | None:
+    """Returns Student's t interval of the mean, or `None` for fewer than two values."""
+    if len(values) < _FEWEST_FOR_INTERVAL:
+        return None
+    mean, half = float(np.mean(values)), float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1))
+    half *= float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return mean - half, mean + half
 
 
 def quantiles_of(values: Sequence[float]) -> dict[str, float]:

@@ -12,11 +12,16 @@ from pydantic import Field
 from schemas.base import Fraction, Model, NonNegative
 
 __all__ = [
+    "ArrivalRow",
     "AttemptRow",
     "CellRow",
     "CountRow",
     "ErrorRow",
+    "FarRow",
     "Fit",
+    "Interval",
+    "LanguageRow",
+    "LanguageStatistics",
     "OverlapRow",
     "Published",
     "Remark",
@@ -26,6 +31,8 @@ __all__ = [
 ]
 
 Count = Annotated[int, Field(ge=0)]
+Interval = tuple[float, float]
+"""Lower and upper end of a 95 % interval."""
 
 
 class Published(Model):
@@ -67,6 +74,12 @@ class RolloutRow(Model):
     tl_median_m: float | None
     steps_mean: float | None
     steps_median: float | None
+    ne_interval_m: Interval | None = None
+    """95 % interval of the mean NE (Student's t), metres; this and the next are `None` for fewer than two episodes."""
+    tl_interval_m: Interval | None = None
+    """95 % interval of the mean TL, metres."""
+    steps_interval: Interval | None = None
+    """95 % interval of the mean number of steps."""
     paper: Published | None = None
 
 
@@ -131,6 +144,8 @@ class ErrorRow(Model):
     mean: float | None
     std: float | None
     """Sample standard deviation, metres; `None` for fewer than two episodes."""
+    interval: Interval | None = None
+    """95 % interval of the mean (Student's t), metres; `None` for fewer than two episodes."""
     quantiles: dict[str, float]
     """Quantiles `p00` (minimum) to `p100` (maximum), metres; empty without episodes."""
     within_radius: Share
@@ -156,6 +171,24 @@ class Fit(Model):
     intercept_m: float | None
     remark: str = ""
     """Reason why the values are `None`; empty otherwise."""
+
+
+class FarRow(Model):
+    """Distances along the floor of the far starts of a scene, to the centroid of the target.
+
+    A distance is the shortest path to the success circle plus its radius.
+    """
+
+    scene: str
+    n: Count
+    """Number of far starts that have a path along the floor."""
+    mean_m: float | None
+    interval_m: Interval | None
+    """95 % interval of the mean (Student's t), metres."""
+    short: Share
+    """Share of starts less than 5 m from the target along the floor."""
+    corner: Share
+    """Share of starts without a free straight line to the success circle."""
 
 
 class OverlapRow(Model):
@@ -201,6 +234,61 @@ class Statistics(Model):
     navigation_error: tuple[ErrorRow, ...]
     correlation: tuple[Fit, ...]
     overlap: tuple[OverlapRow, ...]
+    far: tuple[FarRow, ...] = ()
+    """Far starts of each scene and of all scenes."""
+
+    @property
+    def is_sound(self) -> bool:
+        """Returns whether no data were omitted because of damage."""
+        return not any(remark.is_damage for remark in self.remarks)
+
+
+class LanguageRow(Model):
+    """Shares of episodes in which the target can be found without language, or the instruction is not clear."""
+
+    group: str
+    """Name of the scene, or `all`."""
+    n: Count
+    nearest: Share
+    """The nearest object in view at the start is the target."""
+    central: Share
+    """The object with the smallest bearing at the start is the target."""
+    central_of_category: Share
+    """The object of the named category with the smallest bearing at the start is the target."""
+    several_in_scene: Share
+    """The instruction fits several objects of the scene."""
+    several_in_view: Share
+    """The instruction fits several objects in view at the start."""
+    contradictory: Share
+    """The target is not in view at the start, but another object of its category is."""
+    not_in_front: Share
+    """The target is not in view, or more than 30 degrees from the heading; of the starts with `in front of you`."""
+
+
+class ArrivalRow(Model):
+    """Share of the episodes of a category whose target is in view in the last frame."""
+
+    group: str
+    """Name of the category, or `all`."""
+    in_view: Share
+
+
+class LanguageStatistics(Model):
+    """Statistics of instructions and of the objects in view at the start and at the end."""
+
+    dataset: str
+    run: str
+    episodes: Count
+    """Number of episodes of the dataset."""
+    read: Count
+    """Number of episodes whose first and last frames were read."""
+    instructions: Count
+    """Number of distinct instructions in the episodes read."""
+    remarks: tuple[Remark, ...]
+    rows: tuple[LanguageRow, ...]
+    """One row for each scene, and one for all scenes."""
+    arrivals: tuple[ArrivalRow, ...]
+    """One row for each category, most frequent first, and one for all categories."""
 
     @property
     def is_sound(self) -> bool:

@@ -8,16 +8,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from factory.stats import paper
-from factory.stats.measures import deviation_of, fit_line, mean_of, median_of, quantiles_of, share_of
-from factory.stats.model import ErrorRow, Fit, Published, RolloutRow
+from factory.stats.measures import deviation_of, fit_line, interval_of, mean_of, median_of, quantiles_of, share_of
+from factory.stats.model import ErrorRow, FarRow, Fit, Published, RolloutRow
 from schemas.dataset import EpisodeSummary
 from schemas.terms import Split, Tier
 
-__all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "navigation_errors"]
+__all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "far_starts", "navigation_errors"]
 
 ALL = "all"
 """Name of the group of all episodes."""
 Episodes = Sequence[EpisodeSummary]
+_FAR_M = 5.0
+"""Smallest distance along the floor of a far start from the target's centroid, metres."""
+_STRAIGHT_M = 0.001
+"""Largest difference between the geodesic and the straight distance on a free line, metres; poses are float32."""
 
 
 def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
@@ -65,6 +69,31 @@ def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
     )
 
 
+def far_starts(episodes: Episodes, scenes: Iterable[str], radius_m: float) -> tuple[FarRow, ...]:
+    """Returns the distances along the floor of the far starts of each scene and of all scenes.
+
+    Args:
+        episodes: Rows of the episodes.
+        scenes: Scene names of the plan.
+        radius_m: Success radius, metres.
+    """
+    far = [row for row in episodes if row.spawn_tier is Tier.FAR]
+    return tuple(_far_row(name, group, radius_m) for name, group in _groups(far, scenes, lambda row: row.scene))
+
+
+def _far_row(scene: str, group: Episodes, radius_m: float) -> FarRow:
+    ways = [(row.geodesic_m + radius_m, row.spawn_dist_m) for row in group if row.geodesic_m is not None]
+    lengths = [length for length, _ in ways]
+    return FarRow(
+        scene=scene,
+        n=len(ways),
+        mean_m=mean_of(lengths),
+        interval_m=interval_of(lengths),
+        short=share_of(sum(length < _FAR_M for length in lengths), len(ways)),
+        corner=share_of(sum(length > straight + _STRAIGHT_M for length, straight in ways), len(ways)),
+    )
+
+
 def _groups(
     episodes: Episodes, names: Iterable[str], name_of: Callable[[EpisodeSummary], str]
 ) -> Iterator[tuple[str, Episodes]]:
@@ -99,6 +128,9 @@ def _rollout_row(name: str, group: Episodes, total: int, published: Published | 
         tl_median_m=median_of(lengths),
         steps_mean=mean_of(steps),
         steps_median=median_of(steps),
+        ne_interval_m=interval_of([row.final_ne_m for row in group]),
+        tl_interval_m=interval_of(lengths),
+        steps_interval=interval_of(steps),
         paper=published,
     )
 
@@ -110,6 +142,7 @@ def _error_row(name: str, group: Episodes, radius_m: float, published: Published
         n=len(errors),
         mean=mean_of(errors),
         std=deviation_of(errors),
+        interval=interval_of(errors),
         quantiles=quantiles_of(errors),
         within_radius=share_of(sum(error <= radius_m for error in errors), len(errors)),
         paper=published,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -21,8 +22,10 @@ from schemas.storage.place import Place, children
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.terms import Split
 
-__all__ = ["Rows", "read_rows"]
+__all__ = ["MOST_OPENED", "Rows", "format_error", "read_rows", "spread_evenly"]
 
+MOST_OPENED = 2000
+"""Maximum number of episodes opened for frames, tracks and actions; the tables use all rows."""
 _NAMED = 3
 """Maximum number of examples in a remark."""
 Row = TypeVar("Row", bound=Model)
@@ -181,3 +184,15 @@ def _compare_with_shared_instances(rows: Rows) -> None:
 def _some(names: list[str]) -> str:
     rest = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"{', '.join(names[:_NAMED])}{rest}"
+
+
+def spread_evenly(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
+    """Returns all episodes, or `count` of them evenly spaced from the first to the last."""
+    if len(episodes) <= count:
+        return list(episodes)
+    return [episodes[place * (len(episodes) - 1) // max(count - 1, 1)] for place in range(count)]
+
+
+def format_error(error: Exception, root: Place) -> str:
+    """Returns an error message on one line with paths relative to the dataset, so that pages are reproducible."""
+    return " ".join(str(error).replace(f"{root}/", "").split())

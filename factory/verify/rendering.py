@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.shared_renderer import shared_renderer
 from schemas.encoding.digest import frame_digest
@@ -27,17 +28,20 @@ def compare_rendered(bundle: EpisodeBundle) -> list[str]:
     """
     job, digests = bundle.meta.job, bundle.meta.frame_digests
     steps = range(bundle.length) if job.record is Recording.FRAMES else job.sampled_steps(bundle.length)
+    found: list[str] = []
     differing: list[int] = []
     target_pixels: dict[int, int] = {}
     distances = {name: _Distance() for name in ("rgb", "depth", "ids")}
     for t, recorded in zip(steps, digests, strict=False):  # a wrong number of digests is another finding
         frame = bundle.render(t)
+        if t == 0 and not bundle.has_frames:  # the validator has checked stored frames
+            found += start_findings(bundle.meta, bundle.arrays, frame.ids)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) != recorded:
             differing.append(t)
             if bundle.has_frames:
                 _add_distances(distances, bundle, t, frame)
-    found = _visibility_findings(bundle.meta, target_pixels)
+    found += _visibility_findings(bundle.meta, target_pixels)
     return [*found, _digest_finding(bundle, differing, distances)] if differing else found
 
 

@@ -11,12 +11,9 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import structlog
-
 from schemas.errors import WorldError
 
 _COPY_BYTES = 1 << 20
-log = structlog.get_logger(__name__)
 _REMEDIES = {
     errno.ENOSPC: "free some space or choose another --out; the run resumes where it stopped",
     errno.EDQUOT: "the quota is used up: free some space or choose another --out",
@@ -75,7 +72,9 @@ def set_aside(path: Path, folder: Path, reason: str) -> Path:
         place.with_name(f"{place.name}.reason.txt").write_text(f"{path}\n{reason}\n", encoding="utf-8")
         sync_directory(folder)
         sync_directory(path.parent)
-    log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
+    import structlog  # not at the start of each process that reads a dataset, which it would slow down
+
+    structlog.get_logger(__name__).warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
     return place
 
 

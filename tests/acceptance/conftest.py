@@ -8,14 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from tests.acceptance.factory_cli import TINY_PLAN, FactoryCli
+from tests.acceptance.factory_cli import TINY_PLAN, FactoryCli, start_server
 from tests.builders.evaluation import archive_drives
+from tests.builders.fork_server import ForkServer
 from tests.builders.shared import build_once
 
 
 @pytest.fixture(scope="session")
-def factory(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
-    cli = FactoryCli(tmp_path_factory.mktemp("empty-home"), cache)
+def server() -> Iterator[ForkServer]:
+    with start_server() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def factory(server: ForkServer, tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
+    cli = FactoryCli(server, tmp_path_factory.mktemp("empty-home"), cache)
     yield cli
     cli.end()
 
@@ -35,7 +42,7 @@ def plan(factory: FactoryCli, shared: Path) -> Path:
 @pytest.fixture(scope="session")
 def reference(factory: FactoryCli, plan: Path, shared: Path) -> Path:
     """A dataset of one undisturbed worker, shared by all processes; tests only read it."""
-    return build_once(shared / "reference", lambda root: factory("run", plan, "--out", root, "--workers", 1))
+    return build_once(shared / "reference", lambda root: factory.fresh("run", plan, "--out", root, "--workers", 1))
 
 
 @pytest.fixture

@@ -112,7 +112,7 @@ def test_status_agrees_with_the_files_on_disk(factory, reference):
 def test_status_can_be_requested_from_a_running_coordinator(factory, reference_copy):
     endpoint = free_endpoint()
     coordinator = factory.start("coordinator", "start", "--out", reference_copy, "--listen", endpoint, "--stay")
-    wait_for(lambda: factory.start("status", "--connect", endpoint).wait(60) == 0, 60)
+    wait_for(lambda: factory.run("status", "--connect", endpoint).returncode == 0, 60)
     assert factory.json("status", "--connect", endpoint)["jobs"]["archived"] == 5
     coordinator.send_signal(signal.SIGTERM)
     assert coordinator.wait(60) == 0

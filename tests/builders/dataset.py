@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -58,17 +58,24 @@ def make_dataset(
     splits: Sequence[Split] = (Split.TRAIN_ID,),
     failures: Sequence[FailedAttempt] | None = None,
     with_split_tables: bool = True,
+    package: bytes | None = None,
+    change: Callable[[BundleParts], BundleParts] = lambda parts: parts,
 ) -> Plan:
-    """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned."""
+    """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned.
+
+    `package` replaces the scene, and `change` the content of each episode.
+    """
     plan = small_plan(planned or episodes)
-    package = office_package()
+    package = package or office_package()
     sha256 = hashlib.sha256(package).hexdigest()
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(package)
     with open_archive(root) as archive:
         archive.add_scene(source, "office", sha256)
         rows = [
-            archive_episode(archive, episode_of(plan, index, sha256, len(package), splits[(index - 1) % len(splits)]))
+            archive_episode(
+                archive, change(episode_of(plan, index, sha256, len(package), splits[(index - 1) % len(splits)]))
+            )
             for index in range(1, episodes + 1)
         ]
         lost = [failure(1)] if failures is None else failures

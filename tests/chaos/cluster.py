@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from schemas.support.closing import Closing
+from tests.builders.fork_server import Child, ForkServer
 from tests.builders.ports import free_endpoint
 from tests.chaos.bundle_maker import BundleMaker
 from tests.chaos.disk import Disk
 from tests.chaos.fault_span import FaultSpan
-from tests.chaos.fork_server import Child, ForkServer
 from tests.chaos.wire import Wires
 
 __all__ = ["FAULTY_HOST", "LARGE_CRASH_BUDGET", "ChaosCluster", "ClusterCommands", "fake_commands", "real_commands"]
@@ -154,7 +154,7 @@ class ChaosCluster(Closing):
         self._bundle_maker = self._stack.enter_context(BundleMaker())
         preload = disk.preload if disk is not None else {}
         self._fork_server = (
-            self._stack.enter_context(ForkServer(commands.modules, preload)) if commands.modules else None
+            self._stack.enter_context(ForkServer(commands.modules, os.environ | preload)) if commands.modules else None
         )
         self._stack.callback(self._kill_all)
         self.coordinator = self._start_coordinator()
@@ -391,7 +391,7 @@ class ChaosCluster(Closing):
     def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> _Process:
         if self._fork_server is not None:
             _, _, module, *words = command
-            return self._fork_server.start(module, words, self.log, extra)
+            return self._fork_server.start(module, words, os.environ | extra, self.log)
         with self.log.open("ab") as log:
             process = subprocess.Popen(
                 command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=os.environ | extra

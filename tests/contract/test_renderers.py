@@ -14,7 +14,7 @@ import structlog
 from schemas.config import CameraConfig, TaskConfig
 from schemas.encoding.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.errors import UsageError, WorldError
-from schemas.scene import TEXTURE_SIZE_PX, CompiledScene
+from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Sky
 from schemas.support.stage_timer import StageTimer
 from schemas.terms import RendererKind
 from tests.builders.bundle import job_for
@@ -125,6 +125,64 @@ def test_an_empty_view_keeps_no_pixels_of_the_previous_frame(renderer: Renderer)
     assert not frame.ids[void].any()
     assert frame.rgb[~void].any(axis=1).all()
     assert frame.ids[~void].all()
+
+
+def under(sky: Sky | None, scene: CompiledScene) -> CompiledScene:
+    return replace(scene, info=scene.info.model_copy(update={"sky": sky}))
+
+
+SKY = Sky(zenith=(0, 0, 250), horizon=(200, 210, 220), ground=(90, 80, 70))
+
+
+def test_the_sky_is_visible_only_where_no_surface_is(renderer: Renderer) -> None:
+    scene = build_scene([Box((2.0, -0.5, -0.5), (2.5, 0.5, 1.0), RED)])
+    frames = []
+    for sky in (None, SKY):
+        renderer.load(under(sky, scene), CAMERA)
+        frames.append(renderer.render(ORIGIN))
+    black, blue = frames
+    void = black.depth == 0
+    np.testing.assert_array_equal(blue.depth, black.depth)
+    np.testing.assert_array_equal(blue.ids, black.ids)
+    np.testing.assert_array_equal(blue.rgb[~void], black.rgb[~void])
+    column = blue.rgb[:, 0].astype(int)
+    assert void[:, 0].all()
+    assert column[319] == pytest.approx(SKY.horizon, abs=12)
+    assert column[-1] == pytest.approx(SKY.ground)
+    assert (np.diff(column[:320, 0]) >= 0).all()
+    assert column[0, 0] < 70
+
+
+def test_the_sky_turns_with_the_lean_of_the_camera_and_not_with_its_heading(renderer: Renderer) -> None:
+    renderer.load(under(SKY, build_scene([wall(-2.0)])), CAMERA)
+    ahead, aside = (renderer.render(Pose.planar(0.0, 0.0, yaw)).rgb for yaw in (0.0, 0.6))
+    up = renderer.render(Pose(0.0, 0.0, 0.0, float(np.cos(0.15)), 0.0, -float(np.sin(0.15)), 0.0)).rgb
+    assert (np.abs(ahead.astype(int) - aside) <= 1).all()
+    assert up[320, 320, 0] < ahead[320, 320, 0] - 20
+    assert renderer.render(ORIGIN).rgb.tobytes() == ahead.tobytes()
+
+
+def test_a_frame_of_a_closed_room_does_not_depend_on_the_sky(renderer: Renderer) -> None:
+    roof = Box((-5.0, -4.0, 2.5), (5.0, 4.0, 2.6))
+    room = build_scene([*room_walls((-4.0, -3.0), (4.0, 3.0)), roof])
+    for yaw in (0.0, 1.1, 2.7):
+        digests = set()
+        for sky in (None, SKY):
+            renderer.load(under(sky, room), CAMERA)
+            digests.add(digest(renderer.render(Pose.planar(-1.0, 0.4, yaw))))
+        assert len(digests) == 1
+
+
+@pytest.mark.gl
+def test_renderers_paint_the_same_sky() -> None:
+    scene, pose = under(SKY, build_scene([Box((2.0, -0.5, -0.5), (2.5, 0.5, 1.0), RED)])), Pose.planar(0.2, 0.1, 0.4)
+    with open_renderer("gl") as one, open_renderer("tiny") as other:
+        for opened in (one, other):
+            opened.load(scene, CAMERA)
+        first, second = one.render(pose), other.render(pose)
+    void = (first.depth == 0) & (second.depth == 0)
+    assert void.mean() > 0.5
+    np.testing.assert_array_equal(first.rgb[void], second.rgb[void])
 
 
 def test_surfaces_beyond_the_clip_range_are_not_rendered(renderer: Renderer) -> None:

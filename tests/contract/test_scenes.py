@@ -64,6 +64,10 @@ def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
         assert Tier.FAR in target.connected_tiers
 
 
+def test_a_closed_scene_has_no_sky(scene: CompiledScene) -> None:
+    assert scene.info.sky is None
+
+
 def test_at_least_forty_spawns_are_spread_over_the_floor(scene: CompiledScene) -> None:
     assert len(scene.spawns) >= 40
     apart = np.linalg.norm(scene.spawns[:, None] - scene.spawns[None], axis=-1)

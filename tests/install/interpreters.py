@@ -15,10 +15,10 @@ ROOT = Path(__file__).parents[2]
 
 
 class Installed:
-    """A virtual environment with the wheel; `root` is its directory."""
+    """A virtual environment with the wheel; `root` is its directory, `downloads` that of pip's cache."""
 
-    def __init__(self, root: Path, version: str) -> None:
-        self.root, self.version = root, version
+    def __init__(self, root: Path, version: str, downloads: Path) -> None:
+        self.root, self.version, self._downloads = root, version, downloads
 
     def run(self, *words: object, cwd: Path, expect: int = 0, **variables: str) -> subprocess.CompletedProcess[str]:
         """Runs a command of the environment with an empty HOME, outside of the checkout."""
@@ -33,7 +33,8 @@ class Installed:
     def add(self, *requirements: str) -> None:
         """Installs more packages."""
         pip = [self.root / "bin" / "python", "-m", "pip", "install", "--quiet", "--no-compile"]
-        subprocess.run([*map(str, pip), *requirements], check=True)
+        environment = {"PIP_CACHE_DIR": str(self._downloads), **os.environ}
+        subprocess.run([*map(str, pip), *requirements], env=environment, check=True)
 
 
 def find_python(version: str) -> Path | None:
@@ -57,8 +58,11 @@ def build_wheel(folder: Path) -> Path:
 
 
 def install(python: Path, version: str, root: Path, wheel: Path, extras: str = "") -> Installed:
-    """Creates a virtual environment and installs the wheel with its dependencies, without the checkout."""
+    """Creates a virtual environment and installs the wheel with its dependencies, without the checkout.
+
+    Downloads are kept beside the wheel, for all environments of the session.
+    """
     subprocess.run([str(python), "-m", "venv", str(root)], check=True)
-    installed = Installed(root, version)
+    installed = Installed(root, version, wheel.parent / "downloads")
     installed.add(f"{wheel}{extras}")
     return installed

@@ -48,11 +48,15 @@ def test_the_slam_map_agrees_after_a_small_rigid_fit(warehouse: CompiledScene) -
     assert best >= 0.97
 
 
-def test_shelves_and_the_trash_can_are_targets(warehouse: CompiledScene) -> None:
+def test_shelves_the_pallet_jack_and_the_trash_can_are_targets(warehouse: CompiledScene) -> None:
     found = [target.target_id for target in warehouse.info.targets]
-    assert found == [f"shelf_{number:03d}" for number in range(1, 7)] + ["trash_can_001"]
+    assert found == ["pallet_jack_001"] + [f"shelf_{number:03d}" for number in range(1, 7)] + ["trash_can_001"]
     colours = {target.target_id: target.colour for target in warehouse.info.targets}
     assert colours["trash_can_001"] == "green"
+
+
+def test_the_warehouse_without_a_roof_has_a_sky(warehouse: CompiledScene) -> None:
+    assert warehouse.info.sky is not None
 
 
 def test_the_warehouse_survives_a_round_trip(warehouse: CompiledScene) -> None:

@@ -56,7 +56,7 @@ class RenderedFrame:
     """Image of the camera; rows from the top, arrays not shared with the renderer."""
 
     rgb: NDArray[np.uint8]
-    """(size, size, 3) sRGB; black where no surface is visible."""
+    """(size, size, 3) sRGB; where no surface is visible, the sky of the scene, or black without one."""
     depth: NDArray[np.float32]
     """(size, size) metres along the optical axis; 0 where no surface is within the clip range."""
     ids: NDArray[np.uint16]

@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import get_args
 
-import structlog
-
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import require_package
@@ -20,8 +18,6 @@ from workers.render import Renderer
 __all__ = ["RendererKind", "open_first", "open_renderer"]
 
 _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
-
-_log = structlog.get_logger(__name__)
 
 
 def open_renderer(
@@ -58,7 +54,10 @@ def open_first(
     try:
         return preferred(size, lap)
     except WorldError as error:
-        _log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
+        import structlog  # not at the start of each simulation, which it would slow down
+
+        log = structlog.get_logger(__name__)
+        log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
         return _open_tiny(size, lap)
 
 

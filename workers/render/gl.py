@@ -27,6 +27,7 @@ from workers.render.cull import window_of_corners
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import SceneShelf
+from workers.render.sky import SkyPainter
 
 _KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
@@ -63,6 +64,7 @@ class GlRenderer(Closing):
         self._scene: GpuScene | None = None
         self._looked: tuple[Pose, tuple[bytes, NDArray[np.intp]]] | None = None
         """Last pose and what `_look` returned for it; windows of one image have one pose."""
+        self._sky = SkyPainter(None, self._camera)
         with self._context:
             self._programs = Programs(self._context)
             self._targets = {size: GlTarget(self._context, size)}
@@ -86,6 +88,7 @@ class GlRenderer(Closing):
         self._camera = camera
         self._projection = projection_matrix(camera)
         self._looked = None
+        self._sky = SkyPainter(scene.info.sky, camera)
         with self._context:
             self._scene = self._shelf.take(scene)
 
@@ -109,6 +112,7 @@ class GlRenderer(Closing):
             self._lap("render")
             rgb = target.read_colour()
             relief = target.read_relief(self._camera, rgb)
+        self._sky.paint(rgb, relief.depth, optical_pose(pose, self._camera))
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
 

@@ -25,6 +25,7 @@ from workers.physics.bullet import BulletClient, CameraImage, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import DepthAndIds, RenderedFrame
 from workers.render.shelf import SceneShelf
+from workers.render.sky import SkyPainter
 
 _KEPT_SCENES = 2
 _TEXTURE_PX = 128
@@ -47,6 +48,7 @@ class TinyRenderer(Closing):
         self._lap = lap
         self._shelf = SceneShelf(TinyScene, _KEPT_SCENES)
         self._scene: TinyScene | None = None
+        self._sky = SkyPainter(None, self._camera)
 
     def close(self) -> None:
         """Frees the physics clients of the scenes; further calls have no effect."""
@@ -56,6 +58,7 @@ class TinyRenderer(Closing):
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
         self._camera = camera
+        self._sky = SkyPainter(scene.info.sky, camera)
         self._scene = self._shelf.take(scene)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
@@ -70,12 +73,13 @@ class TinyRenderer(Closing):
         """
         if self._scene is None:
             raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
-        view = view_matrix(optical_pose(pose, self._camera))
+        optical = optical_pose(pose, self._camera)
         size = size or self._size
         projection = _at_pixel_centres(projection_matrix(self._camera), size)
-        image = self._scene.client.camera_image(size, view, projection)
+        image = self._scene.client.camera_image(size, view_matrix(optical), projection)
         self._lap("render")
         frame = self._frame(image, self._scene.instance_of_body)
+        self._sky.paint(frame.rgb, frame.depth, optical)
         self._lap("read-back")
         return frame
 

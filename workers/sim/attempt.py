@@ -6,22 +6,26 @@ exception.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from typing import BinaryIO
 
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
 from schemas.job import Job
 from schemas.measure import measure_track
+from schemas.referents import referents_of
 from schemas.scene import SceneInfo, Target
+from schemas.start_view import start_view_findings
 from schemas.terms import EndReason, FailReason, Recording
 from workers.experts import Expert, make_expert
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.render import RenderedFrame
+from workers.render import RenderedFrame, Renderer
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import draw_poses, is_spawn_stable
@@ -85,9 +89,10 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     attempt = _Attempt(job, target, place, stage, out, sid, on_step)
     rng = job.rng()
     stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
-    for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
+    is_clear = partial(_is_view_clear, job, target, stage.renderer)
+    for draws, start in enumerate(draw_poses(job, target, place, rng, is_clear), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
-            if not is_spawn_stable(world, start, job):
+            if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
             expert = make_expert(job)
             planned = expert.begin(world.pose(), place.grid, target)
@@ -98,6 +103,16 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
             return _drive_and_seal(attempt, world, expert, planned, draws)
     detail = f"no valid start pose for {job.target_id} in tier {job.tier} in {job.spawn.physics_draws} draws"
     return AttemptFailure(FailReason.SPAWN, detail, 0)
+
+
+def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
+    """Returns whether heading and image of a pose meet the job's conditions; renders only if the job has any."""
+    if job.start_view is None:
+        return True
+    x, y, _ = target.centroid_m
+    bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
+    ids = renderer.render_depth_and_ids(pose).ids
+    return not start_view_findings(job.start_view, target.instance_id, bearing_rad, ids, job.gains.min_mask_px)
 
 
 def _pose_text(pose: Pose) -> str:
@@ -158,7 +173,7 @@ def describe_episode(
         target_prim_path=target.prim_path,
         target_instance_id=target.instance_id,
         target_centroid_m=target.centroid_m,
-        phrase_is_unique=_is_unique(job, info),
+        phrase_is_unique=len(referents_of(job, info)) == 1,
         rollout=_summarise(done.arrays, target, done, draws),
         route=route,
         instances=info.instances if job.record is Recording.FRAMES else (),
@@ -166,16 +181,6 @@ def describe_episode(
         content_digest=_NO_DIGEST,
         provenance=provenance,
     )
-
-
-def _is_unique(job: Job, info: SceneInfo) -> bool:
-    says_colour = job.colour != "unknown" and job.colour in job.instruction.split()
-    alike = [
-        target
-        for target in info.targets
-        if target.category == job.category and (not says_colour or target.colour == job.colour)
-    ]
-    return len(alike) == 1
 
 
 def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -> Rollout:

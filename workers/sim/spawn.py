@@ -32,8 +32,11 @@ _CLOSEST_FAR_M = 1.5
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
 _PREDICTIONS = 32
-"""Largest number of starts with a predicted path, of an expert that drives straight; if none of them has
-`_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
+"""Largest number of starts, in the near and mid tiers at one distance, whose view is examined and, for an expert that
+drives straight, whose path is predicted; if none has `_PREDICTION_MARGIN_M`, the one with the most free space is
+selected."""
+_REJECTIONS = 256
+"""Number of valid starts whose view is rejected after which a draw ends."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
@@ -45,7 +48,13 @@ Start = tuple[float, float, float]
 __all__ = ["draw_poses", "is_spawn_stable"]
 
 
-def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Pose]:
+def draw_poses(
+    job: Job,
+    target: Target,
+    place: LoadedScene,
+    rng: np.random.Generator,
+    accepts: Callable[[Pose], bool] = lambda _pose: True,
+) -> Iterator[Pose]:
     """Yields start poses that are free on the grid, at most `job.spawn.physics_draws` of them.
 
     Near and mid tier: draws a uniform distance, then bearings at that distance until one is free, with a heading
@@ -60,10 +69,12 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
         target: target to approach.
         place: scene with its grid.
         rng: random generator of the attempt; consumed in a fixed order.
+        accepts: further condition on a start, evaluated last. The sequence of candidates does not depend on it; the
+            draw ends after it has rejected `_REJECTIONS` of them.
     """
     z = place.scene.info.floor_height_m
     for _ in range(job.spawn.physics_draws):
-        found = _draw_on_grid(job, target, place, rng)
+        found = _draw_on_grid(job, target, place, rng, lambda start: accepts(Pose.planar(*start, z=z)))
         if found is None:
             return
         yield Pose.planar(*found, z=z)
@@ -87,8 +98,10 @@ def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
     return math.hypot(after.x - pose.x, after.y - pose.y) <= spawn.max_displacement_m
 
 
-def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Start | None:
-    fitting = _draw_fitting(job, target, place, rng)
+def _draw_on_grid(
+    job: Job, target: Target, place: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
+) -> Start | None:
+    fitting = _draw_fitting(job, target, place, rng, accepts)
     first = next(fitting, None)
     if first is None or job.expert is ExpertName.PLANNER:
         return first
@@ -104,17 +117,24 @@ def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.G
     return best
 
 
-def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Start]:
-    """Yields valid starts; in the near and mid tiers, all those at the first distance that has one."""
+def _draw_fitting(
+    job: Job, target: Target, place: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
+) -> Iterator[Start]:
+    """Yields valid starts; in the near and mid tiers, those at the first distance that has one."""
     surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
+    rejected = 0
     for _ in range(job.spawn.grid_draws):
-        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
-        fits = np.flatnonzero(_can_start(job, target, place, poses))
-        for x, y, yaw in poses[fits]:
-            yield float(x), float(y), float(yaw)
-        if surveyed is None and len(fits):
+        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, job, target, rng)
+        fits = np.flatnonzero(_can_start(job, target, place, poses))[:_PREDICTIONS]
+        before = rejected
+        for x, y, yaw in poses[fits].tolist():
+            if accepts((x, y, yaw)):
+                yield x, y, yaw
+            else:
+                rejected += 1
+        if rejected >= _REJECTIONS or (surveyed is None and rejected - before < len(fits)):
             return
 
 
@@ -129,9 +149,14 @@ def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
     return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
 
 
-def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> Poses:
-    x, y = points[int(rng.integers(len(points)))]
-    return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
+def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
+    """Returns one pose with any heading, or with a heading that may show the target if the job requires this."""
+    x, y = points[int(rng.integers(len(points)))].tolist()
+    if job.start_view is None or not job.start_view.shows_target:
+        return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
+    within_rad = job.start_view.within_rad or math.radians(job.camera.fov_deg) / 2
+    towards = math.atan2(target.centroid_m[1] - y, target.centroid_m[0] - x)
+    return np.array([[x, y, math.remainder(towards + rng.uniform(-within_rad, within_rad), 2 * math.pi)]])
 
 
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:

@@ -115,6 +115,11 @@ def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, ga
     return pieces
 
 
+def say_building(name: str) -> None:
+    """Prints on stderr that a scene is built."""
+    click.echo(f"building {name}", err=True)
+
+
 def say_duration(seconds: float | None) -> str:
     """Returns a duration as `1 h 05 min`, `4 min 10 s` or `12 s`; a dash when it is unknown."""
     if seconds is None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 
-from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import simulate_all
 from coordinator.service import Coordinator
@@ -28,6 +27,7 @@ from factory.cli.common.options import (
     tls_option,
     verbose_option,
 )
+from factory.cli.common.output import say_building
 from factory.cli.common.places import PLACE
 from factory.cli.common.summary import say_missing
 from factory.dataset.site import Site
@@ -36,7 +36,6 @@ from factory.runs.render import prepare_rendering
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
-from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
@@ -105,7 +104,9 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = _catalog(plan, site) if rendering is None else rendering.catalog
+        catalog = (
+            open_catalog(plan, site.place, scene_cache(), say_building) if rendering is None else rendering.catalog
+        )
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -144,7 +145,3 @@ def start(
     click.echo("finished", err=True)
     say_missing(site, progress)
     return 1 if progress.missing else 0
-
-
-def _catalog(plan: Plan, site: Site) -> Catalog:
-    return open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))

@@ -10,7 +10,7 @@ import click
 from coordinator.gateway.gather import GatherReport, gather
 from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option
-from factory.cli.common.output import json_option, print_result, print_table
+from factory.cli.common.output import json_option, print_result, print_table, say_building
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
@@ -37,9 +37,7 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
     """
     configure_logs()
     with one_bar("gathering") as tell:
-        found = inspect_dataset(
-            root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
-        )
+        found = inspect_dataset(root, root, None, ledger, scene_cache(), say_building)
         report = gather(found, sources, datetime.now(UTC), requeue_missing=requeue_missing, on_progress=tell)
     print_result(report, as_json, _print)
     return 1 if report.missing and not report.requeued else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -58,7 +58,7 @@ from workers.client.supervisor import run_worker
 def command(
     cores: int,
     connect: tuple[str, ...],
-    renderer: str,
+    renderer: RendererKind,
     spool: Path | None,
     wait_s: float,
     import_policies: bool,
@@ -79,7 +79,7 @@ def command(
     settings = WorkerSettings(
         connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
         cores=cores,
-        renderer=cast(RendererKind, renderer),
+        renderer=renderer,
         wait_s=wait_s,
         eval_command=_eval_command(renderer, import_policies),
         **more,
@@ -90,7 +90,7 @@ def command(
         return run_worker(settings, stop, at_once)
 
 
-def _eval_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
+def _eval_command(renderer: RendererKind, import_policies: bool) -> tuple[str, ...]:
     return python_module(
         "factory.eval.remote.eval_worker", "--renderer", renderer, *["--import-policies"] * import_policies
     )

@@ -12,7 +12,7 @@ from coordinator.recovery.report import RepairReport
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option, site_argument
-from factory.cli.common.output import json_option, print_result, print_table
+from factory.cli.common.output import json_option, print_result, print_table, say_building
 from factory.dataset.site import Site
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -48,9 +48,7 @@ def command(
     configure_logs()
     plan = load_plan(plan_name) if plan_name is not None else None
     with one_bar("checking files") as tell, Validator() as validator:
-        found = inspect_dataset(
-            site.place, site.home, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
-        )
+        found = inspect_dataset(site.place, site.home, plan, ledger, scene_cache(), say_building)
         report = repair(
             found,
             validator,

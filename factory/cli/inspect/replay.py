@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import cast
 
 import click
 
@@ -22,7 +21,7 @@ from schemas.terms import RendererKind
 @click.argument("episode")
 @renderer_option
 @json_option
-def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
+def command(root: Place, episode: str, renderer: RendererKind, as_json: bool) -> int:
     """Simulate one episode again and compare its content.
 
     EPISODE is a name or number: ep_000001 or 1. Exits with 1 if the content differs.
@@ -30,7 +29,7 @@ def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
     configure_logs()
     path = episode_path(root, episode)
     with one_bar(f"replaying {path.stem}") as tell:
-        outcome = replay_episode(root, path, cast(RendererKind, renderer), tell)
+        outcome = replay_episode(root, path, renderer, tell)
     if as_json:
         print_json({**asdict(outcome), "identical": outcome.is_identical})
     else:

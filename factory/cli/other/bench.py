@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import cast
 
 import click
 
@@ -89,7 +88,7 @@ def rollout(
     record: str | None,
     against: str | None,
     frames: int,
-    renderer: str,
+    renderer: RendererKind,
     as_json: bool,
 ) -> None:
     """Measure the speed of collection on one core.
@@ -104,7 +103,7 @@ def rollout(
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(cast(RendererKind, renderer), recorder) as stage:
+            with SceneRenderer(renderer, recorder) as stage:
                 jobs = first_attempts(plan, catalog, name)
                 plain_frames = frames if against else 0
                 results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
@@ -119,7 +118,7 @@ def rollout(
 @_repeats_option
 @renderer_option
 @json_option
-def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
+def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: RendererKind, as_json: bool) -> None:
     """Measure the speed of rendering.
 
     All runs render the same random poses of each scene.
@@ -130,7 +129,7 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(cast(RendererKind, renderer), recorder) as stage:
+            with SceneRenderer(renderer, recorder) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
                 results[name] = bench_render(scene, stage.renderer, recorder, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
@@ -145,7 +144,7 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
 @count_option("--episodes", 200, "Total number of episodes; most are ended early.", least=20)
 @renderer_option
 @json_option
-def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json: bool) -> None:
+def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: RendererKind, as_json: bool) -> None:
     """Measure the memory of a simulation over many episodes.
 
     The process switches to another scene after each episode.
@@ -155,7 +154,7 @@ def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json
         catalog = open_catalog(plan, folder, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
         jobs = [job for turn in turns for job in turn]
-        command = WorkerSettings(connect=(), renderer=cast(RendererKind, renderer)).simulation_command
+        command = WorkerSettings(connect=(), renderer=renderer).simulation_command
         report = bench_memory(jobs, catalog, command, episodes, tell)
     print_result(report, as_json, show_memory)
 

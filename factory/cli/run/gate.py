@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import cast
 
 import click
 
@@ -23,7 +22,7 @@ from factory.cli.common.options import (
     verbose_option,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, print_table
+from factory.cli.common.output import json_option, print_result, print_table, say_building
 from factory.runs.catalog import open_catalog
 from factory.runs.gate import GateReport
 from factory.stats.model import Share
@@ -68,7 +67,7 @@ def command(
     expert: str | None,
     seed: int | None,
     workers: int | None,
-    renderer: str,
+    renderer: RendererKind,
     as_json: bool,
     verbose: bool,
 ) -> int:
@@ -83,7 +82,7 @@ def command(
     changes = {"scenes": (scene,), "episodes": episodes, "expert": expert, "seed": seed}
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_expert(plan.expert)
-    report = _try(plan, cast(RendererKind, renderer), workers or os.cpu_count() or 1, min_success)
+    report = _try(plan, renderer, workers or os.cpu_count() or 1, min_success)
     if report is None:
         click.echo("interrupted; no result", err=True)
         return 130
@@ -93,7 +92,7 @@ def command(
 
 def _try(plan: Plan, renderer: RendererKind, processes: int, min_success: float) -> GateReport | None:
     with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as folder:
-        catalog = open_catalog(plan, Path(folder), scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        catalog = open_catalog(plan, Path(folder), scene_cache(), say_building)
         return try_scene(plan, catalog, min_success, renderer, processes, stop)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import cast
 
 import click
 
@@ -30,7 +29,7 @@ from workers.client.stopping import stop_on_signals
 @renderer_option
 @json_option
 @verbose_option
-def command(root: Place, site: Site, workers: int | None, renderer: str, as_json: bool, verbose: bool) -> int:
+def command(root: Place, site: Site, workers: int | None, renderer: RendererKind, as_json: bool, verbose: bool) -> int:
     """Render a states dataset into a dataset that stores frames.
 
     The result has the episodes and the digest that `factory run --record frames` gives. After Ctrl-C or a crash, the
@@ -44,7 +43,7 @@ def command(root: Place, site: Site, workers: int | None, renderer: str, as_json
         rendering.catalog,
         site.home,
         workers or os.cpu_count() or 1,
-        cast(RendererKind, renderer),
+        renderer,
         verbose,
         rendering.meta.gate,
         find_states=rendering.states,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -20,7 +20,7 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_duration
+from factory.cli.common.output import json_option, print_result, say_building, say_duration
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
@@ -48,7 +48,7 @@ def command(
     plan_name: str | None,
     site: Site,
     workers: int | None,
-    renderer: str,
+    renderer: RendererKind,
     gate_mode: GateMode,
     as_json: bool,
     verbose: bool,
@@ -65,14 +65,14 @@ def command(
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
-    kind, processes = cast(RendererKind, renderer), workers or os.cpu_count() or 1
+    processes = workers or os.cpu_count() or 1
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
-        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", kind, processes, stop)
+        catalog = open_catalog(plan, site.place, scene_cache(), say_building)
+        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
-        run = LocalRun(plan, catalog, site.home, processes, kind, verbose, gate, site.store)
+        run = LocalRun(plan, catalog, site.home, processes, renderer, verbose, gate, site.store)
         with RunBar(plan) as bar:
             progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:

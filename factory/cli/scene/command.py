@@ -83,6 +83,12 @@ def build(
 @click.option("--name", metavar="NAME", help="Name of the scene. Default: the file name without suffix.")
 @count_option("--max-triangles", MAX_TRIANGLES, "Maximum number of triangles; a larger stage is an error.")
 @click.option("--allow-outside", is_flag=True, help="Also read textures outside of the stage's folder.")
+@click.option(
+    "--ceiling",
+    type=click.FloatRange(1.0, 100.0),
+    metavar="M",
+    help="Height above the floor of a flat ceiling to add to an open stage, metres. Default: none.",
+)
 @_edit_options
 @json_option
 @verbose_option
@@ -91,6 +97,7 @@ def import_(
     name: str | None,
     max_triangles: int,
     allow_outside: bool,
+    ceiling: float | None,
     rules: Path | None,
     targets: Path | None,
     cache: Path | None,
@@ -106,14 +113,16 @@ def import_(
     configure_logs(verbose)
     called = name or usd.stem.lower()
     book, chosen = load_edits(rules, targets, called)
-    limits = StageLimits(max_triangles, allow_outside)
+    limits = StageLimits(max_triangles, allow_outside, ceiling)
     with stderr.status(f"importing {usd}"):
         path = import_scene(usd, called, cache or scene_cache(), book, chosen, limits)
     facts = describe_package(path)
     made_with = {"rules": rules, "targets": targets}
-    files: dict[str, str | bool] = {key: str(file.resolve()) for key, file in made_with.items() if file is not None}
+    files: dict[str, object] = {key: str(file.resolve()) for key, file in made_with.items() if file is not None}
     if allow_outside:
         files["allow_outside"] = True
+    if ceiling is not None:
+        files["ceiling_m"] = ceiling
     steps = next_steps(path, usd, cache is None, files)
     if as_json:
         print_json(facts | asdict(steps))

@@ -108,14 +108,14 @@ class Steps:
     """A first plan as TOML; `None` if no target has a feasible start."""
 
 
-def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, str | bool]) -> Steps:
+def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, object]) -> Steps:
     """Returns the next steps for a scene package.
 
     Args:
         package: file of the scene package.
         usd: the stage's root layer.
         is_in_cache: True if the package is in the cache, where it is found by name.
-        files: files and flags of the import, as in the scene of a plan.
+        files: files and other options of the import, as in the scene of a plan.
     """
     entry = read_entry(package)
     name = entry.info.name
@@ -135,13 +135,13 @@ def print_steps(steps: Steps) -> None:
         click.echo(f"{'':<8} {last}, after saving this plan to that file:\n\n{steps.plan}", nl=False)
 
 
-def draft_plan(entry: SceneEntry, usd: str, **files: str | bool) -> Plan | None:
+def draft_plan(entry: SceneEntry, usd: str, **files: object) -> Plan | None:
     """Returns a feasible plan of a scene; holds out the rarest category if the scene has two or more.
 
     Args:
         entry: Scene.
         usd: Path of the root layer of the stage.
-        files: `rules`, `targets` and `allow_outside` of the scene, if used for the import.
+        files: `rules`, `targets`, `allow_outside` and `ceiling_m` of the scene, if used for the import.
 
     Returns:
         The plan, or `None` when no target has a valid start pose for the expert.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
 
 import click
 
@@ -31,7 +30,7 @@ def command(
     views: int,
     robot_views: int,
     colours: int,
-    renderer: str,
+    renderer: RendererKind,
     as_json: bool,
 ) -> None:
     """Render the map, views and contact sheets of a scene.
@@ -45,7 +44,7 @@ def command(
     folder = out or Path(compiled.info.name)
     wanted = Wanted(views, robot_views, colours)
     with translated("write to", folder), stderr.status(f"rendering {compiled.info.name}"):
-        paths = [str(path) for path in draw_scene(compiled, folder, wanted, cast(RendererKind, renderer))]
+        paths = [str(path) for path in draw_scene(compiled, folder, wanted, renderer)]
     if as_json:
         print_json({"scene": compiled.info.name, "pictures": paths})
     else:

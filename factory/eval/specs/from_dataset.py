@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -17,9 +16,11 @@ from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
+from schemas.referents import ids_in_view
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
 from schemas.terms import Split
+from workers.geometry.pose import Pose
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
@@ -126,13 +127,8 @@ def categories_in_view(ids: NDArray[np.uint16], instances: Sequence[Instance], m
         instances: Instances of the ids.
         min_pixels: Minimum number of pixels of an object in view.
     """
-    counts = np.bincount(ids.ravel())
-    seen = {
-        instance.category
-        for instance in instances
-        if instance.category is not None and instance.id < len(counts) and counts[instance.id] >= min_pixels
-    }
-    return tuple(sorted(seen))
+    in_view = ids_in_view(ids, min_pixels)
+    return tuple(sorted({each.category for each in instances if each.category is not None and each.id in in_view}))
 
 
 def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
@@ -146,13 +142,11 @@ def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
 def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, float] | None:
     """Redraws the start pose of the attempt; returns `None` if this version draws another pose."""
     target = place.scene.info.target(meta.job.target_id)
-    draws = draw_poses(meta.job, target, place, meta.job.rng())
-    pose = next(itertools.islice(draws, meta.rollout.spawn_draws - 1, None), None)
-    if pose is None:
-        return None
     x, y, yaw = meta.rollout.spawn_pose
-    is_same = (
-        math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
-        and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
-    )
-    return (pose.x, pose.y, pose.yaw) if is_same else None
+
+    def is_recorded(pose: Pose) -> bool:
+        is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
+        return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
+
+    found = next(draw_poses(meta.job, target, place, meta.job.rng(), is_recorded), None)
+    return None if found is None else (found.x, found.y, found.yaw)

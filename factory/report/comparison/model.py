@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
+from factory.stats.model import Interval
 from schemas.base import Model
 
-__all__ = ["PaperComparison"]
+Verdict = Literal["inside", "outside", "undecided"]
+"""Position of a 95 % interval relative to a target: wholly inside, wholly outside, or partly inside."""
 
 
 class PaperComparison(Model):
@@ -18,6 +22,12 @@ class PaperComparison(Model):
     published: float
     published_high: float | None = None
     """Upper bound, if the paper gives a range."""
+    interval: Interval | None = None
+    """95 % interval of the number of the dataset; `None` for numbers without one and for too few episodes."""
+    target: Interval | None = None
+    """Smallest and largest number that agree with the paper."""
+    verdict: Verdict | None = None
+    """Position of the interval relative to the target; `None` without an interval or a target."""
     unit: str
     """Unit: `m`, `steps`, `share`, or empty for a plain number."""
     digits: int
@@ -39,3 +49,12 @@ class PaperComparison(Model):
         if self.ours is None or self.published_high is not None or self.published == 0:
             return None
         return self.ours / self.published
+
+
+def verdict_of(interval: Interval | None, target: Interval | None) -> Verdict | None:
+    """Returns the position of an interval relative to a target, or `None` without one of them."""
+    if interval is None or target is None:
+        return None
+    if interval[1] < target[0] or target[1] < interval[0]:
+        return "outside"
+    return "inside" if target[0] <= interval[0] and interval[1] <= target[1] else "undecided"

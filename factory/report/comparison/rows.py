@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 from factory.report.comparison import reasons
 from factory.report.comparison.facts import RunFacts, facts_of
-from factory.report.comparison.model import PaperComparison
+from factory.report.comparison.model import PaperComparison, verdict_of
 from factory.report.data import ReportInput
 from factory.stats import paper
-from factory.stats.model import Published, RolloutRow
+from factory.stats.measures import share_of
+from factory.stats.model import Interval, Published, RolloutRow, Share
 from factory.stats.rollouts import ALL
 from schemas.language import needs_colour, say_category
 from schemas.terms import Split, Tier
@@ -31,20 +32,24 @@ class _Kind(NamedTuple):
     alike_relative: float = 0.0
     """Threshold relative to the published number."""
 
-    def differ(self, ours: float | None, published: float) -> bool:
-        """Returns whether the difference is above the threshold."""
-        return ours is not None and abs(ours - published) > self.alike + self.alike_relative * abs(published)
+    def target(self, published: float) -> Interval:
+        """Returns the smallest and the largest number that do not differ noticeably."""
+        threshold = self.alike + self.alike_relative * abs(published)
+        return published - threshold, published + threshold
 
 
 _KINDS = {
     "TL": _Kind("m", 2, alike_relative=0.05),
+    "far TL": _Kind("m", 2, alike_relative=0.15),
+    "far steps mean": _Kind("steps", 1, alike_relative=0.15),
     "steps median": _Kind("steps", 0, alike_relative=0.05),
     "steps mean": _Kind("steps", 1, alike_relative=0.05),
     "NE": _Kind("m", 3, 0.005),
     "NE spread": _Kind("m", 4, 0.001),
     "share": _Kind("share", 1, 0.02),
     "share of colours": _Kind("share", 1),
-    "coefficient": _Kind("", 2),
+    "r": _Kind("", 2, 0.02),
+    "slope": _Kind("", 2, 0.05),
     "count": _Kind("", 0),
 }
 
@@ -66,20 +71,24 @@ def _compare(
     source: str,
     explain: Callable[..., str],
     *arguments: Any,
+    interval: Interval | None = None,
 ) -> Iterator[PaperComparison]:
     """Yields the comparison of one number; `explain(*arguments)` returns the reason of a noticeable difference."""
     if published is None:
         return
-    unit, digits, *_ = _KINDS[kind]
+    target = _KINDS[kind].target(published)
     yield PaperComparison(
         exhibit=figure,
         what=what,
         ours=ours,
         published=published,
-        unit=unit,
-        digits=digits,
+        interval=interval,
+        target=target if interval else None,
+        verdict=verdict_of(interval, target),
+        unit=_KINDS[kind].unit,
+        digits=_KINDS[kind].digits,
         source=source,
-        reason=explain(*arguments) if _KINDS[kind].differ(ours, published) else "",
+        reason="" if ours is None or target[0] <= ours <= target[1] else explain(*arguments),
     )
 
 
@@ -95,8 +104,13 @@ def _length(material: ReportInput, figure: str, row: RolloutRow, facts: RunFacts
     if said := row.paper:
         what = f"TL mean, {row.group if figure == 'splits' else _group_label(row.group)}"
         ours, published = row.tl_mean_m, said.tl_mean_m
-        why = (_why_length, material, figure, row.group, facts, said)
-        yield from _compare(figure, what, "TL", ours, published, said.source, *why)
+        kind, why = _kind("TL", row), (_why_length, material, figure, row.group, facts, said)
+        yield from _compare(figure, what, kind, ours, published, said.source, *why, interval=row.tl_interval_m)
+
+
+def _kind(name: str, row: RolloutRow) -> str:
+    """Returns the kind of a number of a group; the paper has 14 far episodes, whose means are less certain."""
+    return f"far {name}" if row.group == Tier.FAR else name
 
 
 def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts | None, said: Published) -> str:
@@ -114,7 +128,7 @@ def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts 
 def _errors(material: ReportInput) -> Iterator[PaperComparison]:
     said, why = paper.NAVIGATION_ERROR, (reasons.explain_error, material.statistics)
     row = next(row for row in material.statistics.navigation_error if row.group == ALL)
-    yield from _compare("errors", "NE mean", "NE", row.mean, said.ne_mean_m, said.source, *why)
+    yield from _compare("errors", "NE mean", "NE", row.mean, said.ne_mean_m, said.source, *why, interval=row.interval)
     yield from _compare("errors", "NE standard deviation", "NE spread", row.std, said.ne_std_m, said.source, *why)
 
 
@@ -140,12 +154,13 @@ def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
         facts = facts_of([episode for episode in material.episodes if row.group in (ALL, episode.spawn_tier)])
         if row.group != ALL:  # the row of all tiers belongs to the histogram
             yield from _length(material, "tier_statistics", row, facts)
-        what, why = f"steps mean, {row.group}", (_why_steps, facts, said)
-        yield from _compare("tier_statistics", what, "steps mean", row.steps_mean, said.steps_mean, said.source, *why)
+        what, kind, why = f"steps mean, {row.group}", _kind("steps mean", row), (_why_steps, facts, said)
+        numbers = (row.steps_mean, said.steps_mean, said.source)
+        yield from _compare("tier_statistics", what, kind, *numbers, *why, interval=row.steps_interval)
         if row.group != ALL:
             what, ours = f"NE mean, {row.group}", row.ne_mean_m
-            error = (reasons.explain_error, material.statistics)
-            yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, said.source, *error)
+            error = (said.source, reasons.explain_error, material.statistics)
+            yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, *error, interval=row.ne_interval_m)
 
 
 def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:
@@ -170,26 +185,34 @@ def _splits(material: ReportInput) -> Iterator[PaperComparison]:
 
 
 def _categories(material: ReportInput) -> Iterator[PaperComparison]:
-    rows = {row.group: row for row in material.statistics.categories}
+    rows, total = material.statistics.categories, len(material.episodes)
+    counts = {row.group: share_of(row.n, total) for row in rows}
     for name, said in paper.CATEGORIES.items():
-        what, ours = f"share of {say_category(name)}", rows[name].share if name in rows else 0.0
-        why = (reasons.explain_category_share, material, name)
-        yield from _compare("categories", what, "share", ours, said.share, said.source, *why)
-    what, ours = "share of the three most frequent", material.statistics.three_largest_share
-    why_largest = (reasons.explain_largest, material.statistics)
-    yield from _compare("categories", what, "share", ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
+        ours, why = counts.get(name) or share_of(0, total), (reasons.explain_category_share, material, name)
+        yield from _category_share(f"share of {say_category(name)}", ours, said.share, said.source, *why)
+    ours, why_largest = share_of(sum(row.n for row in rows[:3]), total), (reasons.explain_largest, material.statistics)
+    what = "share of the three most frequent"
+    yield from _category_share(what, ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
+
+
+def _category_share(
+    what: str, ours: Share, published: float | None, source: str, *explain: Any
+) -> Iterator[PaperComparison]:
+    interval = _ends(ours.low, ours.high)
+    yield from _compare("categories", what, "share", ours.share, published, source, *explain, interval=interval)
+
+
+def _ends(low: float | None, high: float | None) -> Interval | None:
+    return None if low is None or high is None else (low, high)
 
 
 def _fit(material: ReportInput) -> Iterator[PaperComparison]:
     ours, said = material.statistics.correlation[0], paper.FIT
-    if said.r is None or said.slope is None:
-        return
-    is_within = ours.low is None or ours.high is None or ours.low <= said.r <= ours.high
-    why_r = (str,) if is_within else (reasons.explain_correlation, facts_of(material.episodes))
-    yield from _compare("fit", "Pearson r", "coefficient", ours.r, said.r, "Fig. 11", *why_r)
-    is_off = ours.slope is not None and ours.slope_error is not None and abs(ours.slope - said.slope) > 0.05
-    why_slope = (reasons.explain_slope, material.statistics) if is_off else (str,)
-    yield from _compare("fit", "slope, m/m", "coefficient", ours.slope, said.slope, "Fig. 11", *why_slope)
+    why_r = (reasons.explain_correlation, facts_of(material.episodes))
+    interval = _ends(ours.low, ours.high)
+    yield from _compare("fit", "Pearson r", "r", ours.r, said.r, "Fig. 11", *why_r, interval=interval)
+    why_slope = (reasons.explain_slope, material.statistics)
+    yield from _compare("fit", "slope, m/m", "slope", ours.slope, said.slope, "Fig. 11", *why_slope)
 
 
 def _templates(material: ReportInput) -> Iterator[PaperComparison]:
@@ -204,14 +227,16 @@ def _attempts(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.attempts or ():
         if row.paper is None or row.paper.rate is None:
             continue
-        low, high = row.paper.rate
-        rate = row.success.share
+        (low, high), rate, interval = row.paper.rate, row.first.share, _ends(row.first.low, row.first.high)
         yield PaperComparison(
             exhibit="attempts",
-            what=f"attempts that succeed, {_group_label(row.group)}",
+            what=f"first attempts that succeed, {_group_label(row.group)}",
             ours=rate,
             published=low,
             published_high=high,
+            interval=interval,
+            target=row.paper.rate if interval else None,
+            verdict=verdict_of(interval, row.paper.rate),
             unit="share",
             digits=1,
             source=row.paper.source,

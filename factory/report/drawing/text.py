@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["DASH", "count", "file_part", "name", "number", "percent", "scene_label"]
+from factory.stats.model import Share
+
+__all__ = ["DASH", "count", "file_part", "interval", "name", "number", "percent", "scene_label"]
 
 DASH = "–"
 
@@ -37,3 +39,10 @@ def number(value: float | None, digits: int = 2) -> str:
 def percent(share: float | None, digits: int = 1) -> str:
     """Returns a share in per cent, or a dash for `None`."""
     return DASH if share is None else f"{100 * share:.{digits}f} %"
+
+
+def interval(share: Share) -> str:
+    """Returns a share with its interval in per cent: `13 % (9–18)`; a dash without data."""
+    if share.low is None or share.high is None:
+        return DASH
+    return f"{percent(share.share, 0)} ({100 * share.low:.0f}–{100 * share.high:.0f})"

@@ -10,8 +10,8 @@ from factory.html.palette import REASON_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
-from factory.report.drawing.text import DASH, count, name, percent, scene_label
-from factory.stats.model import AttemptRow, Share
+from factory.report.drawing.text import DASH, count, interval, name, scene_label
+from factory.stats.model import AttemptRow
 
 __all__ = ["draw"]
 
@@ -118,8 +118,8 @@ def _table(shown: list[AttemptRow], rows: tuple[AttemptRow, ...]) -> Table:
         (
             name(row.group),
             str(row.attempts),
-            _interval(row.success),
-            _interval(row.first),
+            interval(row.success),
+            interval(row.first),
             ", ".join(f"{n} {name(reason)}" for reason, n in row.reasons.items()) or DASH,
         )
         for row in (*shown, *groups)
@@ -127,9 +127,3 @@ def _table(shown: list[AttemptRow], rows: tuple[AttemptRow, ...]) -> Table:
     return Table(
         ("scene / tier", "attempts", "success (95 %)", "first attempts", "failures"), body, "By scene and tier"
     )
-
-
-def _interval(share: Share) -> str:
-    if share.low is None or share.high is None:
-        return DASH
-    return f"{percent(share.share, 0)} ({100 * share.low:.0f}–{100 * share.high:.0f})"

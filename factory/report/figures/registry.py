@@ -9,6 +9,7 @@ from factory.report.figures import (
     categories,
     errors,
     fit,
+    language,
     lengths,
     samples,
     spawn_maps,
@@ -36,5 +37,6 @@ DRAW_FUNCTIONS: tuple[DrawFunction, ...] = (
     tier_statistics.draw,
     fit.draw,
     templates.draw,
+    language.draw,
     attempts.draw,
 )

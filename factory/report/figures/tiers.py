@@ -7,9 +7,10 @@ import numpy as np
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, mark, write_legend
-from factory.report.drawing.figure import Figure
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.paper_mark import mark_paper
-from factory.report.drawing.text import count
+from factory.report.drawing.text import count, interval, name, number
+from factory.stats.model import FarRow
 from schemas.terms import TIER_RANGE_M, Tier
 
 __all__ = ["draw"]
@@ -35,7 +36,8 @@ def draw(material: ReportInput) -> Figure:
     distances = draw_panel(
         "spawn_distances", "Histogram of start distances by tier", lambda axes: _distances(axes, material), 2.8
     )
-    return Figure("tiers", title, source, caption, (shares, distances))
+    tables = (_far_table(material),) if rows[Tier.FAR].n else ()
+    return Figure("tiers", title, source, caption, (shares, distances), tables)
 
 
 def _shares(axes: Axes, material: ReportInput) -> None:
@@ -78,3 +80,20 @@ def _distances(axes: Axes, material: ReportInput) -> None:
     count_whole(axes.yaxis)
     axes.set_xlim(left=0)
     write_legend(axes)
+
+
+def _far_table(material: ReportInput) -> Table:
+    rows = tuple(
+        (name(row.scene), str(row.n), _mean(row), interval(row.short), interval(row.corner))
+        for row in material.statistics.far
+        if row.n
+    )
+    columns = ("scene", "N", "floor distance, m", "below 5 m", "no free line")
+    return Table(columns, rows, "Far starts: distance along the floor to the target; 95 % intervals")
+
+
+def _mean(row: FarRow) -> str:
+    if row.interval_m is None:
+        return number(row.mean_m)
+    low, high = row.interval_m
+    return f"{number(row.mean_m)} ({number(low)}–{number(high)})"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from factory.report.comparison.model import PaperComparison
 from factory.report.drawing.figure import Table
 from factory.report.drawing.text import DASH, number, percent
+from factory.stats.model import Interval
 
 __all__ = ["ComparisonCells", "TableCells", "format_comparison", "format_table"]
 
@@ -25,9 +26,14 @@ class ComparisonCells:
 
     what: str
     ours: str
+    interval: str
+    """95 % interval of `ours`, or empty."""
     published: str
+    target: str
+    """Range that agrees with the paper; empty if the paper prints it."""
     source: str
     difference: str
+    verdict: str
     reason: str
 
 
@@ -50,7 +56,17 @@ def format_comparison(row: PaperComparison) -> ComparisonCells:
     published = _format_value(row, row.published)
     if row.published_high is not None:
         published = f"{number(100 * row.published, 0)}–{number(100 * row.published_high, 0)} %"
-    return ComparisonCells(row.what, _format_value(row, row.ours), published, row.source, _difference(row), row.reason)
+    return ComparisonCells(
+        row.what,
+        _format_value(row, row.ours),
+        _format_ends(row, row.interval),
+        published,
+        "" if row.published_high is not None else _format_ends(row, row.target),
+        row.source,
+        _difference(row),
+        row.verdict or "",
+        row.reason,
+    )
 
 
 def format_table(table: Table) -> TableCells:
@@ -65,6 +81,13 @@ def _format_value(row: PaperComparison, value: float | None) -> str:
         return percent(value, row.digits)
     unit = f" {row.unit}" if row.unit == "m" and value is not None else ""
     return number(value, row.digits) + unit
+
+
+def _format_ends(row: PaperComparison, ends: Interval | None) -> str:
+    if ends is None:
+        return ""
+    factor, digits = (100, 0) if row.unit == "share" else (1, max(row.digits, 3 if row.unit == "" else 0))
+    return "–".join(number(factor * end, digits) for end in ends)
 
 
 def _difference(row: PaperComparison) -> str:

@@ -1,5 +1,7 @@
 """Converts colours between sRGB, linear light and CIELAB, and assigns basic colour names.
 
+The eleven names are those of Berlin and Kay (Basic Color Terms, 1969). Their sectors of lightness, chroma and hue
+follow the XKCD colour survey (Munroe 2010, blog.xkcd.com/2010/05/03/color-survey-results).
 Pure. Does not choose the surfaces to sample.
 """
 
@@ -33,6 +35,8 @@ _NEUTRAL_VOTE = 0.5
 """Weight of a black, gray or white sample: a blue chair on a black base is a blue chair."""
 _BLACK_BELOW = 30.0
 """Lightness below which an achromatic colour is called black. It includes charcoal, which looks black indoors."""
+_BLACKISH = 7.0
+"""Chroma from which a dark colour is not called black; above 12 it has the name of its hue, as navy has."""
 
 
 def linear_of(srgb: ArrayLike) -> Floats:
@@ -69,20 +73,27 @@ def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
     for first, last, name in _HUES + _LATE_HUES:
         names[(hue >= first) & (hue < last)] = name
     names[(hue >= _TEAL[0]) & (hue < _TEAL[1])] = _NAMELESS
-    names[(names == _RED) & (lightness > 68)] = _PINK
+    names[_is_pink(lightness, hue)] = _PINK
     names[_is_brown(lightness, chroma, hue)] = _BROWN
     names[(hue >= 50) & (hue < 125) & (lightness >= 85) & (chroma < 24)] = _WHITE
     plain = chroma < np.where(lightness > 75, 9, 12)
-    names[plain] = np.where(lightness[plain] < _BLACK_BELOW, _BLACK, np.where(lightness[plain] < 85, _GRAY, _WHITE))
-    names[lightness < 8] = _BLACK
+    names[plain] = np.where(lightness[plain] < 85, _GRAY, _WHITE)
+    dark = plain & (lightness < _BLACK_BELOW)
+    names[dark] = np.where(chroma[dark] < _BLACKISH, _BLACK, _NAMELESS)
     return names
+
+
+def _is_pink(lightness: Floats, hue: Floats) -> NDArray[np.bool_]:
+    """Returns whether colours are pink: light red, and already at medium lightness if the red is bluish."""
+    bluish = ((hue >= 330) | (hue < 20)) & (lightness >= 50)
+    return np.asarray(bluish | ((hue < 45) & (lightness > 68)))
 
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
     """Returns whether colours are brown: dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
     orange = (hue >= 48) & (hue < 72) & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
-    yellow = (hue >= 72) & (hue < 98) & (lightness < 88) & (chroma < 45)
+    yellow = (hue >= 72) & (hue < 98) & ((lightness < 58) | ((lightness < 88) & (chroma < 45)))
     return np.asarray(orange | red | yellow)
 
 

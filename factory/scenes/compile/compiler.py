@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from factory.scenes.compile.geometry import Geometry, lay_out_geometry
 from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours, with_far_tier
 from factory.scenes.compile.objects import assign_objects, number_objects
-from factory.scenes.compile.shade import triangle_areas
+from factory.scenes.compile.overhead import is_open, with_ceiling
+from factory.scenes.compile.shade import target_colour, triangle_areas
 from factory.scenes.compile.textures import TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
@@ -35,7 +36,7 @@ from factory.scenes.targets.target_list import TargetList
 from factory.scenes.version import COMPILER_VERSION
 from schemas.config import SpawnConfig
 from schemas.errors import WorldError
-from schemas.scene import CompiledScene, Instance, SceneInfo, Target
+from schemas.scene import CompiledScene, Instance, SceneInfo, Sky, Target
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 
@@ -125,7 +126,7 @@ def compile_extraction(
     """
     rules = rules or load_rules()
     notes = list(extraction.notes)
-    parts = _without_outliers(file, extraction, notes)
+    parts = with_ceiling(_without_outliers(file, extraction, notes), extraction.ceiling_m)
     shown = _show(file, extraction, parts, (rules, chosen), notes)
     with _told_with_sizes(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
@@ -151,6 +152,7 @@ def compile_extraction(
         floor_height_m=floor_m,
         free_area_m2=_area(terrain),
         notes=_shortened(notes),
+        sky=Sky() if is_open(shown.triangles(), survey.spawns, floor_m) else None,
     )
     return _assemble(info, shown.book, geometry, weld(solid), terrain, survey)
 
@@ -193,11 +195,12 @@ def _show(
     if not visible:
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes
-    candidates = apply_candidate_edits(find_candidates(extraction, visible, rules), visible, chosen)
-    owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
     users = {part.surface.texture: part.path for part in reversed(visible)}
     book = load_textures(_texture_areas(visible), read_asset, users)
     notes += book.notes
+    found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
+    candidates = apply_candidate_edits(found, visible, chosen)
+    owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
     return _Shown(visible, candidates, owners, number_objects(owners), book, chosen, rules.uncoloured)
 
 

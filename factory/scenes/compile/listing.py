@@ -82,8 +82,7 @@ def with_colours(
         if target.category in uncoloured:
             named.append(target)
             continue
-        rng = np.random.default_rng(0)
-        named.append(target.model_copy(update={"colour": target_colour(own[target.prim_path], book, rng)}))
+        named.append(target.model_copy(update={"colour": target_colour(own[target.prim_path], book)}))
     return tuple(named)
 
 

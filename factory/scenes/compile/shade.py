@@ -84,14 +84,14 @@ def reflectance(part: Part, book: TextureBook) -> Floats:
     return np.asarray(np.clip(linear @ _LUMINANCE, 0.0, 1.0))
 
 
-def target_colour(parts: list[Part], book: TextureBook, rng: np.random.Generator) -> str:
+def target_colour(parts: list[Part], book: TextureBook) -> str:
     """Returns the colour name of an object, from samples on all faces that do not face down.
 
     Args:
         parts: parts of the object.
         book: textures of the scene.
-        rng: random generator of the samples.
     """
+    rng = np.random.default_rng(0)
     crosses = [_crosses(part.triangles) for part in parts]
     areas = np.concatenate([np.linalg.norm(c, axis=1) * (c[:, 2] > -0.7 * np.linalg.norm(c, axis=1)) for c in crosses])
     if areas.sum() <= 0:

@@ -75,6 +75,8 @@ class Extraction:
     files_sha256: str
     """SHA-256 of the layers and textures with their paths relative to the root layer; swapped files change it."""
     notes: tuple[str, ...]
+    ceiling_m: float | None = None
+    """Height above the floor of a ceiling to add, metres."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,7 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
     if all(part.is_collider for part in work.parts):
         notes += find_unseen(scene)
     digests = _digests(scene.stage, work.parts)
+    added = [] if limits.ceiling_m is None else [f"ceiling {limits.ceiling_m}"]
     return Extraction(
         parts=tuple(work.parts),
         metres_per_unit=scene.metres_per_unit,
@@ -132,9 +135,10 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
         groups=frozenset(work.groups),
         models=frozenset(work.models),
         components=frozenset(work.components),
-        sha256=_digest_of(sorted(digest for _, digest in digests)),
-        files_sha256=_digest_of(sorted(f"{_seen_from(path, place)} {digest}" for place, digest in digests)),
+        sha256=_digest_of(sorted(digest for _, digest in digests) + added),
+        files_sha256=_digest_of(sorted(f"{_seen_from(path, place)} {digest}" for place, digest in digests) + added),
         notes=tuple(dict.fromkeys(notes)),
+        ceiling_m=limits.ceiling_m,
     )
 
 

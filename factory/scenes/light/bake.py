@@ -16,7 +16,7 @@ from factory.scenes.light.curves import Bends, find_bends
 from factory.scenes.light.irradiance import lamp_light, sky_light
 from factory.scenes.light.lamps import Lamps, find_lamps
 from factory.scenes.light.rays import Caster
-from factory.scenes.light.smooth import fill_hidden, smooth_charts
+from factory.scenes.light.smooth import even_out, fill_hidden, smooth_charts
 from factory.scenes.light.texels import Texels, lay_texels
 from factory.scenes.light.tone import tone
 from factory.scenes.light.unwrap import unwrap
@@ -25,8 +25,10 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 __all__ = ["LightMap", "bake_light"]
 
 _COARSE = 0.25
-_COARSE_SKY, _COARSE_LAMPS = (5, 5), (2, 2)
-_FINE_SKY, _FINE_LAMPS = (14, 27), (8, 12)
+_COARSE_SKY, _COARSE_LAMPS = (8, 8), (4, 4)
+_FINE_SKY, _FINE_LAMPS = (16, 64), (12, 24)
+_EVEN_STEPS = (1, 2)
+"""Distances over which noise is averaged, texels."""
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
 """Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
 _MIDDLE_GREY = 0.5
@@ -66,7 +68,7 @@ def bake_light(
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
     cast, known = _cast_light(caster, texels.cast(), lamps, owner)
-    touch = contact_shade(triangles, floor_m, texels.points, texels.axes[:, 2])
+    touch = contact_shade(triangles, floor_m, texels.points.mean(axis=1), texels.axes[:, 2])
     filled = fill_hidden(np.concatenate((cast, _maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
     emitting = _mask(layout.shape, texels, glow[texels.chart] > 0)
@@ -78,11 +80,16 @@ def bake_light(
 
 def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tuple[Floats, Bools]:
     """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
-    sky, hidden = sky_light(caster, texels, _FINE_SKY)
-    whole, free = lamp_light(caster, texels, lamps, _FINE_LAMPS)
-    known, bent = _mask(owner.shape, texels, ~hidden), _mask(owner.shape, texels, texels.is_bent)
+    sky, open_spots = sky_light(caster, texels, _FINE_SKY)
+    whole, free = lamp_light(caster, texels, open_spots, lamps, _FINE_LAMPS)
+    known, bent = (
+        _mask(owner.shape, texels, np.asarray(open_spots.any(axis=1))),
+        _mask(owner.shape, texels, texels.is_bent),
+    )
     cast = _maps(owner.shape, texels, sky, free, whole)
     smooth, is_near = smooth_charts(cast, known, owner)
+    for step in _EVEN_STEPS:
+        smooth[:2] = even_out(smooth[:2], is_near, owner, step)
     return np.where(bent, cast, smooth), np.where(bent, known, is_near)
 
 
@@ -90,11 +97,12 @@ def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Flo
     """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
     layout = unwrap(charts, np.full(len(charts.area), _COARSE))
     texels = lay_texels(charts, bends, layout).cast()
-    _, hidden = sky_light(caster, texels, _COARSE_SKY)
-    whole, free = lamp_light(caster, texels, lamps, _COARSE_LAMPS)
+    _, open_spots = sky_light(caster, texels, _COARSE_SKY)
+    whole, free = lamp_light(caster, texels, open_spots, lamps, _COARSE_LAMPS)
+    shown = open_spots.any(axis=1)
     is_seen, is_lit = np.zeros(len(charts.area), bool), np.zeros(len(charts.area), bool)
-    np.logical_or.at(is_seen, texels.chart, ~hidden)
-    np.logical_or.at(is_lit, texels.chart, ~hidden & (whole * free > 0))
+    np.logical_or.at(is_seen, texels.chart, shown)
+    np.logical_or.at(is_lit, texels.chart, shown & (whole * free > 0))
     return np.where(is_lit, 1.0, np.where(is_seen, _DARK_GAIN, _HIDDEN_GAIN))
 
 

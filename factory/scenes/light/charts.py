@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from factory.scenes.light.patches import find_patches
 from schemas.support.numpy_types import Floats, Ints
 
 __all__ = ["Charts", "find_charts", "number_rows"]
@@ -20,14 +21,14 @@ _PLANE_SHIFT = 0.37  # walls and floors have round coordinates; the boundary bet
 
 @dataclass(frozen=True)
 class Charts:
-    """C flat charts over T triangles; each chart is the bounding rectangle of its triangles."""
+    """C flat charts over T triangles, each mapped onto a unit square."""
 
     of_triangle: Ints
     """(T,) chart index of each triangle."""
-    corners: Floats
-    """(T, 3, 2) corners in the frame of their chart, metres; the minimum is 0."""
-    origin: Floats
-    """(C, 3) world position of the first corner of the rectangle, metres."""
+    share: Floats
+    """(T, 3, 2) corners in the square of their chart, 0..1."""
+    anchors: Floats
+    """(C, 4, 3) world positions of the corners (0, 0), (1, 0), (1, 1), (0, 1) of the square, metres."""
     axes: Floats
     """(C, 3, 3) rows: along, across, normal; unit vectors."""
     extent: Floats
@@ -53,19 +54,13 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
     of_triangle = _touching(triangles, number_rows(plane))
     largest = _largest_of_each(of_triangle, areas)
     axes = _frames(triangles[largest], normals[largest])
-    flat = np.einsum("tkc,tac->tka", triangles, axes[of_triangle, :2])
-    order = np.argsort(of_triangle, kind="stable")
-    starts = np.searchsorted(of_triangle[order], np.arange(len(largest)))
-    low = np.minimum.reduceat(flat[order].min(axis=1), starts)
-    high = np.maximum.reduceat(flat[order].max(axis=1), starts)
-    height = np.einsum("cn,cn->c", axes[:, 2], triangles[largest, 0])
-    origin = low[:, :1] * axes[:, 0] + low[:, 1:] * axes[:, 1] + height[:, None] * axes[:, 2]
+    patches = find_patches(triangles, of_triangle, axes)
     return Charts(
         of_triangle=of_triangle,
-        corners=flat - low[of_triangle][:, None],
-        origin=origin,
+        share=patches.share,
+        anchors=patches.anchors,
         axes=axes,
-        extent=high - low,
+        extent=patches.extent,
         area=np.bincount(of_triangle, areas).astype(np.float64),
     )
 

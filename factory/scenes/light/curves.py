@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts, number_rows
+from factory.scenes.light.patches import SQUARE, interpolate
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Ints
 
@@ -24,42 +25,29 @@ _MOST_TRIANGLES = 1_000_000
 """Maximum number of triangles with smooth normals; charts of larger scenes are smaller than texels."""
 _WELD_M = 1e-4
 _BENT_COS = math.cos(math.radians(2.0))
+_AT_CORNER = 1e-6
 _BENT_SLOPE = 0.08
 """Change of the unit normal along a side above which the side needs at least two texels."""
 
 
 @dataclass(frozen=True)
 class Bends:
-    """Linear model of the normal over each of C charts."""
+    """Model of the normal over each of C charts."""
 
     is_bent: NDArray[np.bool_]
     """(C,) whether the normal varies over the chart."""
-    base: Floats
-    """(C, 3) unnormalised normal at the first corner of the rectangle of the chart."""
-    slope: Floats
-    """(C, 2, 3) change of the normal along and across the rectangle."""
-    flat: Floats
-    """(C, 3) unit normal of the plane of the chart."""
-    widest: Floats
-    """(C,) tangent of the largest angle between `flat` and the normal of a corner."""
+    corners: Floats
+    """(C, 4, 3) normals at the corners of the square of the chart, not normalised."""
 
     def normals(self, chart: Ints, share: Floats) -> Floats:
-        """Returns the unit normals (N, 3) at positions `share` (N, 2), 0..1, of charts (N,).
-
-        Outside the triangles of a chart, the angle of the normals is limited to that of its corners.
-        """
-        flat = self.flat[chart]
-        normals = self.base[chart] + np.einsum("na,nac->nc", share, self.slope[chart])
-        rise = np.maximum(np.einsum("nk,nk->n", normals, flat), 1e-3)[:, None]
-        lean = (normals - np.einsum("nk,nk->n", normals, flat)[:, None] * flat) / rise
-        size = np.linalg.norm(lean, axis=1, keepdims=True)
-        lean *= np.minimum(1.0, self.widest[chart][:, None] / np.maximum(size, 1e-9))
-        normals = flat + lean
-        return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        """Returns the unit normals (N, 3) at positions `share` (N, 2), 0..1, of charts (N,)."""
+        normals = interpolate(self.corners, chart, share[:, None])[:, 0]
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
 
     def least_texels(self) -> Ints:
         """Returns (C, 2) the minimum number of texels of each side that resolves the curvature."""
-        strong = np.linalg.norm(self.slope, axis=2) > _BENT_SLOPE
+        change = np.linalg.norm(np.roll(self.corners, -1, axis=1) - self.corners, axis=2)
+        strong = np.maximum(change[:, :2], change[:, 2:]) > _BENT_SLOPE
         return np.where(strong & self.is_bent[:, None], 2, 1).astype(np.int64)
 
 
@@ -108,7 +96,7 @@ def _angles(triangles: Floats) -> Floats:
 
 
 def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
-    """Fits a linear model of the normal to each chart.
+    """Fits a model of the normal to each chart: exact at the corners that have a vertex, else linear.
 
     Args:
         charts: flat charts.
@@ -119,17 +107,34 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
         corners = np.repeat(charts.axes[charts.of_triangle, 2][:, None], 3, axis=1)
     else:
         corners = corner_normals(triangles, groups)
-    count, chart = len(charts.area), np.repeat(charts.of_triangle, 3)
-    share = charts.corners / np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]
-    terms = np.concatenate((np.ones((len(chart), 1)), share.reshape(-1, 2)), axis=1)
-    normals = corners.reshape(-1, 3)
+    chart, normals = np.repeat(charts.of_triangle, 3), corners.reshape(-1, 3)
+    flat, share = charts.axes[:, 2], charts.share.reshape(-1, 2)
+    off = np.einsum("nk,nk->n", normals, flat[chart])
+    least = np.ones(len(flat))
+    np.minimum.at(least, chart, off)
+    fitted = _no_steeper(_fit(normals, chart, share, len(flat)), flat, np.clip(least, 0.1, 1.0))
+    for number, corner in enumerate(SQUARE):
+        rows = np.flatnonzero((np.abs(share - corner) < _AT_CORNER).all(axis=1))
+        fitted[chart[rows], number] = normals[rows]
+    return Bends(least < _BENT_COS, fitted)
+
+
+def _fit(normals: Floats, chart: Ints, share: Floats, count: int) -> Floats:
+    """Returns (C, 4, 3) the linear function of the position that fits the normals (N, 3), at the corners of squares."""
+    terms = np.concatenate((np.ones((len(chart), 1)), share), axis=1)
     gram = np.stack([np.bincount(chart, terms[:, a] * terms[:, b], count) for a in range(3) for b in range(3)], axis=1)
     right: Floats = np.stack(
         [np.bincount(chart, terms[:, a] * normals[:, k], count) for a in range(3) for k in range(3)], axis=1
     )
     fit = portable.solve(gram.reshape(-1, 3, 3) + 1e-6 * np.eye(3), right.reshape(-1, 3, 3))
-    off = np.einsum("nk,nk->n", normals, charts.axes[chart, 2])
-    least = np.ones(count)
-    np.minimum.at(least, chart, off)
-    cosine = np.clip(least, 0.1, 1.0)
-    return Bends(least < _BENT_COS, fit[:, 0], fit[:, 1:], charts.axes[:, 2], np.sqrt(1 - cosine**2) / cosine)
+    return np.asarray(fit[:, :1] + np.einsum("ka,can->ckn", SQUARE, fit[:, 1:]))
+
+
+def _no_steeper(normals: Floats, flat: Floats, cosine: Floats) -> Floats:
+    """Returns normals (C, 4, 3) whose angle to the plane's normal (C, 3) is limited to that of a cosine (C,)."""
+    rise = np.maximum(np.einsum("ckn,cn->ck", normals, flat), 1e-3)[..., None]
+    lean = normals / rise - flat[:, None]
+    lean -= np.einsum("ckn,cn->ck", lean, flat)[..., None] * flat[:, None]
+    size = np.linalg.norm(lean, axis=2, keepdims=True)
+    widest = (np.sqrt(1 - cosine**2) / cosine)[:, None, None]
+    return np.asarray(flat[:, None] + lean * np.minimum(1.0, widest / np.maximum(size, 1e-9)))

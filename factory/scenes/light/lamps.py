@@ -56,11 +56,11 @@ def find_lamps(charts: Charts, brightness: Floats, bounds: Floats, floor_m: floa
     glowing = glowing[np.sort(np.argsort(-power, kind="stable")[:_MOST])]
     if not len(glowing):
         return _hung(bounds, floor_m)
-    axes = charts.axes[glowing]
+    corner = charts.anchors[glowing, 0]
     return Lamps(
-        corner=charts.origin[glowing],
-        sides=axes[:, :2] * charts.extent[glowing][:, :, None],
-        normal=axes[:, 2],
+        corner=corner,
+        sides=charts.anchors[glowing][:, [1, 3]] - corner[:, None],
+        normal=charts.axes[glowing, 2],
         power=charts.area[glowing] * brightness[glowing],
     )
 

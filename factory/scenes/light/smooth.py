@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-__all__ = ["fill_hidden", "smooth_charts"]
+__all__ = ["even_out", "fill_hidden", "smooth_charts"]
 
 _FILL_ROUNDS = 12
+_NOISE = 0.12
+"""Difference of averaged values from which they are not noise of few rays."""
 
 
 def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
@@ -25,6 +27,27 @@ def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bo
     """
     total, count = _around(values, known, owner)
     return np.where(count > 0, total / np.maximum(count, 1), values), count > 0
+
+
+def even_out(values: Floats, known: Bools, owner: Ints, step: int) -> Floats:
+    """Averages values (K, H, W) of one chart that differ by noise only, at a distance of `step` texels.
+
+    One pass of an edge-avoiding a-trous wavelet (Dammertz et al., HPG 2010). The weight of a neighbour falls to 0 where
+    any of its values differs by `_NOISE`.
+    """
+    total, weight = 4.0 * values * known, 4.0 * known
+    rows, columns = owner.shape
+    for down in (-step, 0, step):
+        for right in (-step, 0, step):
+            here = (_run(down, rows), _run(right, columns))
+            there = (_run(-down, rows), _run(-right, columns))
+            if down or right:
+                near = known[here] & known[there] & (owner[there] == owner[here])
+                gap = (values[(..., *there)] - values[(..., *here)]) / _NOISE
+                alike = near * (np.maximum(1.0 - gap * gap, 0.0) ** 2).prod(axis=0) * (1.0 if down and right else 2.0)
+                total[(..., *here)] += alike * values[(..., *there)]
+                weight[here] += alike
+    return np.where(known, total / np.maximum(weight, 1e-9), values)
 
 
 def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:

@@ -67,9 +67,8 @@ def unwrap(
         if (size == floor).all():
             floor = np.ones_like(floor)  # curved surfaces become faceted
         scale *= 0.9
-    span = np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]
     chart = charts.of_triangle
-    texel = place[chart][:, None] + 0.5 + (charts.corners / span) * (size[chart] - 1)[:, None]
+    texel = place[chart][:, None] + 0.5 + charts.share * (size[chart] - 1)[:, None]
     return Unwrap((height, width), place, size, texel / (width, height))
 
 

@@ -1,21 +1,22 @@
-"""Finds target candidates: prims whose names match a category rule. The outermost match applies.
+"""Finds target candidates: prims whose names, shapes and colours match a category rule. The outermost match applies.
 
-Pure: works on paths, boxes and rules. Does not read stages and does not compute reachability.
+Pure: works on parts and rules. Does not read stages and does not compute reachability.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from factory.scenes.importer.extract import Extraction, Part
-from factory.scenes.rules import RuleBook
+from factory.scenes.rules import CategoryRule, RuleBook
 
-__all__ = ["Candidate", "find_candidates"]
+__all__ = ["Candidate", "find_candidates", "footprint_width"]
 
 Box = NDArray[np.float64]
 """(2, 3) lower and upper corner, world metres."""
@@ -32,29 +33,63 @@ class Candidate:
 
 @dataclass
 class _Tree:
+    parts: Sequence[Part]
+    extraction: Extraction
+    rules: RuleBook
+    colour_of: Callable[[list[Part]], str]
     boxes: dict[str, Box] = field(default_factory=dict)
     children: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
+    def rule_of(self, path: str) -> CategoryRule | None:
+        """Returns the first rule that a prim fits by name, size, shape and colour, or `None`."""
+        name = self.extraction.labels.get(path) or path.rpartition("/")[2]
+        return next((rule for rule in self.rules.matches(name) if self._fits(path, rule)), None)
 
-def find_candidates(extraction: Extraction, parts: Sequence[Part], rules: RuleBook) -> tuple[Candidate, ...]:
+    def _fits(self, path: str, rule: CategoryRule) -> bool:
+        size = np.ptp(self.boxes[path], axis=0)
+        low, high = rule.height_m
+        if not (rule.smallest_m <= size.max() <= rule.largest_m and low <= size[2] <= high):
+            return False
+        if rule.thickest_m is None and not rule.colours:
+            return True
+        own = [part for part in self.parts if part.path == path or part.path.startswith(f"{path}/")]
+        corners = np.concatenate([part.triangles.reshape(-1, 3) for part in own])
+        if rule.thickest_m is not None and footprint_width(corners[:, :2]) > rule.thickest_m:
+            return False
+        return not rule.colours or self.colour_of(own) in rule.colours
+
+
+def find_candidates(
+    extraction: Extraction, parts: Sequence[Part], rules: RuleBook, colour_of: Callable[[list[Part]], str]
+) -> tuple[Candidate, ...]:
     """Finds the candidates among the visible parts.
 
     Args:
         extraction: extracted stage, for its labels, groups and components.
         parts: visible parts; their vertices define the boxes.
         rules: category rules.
+        colour_of: function that returns the colour name of an object with the given parts.
 
     Returns:
         The candidates in the order of their paths.
     """
-    tree = _grow(parts)
-    found = _search(tree, "", extraction, rules)
-    return tuple(sorted(found, key=lambda candidate: candidate.path))
+    tree = _Tree(parts, extraction, rules, colour_of)
+    _grow(tree)
+    return tuple(sorted(_search(tree, ""), key=lambda candidate: candidate.path))
 
 
-def _grow(parts: Sequence[Part]) -> _Tree:
-    tree = _Tree()
-    for part in parts:
+def footprint_width(points: NDArray[np.float64]) -> float:
+    """Returns the width of the narrowest strip that contains points (N, 2), metres: the thickness of a panel."""
+    gaps = np.ptp(points, axis=0)
+    if gaps.min() < 1e-6:
+        return float(gaps.min())
+    hull = ConvexHull(points, qhull_options="QJ")
+    normals = hull.equations[:, :2]
+    return float(np.ptp(normals @ points[hull.vertices].T, axis=1).min())
+
+
+def _grow(tree: _Tree) -> None:
+    for part in tree.parts:
         corners = part.triangles.reshape(-1, 3)
         box = np.stack([corners.min(axis=0), corners.max(axis=0)])
         path = part.path
@@ -66,36 +101,27 @@ def _grow(parts: Sequence[Part]) -> _Tree:
             else:
                 tree.boxes[path] = np.stack([np.minimum(known[0], box[0]), np.maximum(known[1], box[1])])
             path = _parent(path)
-    return tree
 
 
 def _parent(path: str) -> str:
     return path.rpartition("/")[0]
 
 
-def _search(tree: _Tree, path: str, extraction: Extraction, rules: RuleBook) -> Iterator[Candidate]:
-    rule = rules.match(_name(path, extraction)) if path else None
-    if rule is not None and path not in extraction.groups:
-        longest = float(np.ptp(tree.boxes[path], axis=0).max())
-        is_plausible = rule.smallest_m <= longest <= rule.largest_m
-        if is_plausible and not _is_container(tree, path, rule.category, extraction, rules):
-            yield Candidate(path, rule.category, tree.boxes[path])
-            return
-    if path not in extraction.components:
+def _search(tree: _Tree, path: str) -> Iterator[Candidate]:
+    rule = tree.rule_of(path) if path and path not in tree.extraction.groups else None
+    if rule is not None and not _is_container(tree, path, rule.category):
+        yield Candidate(path, rule.category, tree.boxes[path])
+    elif path not in tree.extraction.components:
         for child in tree.children.get(path, ()):
-            yield from _search(tree, child, extraction, rules)
+            yield from _search(tree, child)
 
 
-def _name(path: str, extraction: Extraction) -> str:
-    return extraction.labels.get(path) or path.rpartition("/")[2]
-
-
-def _is_container(tree: _Tree, path: str, category: str, extraction: Extraction, rules: RuleBook) -> bool:
+def _is_container(tree: _Tree, path: str, category: str) -> bool:
     """Returns whether a prim is a container: two of its children have its category and disjoint boxes."""
-    if path in extraction.components:
+    if path in tree.extraction.components:
         return False
-    matches = ((child, rules.match(_name(child, extraction))) for child in tree.children.get(path, ()))
-    alike = [tree.boxes[child][:, :2] for child, rule in matches if rule and rule.category == category]
+    rules = ((child, tree.rule_of(child)) for child in tree.children.get(path, ()))
+    alike = [tree.boxes[child][:, :2] for child, rule in rules if rule and rule.category == category]
     return any(
         bool((first[0] >= other[1]).any() or (other[0] >= first[1]).any())
         for number, first in enumerate(alike)

@@ -1,4 +1,4 @@
-"""The codec of compiled scenes, where it concerns baked light."""
+"""The codec of compiled scenes, where it concerns baked light and the sky."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import InvalidBundle
-from schemas.scene import MAX_LIGHT_MAP_PX, CompiledScene, decode_scene, encode_scene
+from schemas.scene import MAX_LIGHT_MAP_PX, CompiledScene, Sky, decode_scene, encode_scene
 from tests.builders.scene import box_room
 
 
@@ -48,3 +48,10 @@ def test_coordinates_outside_the_light_map_are_refused() -> None:
 def test_a_light_map_beyond_its_limit_is_refused() -> None:
     with pytest.raises(InvalidBundle, match="light map"):
         again(lit_room((1, MAX_LIGHT_MAP_PX + 1)))
+
+
+def test_a_sky_is_stored_and_a_package_without_one_does_not_name_it() -> None:
+    closed, opened = box_room(), replace(box_room(), info=box_room().info.model_copy(update={"sky": Sky()}))
+    assert again(opened).info.sky == Sky()
+    assert again(closed).info.sky is None
+    assert (b'"sky"' in encode_scene(opened), b'"sky"' in encode_scene(closed)) == (True, False)

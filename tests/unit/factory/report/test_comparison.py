@@ -8,13 +8,15 @@ from typing import Any
 import pytest
 
 from factory.report.comparison.facts import facts_of
-from factory.report.comparison.model import PaperComparison
+from factory.report.comparison.model import PaperComparison, verdict_of
 from factory.report.comparison.rows import compare
 from factory.report.data import Drives, ReportInput
 from factory.stats import compute_statistics
 from schemas.terms import Split, Tier
 from tests.builders.dataset import failure
 from tests.builders.statistics import episode_row, rows_of, two_scenes
+
+SHARE_OF_THREE = "share of the three most frequent"
 
 
 def material(episodes: list[Any], failures: list[Any] | None = None) -> ReportInput:
@@ -70,16 +72,85 @@ def test_a_missing_tier_is_reported_instead_of_weighted() -> None:
 
 def test_a_rate_within_the_papers_range_has_no_difference() -> None:
     failures = [failure(1).model_copy(update={"reason": "collision"})]
-    row = found([episode_row(n) for n in range(1, 6)], "attempts that succeed, office", failures)
+    row = found([episode_row(n) for n in range(1, 6)], "first attempts that succeed, office", failures)
     assert (row.ours, row.difference, row.reason) == (pytest.approx(5 / 6), 0, "")
 
 
 def test_a_rate_outside_the_papers_range_names_the_failure_reasons() -> None:
     failures = [failure(1, attempt).model_copy(update={"reason": "collision"}) for attempt in (1, 2, 3)]
-    row = found([episode_row(1, attempt=4)], "attempts that succeed, office", failures)
-    assert row.difference == pytest.approx(0.25 - 0.8)
+    row = found([episode_row(1, attempt=4)], "first attempts that succeed, office", failures)
+    assert (row.ours, row.difference) == (0, pytest.approx(-0.8))
     assert "1 of 4 attempts succeeded (3 collision)" in row.reason
     assert "0.10 m" in row.reason
+
+
+@pytest.mark.parametrize(
+    ("interval", "verdict"),
+    [
+        ((0.93, 0.95), "inside"),
+        ((0.92, 0.96), "inside"),
+        ((0.91, 0.95), "undecided"),
+        ((0.95, 0.99), "undecided"),
+        ((0.5, 1.0), "undecided"),
+        ((0.97, 0.99), "outside"),
+        ((0.1, 0.2), "outside"),
+        (None, None),
+    ],
+)
+def test_a_verdict_is_the_position_of_the_interval_relative_to_the_target(
+    interval: tuple[float, float] | None, verdict: str | None
+) -> None:
+    assert verdict_of(interval, (0.92, 0.96)) == verdict
+
+
+def of_tier(tier: Tier, mean_m: float, half_m: float, n: int = 60) -> list[Any]:
+    """Returns drives of a tier whose lengths have this mean and spread, `half_m` to both sides."""
+    return [drive(k, 6.0, mean_m + half_m * (-1) ** k, spawn_tier=tier) for k in range(1, n + 1)]
+
+
+def test_the_target_of_lengths_and_steps_is_5_percent_of_the_published_number() -> None:
+    row = found(of_tier(Tier.NEAR, 1.56, 0.1), "TL mean, near")
+    half = 1.960 * 0.1 / 60**0.5
+    assert row.target == pytest.approx((1.56 * 0.95, 1.56 * 1.05))
+    assert row.interval == pytest.approx((1.56 - half, 1.56 + half), abs=0.002)
+    assert row.verdict == "inside"
+    assert found(of_tier(Tier.NEAR, 1.56 * 1.05, 0.1), "TL mean, near").verdict == "undecided"
+    assert found(of_tier(Tier.NEAR, 1.56 * 1.15, 0.1), "TL mean, near").verdict == "outside"
+
+
+def test_the_target_of_far_starts_is_15_percent_of_the_published_number() -> None:
+    row = found(of_tier(Tier.FAR, 4.46 * 1.1, 0.1), "TL mean, far")
+    assert (row.verdict, row.reason) == ("inside", "")
+    assert row.target == pytest.approx((4.46 * 0.85, 4.46 * 1.15))
+    steps = found(of_tier(Tier.FAR, 4.46, 0.1), "steps mean, far")
+    assert (steps.ours, steps.verdict) == (120, "outside")
+    assert steps.target == pytest.approx((414.6 * 0.85, 414.6 * 1.15))
+
+
+def test_the_targets_of_r_and_ne_are_those_of_the_plan_paper() -> None:
+    straight = [drive(k, 2.0 + 0.1 * k, 1.0 + 0.1 * k, 0.967) for k in range(1, 40)]
+    r = found(straight, "Pearson r")
+    assert r.target == pytest.approx((0.92, 0.96))
+    assert (r.ours, r.verdict) == (pytest.approx(1.0), "outside")
+    error = found(straight, "NE mean")
+    assert error.target == pytest.approx((0.962, 0.972))
+    assert error.verdict == "inside"
+
+
+def test_success_of_first_attempts_has_a_wilson_interval_and_the_published_range_as_target() -> None:
+    failures = [failure(k).model_copy(update={"reason": "collision"}) for k in range(1, 151)]
+    row = found([episode_row(n) for n in range(1, 851)], "first attempts that succeed, office", failures)
+    assert (row.ours, row.target, row.verdict) == (0.85, (0.8, 0.9), "inside")
+    assert row.interval == pytest.approx((0.8265, 0.8708), abs=0.0005)
+    few = found([episode_row(n) for n in range(1, 18)], "first attempts that succeed, office", failures[:3])
+    assert (few.ours, few.verdict) == (0.85, "undecided")
+
+
+def test_the_share_of_the_three_most_frequent_categories_has_an_interval() -> None:
+    names = ["monitor"] * 5 + ["chair"] * 3 + ["sofa"] * 2 + ["table"] * 2
+    row = found([episode_row(n, target_category=name) for n, name in enumerate(names, 1)], SHARE_OF_THREE)
+    assert (row.ours, row.verdict) == (pytest.approx(10 / 12), "undecided")
+    assert row.interval == pytest.approx((0.552, 0.953), abs=0.001)
 
 
 def test_shares_follow_the_plan() -> None:

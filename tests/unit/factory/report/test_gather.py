@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from factory.report.gather import choose_samples, spread_evenly
+from factory.report.gather import choose_samples
+from factory.stats.rows import spread_evenly
 from tests.builders.statistics import episode_row
 
 

@@ -14,6 +14,7 @@ from PIL import Image
 
 from factory.html.palette import colour
 from factory.report import make_report, render_report
+from factory.report.comparison.rows import compare
 from factory.report.figures import action_space, attempts, samples, spawn_maps
 from factory.report.figures.registry import DRAW_FUNCTIONS
 from factory.report.folder import PAGE_FILE
@@ -112,6 +113,17 @@ def test_numbers_are_those_of_the_statistics(files: dict[str, bytes], data: Path
     assert f"<strong>{found.scenes[-1].tl_mean_m:.2f} m</strong>" in text
     assert f"<strong>{found.scenes[-1].steps_mean:.1f}</strong>" in text
     assert "3 episodes" in text
+
+
+def test_the_page_shows_interval_target_and_verdict_of_each_comparison(files: dict[str, bytes], data: Path) -> None:
+    rows = compare(gather(data, compare_paper=True))
+    text = files[PAGE_FILE].decode()
+    for verdict in ("inside", "outside", "undecided"):
+        assert text.count(f"<td>{verdict}</td>") == sum(row.verdict == verdict for row in rows)
+    assert sum(row.verdict is not None for row in rows) > 5
+    (success,) = [row for row in rows if row.what == "first attempts that succeed, office"]
+    assert (success.ours, success.target, success.verdict) == (0.75, (0.8, 0.9), "undecided")
+    assert ">75.0 %<small>30–95</small></td>" in text.replace("\u00a0", " ")
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 
 from factory.runs.catalog import find_imported
 from factory.scenes.build import find_import, import_scene
+from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.targets.target_list import TargetEntry, TargetList
 from tests.builders.stage import StageText, room_body
@@ -29,11 +30,16 @@ def stage(tmp_path: Path) -> Path:
     return TEXT.write(tmp_path / "room.usda", room_body(TEXT, boxes))
 
 
-def imported(stage: Path, rules: RuleBook | None = None, targets: TargetList | None = None) -> tuple[Path, bool]:
+def imported(
+    stage: Path,
+    rules: RuleBook | None = None,
+    targets: TargetList | None = None,
+    limits: StageLimits = USUAL_LIMITS,
+) -> tuple[Path, bool]:
     """Returns the package, and whether it was compiled in this call."""
     told: list[str] = []
     cache = stage.parent / "cache"
-    return import_scene(stage, "lab", cache, rules, targets, tell=lambda: told.append("lab")), bool(told)
+    return import_scene(stage, "lab", cache, rules, targets, limits, lambda: told.append("lab")), bool(told)
 
 
 def test_a_stage_is_compiled_once(stage: Path) -> None:
@@ -46,9 +52,17 @@ def test_a_changed_layer_rule_or_target_list_triggers_compilation(stage: Path) -
     imported(stage)
     chair = TargetEntry(id="chair_001", category="chair", prim_path="/World/SM_Chair_01")
     assert imported(stage, targets=TargetList(scene="lab", targets=(chair,)))[1]
-    assert imported(stage, rules=RuleBook(rules=load_rules().rules[:5]))[1]
+    assert imported(stage, rules=RuleBook(rules=load_rules().rules[:6]))[1]
     TEXT.write(stage.parent / "a.usda", TEXT.box("Box", (0, 0, 0), (0.5, 0.5, 0.7)))
     assert imported(stage)[1]
+
+
+def test_a_ceiling_triggers_compilation_unless_it_is_the_same(stage: Path) -> None:
+    imported(stage)
+    low, high = (imported(stage, limits=StageLimits(ceiling_m=height)) for height in (2.6, 3.0))
+    assert (low[1], high[1]) == (True, True)
+    assert low[0] != high[0]
+    assert imported(stage, limits=StageLimits(ceiling_m=2.6)) == (low[0], False)
 
 
 def test_swapped_files_trigger_compilation(stage: Path) -> None:
@@ -84,7 +98,7 @@ def test_a_damaged_or_missing_package_is_compiled_again(stage: Path, damage: byt
 
 def test_importing_again_makes_a_package_the_newest(stage: Path) -> None:
     first, _ = imported(stage)
-    second, _ = imported(stage, rules=RuleBook(rules=load_rules().rules[:5]))
+    second, _ = imported(stage, rules=RuleBook(rules=load_rules().rules[:6]))
     for package in (first, second):
         os.utime(package, (1, 1))
     imported(stage)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,15 @@ def test_a_child_imports_no_file_of_the_working_directory(elsewhere: Path) -> No
         (elsewhere / f"{name}.py").write_text("raise SystemExit(7)")
     done = subprocess.run(python_module("json.tool"), env=child_environment(os.environ), input=b"1", timeout=60)
     assert done.returncode == 0
+
+
+def test_processes_that_write_no_log_do_not_import_the_logging_library() -> None:
+    children = "workers.sim.simulate", "workers.render.process_child", "coordinator.validation.validator_child"
+    code = f"import sys, {', '.join(children)}, factory.verify.episode; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert {*children, "factory.verify.episode"} <= loaded
+    assert {"structlog", "rich", "asyncio", "click"} & loaded == set()
 
 
 def test_python_is_started_by_one_function_only() -> None:

@@ -129,6 +129,31 @@ def test_correlation_is_reported_for_all_scenes_and_tiers() -> None:
     assert "has 0" in row_of(found.correlation, "hospital").remark
 
 
+def test_far_starts_are_measured_along_the_floor_to_the_centroid_of_the_target() -> None:
+    far = {"spawn_tier": Tier.FAR}
+    episodes = [
+        episode_row(1, spawn_dist_m=3.0, geodesic_m=2.0, **far),  # a free line of 2 m to the circle
+        episode_row(2, spawn_dist_m=4.0, geodesic_m=3.5, **far),  # around a corner, 4.5 m
+        episode_row(3, spawn_dist_m=4.0, geodesic_m=5.5, **far),  # around a corner, 6.5 m
+        episode_row(4, spawn_dist_m=9.0, geodesic_m=8.0, scene="hospital", **far),
+        episode_row(5, spawn_dist_m=9.0, geodesic_m=None, scene="hospital", **far),
+        episode_row(6, spawn_dist_m=2.0, geodesic_m=1.0),
+    ]
+    office, hospital, everything = measure(episodes).far
+    assert (office.n, office.mean_m) == (3, pytest.approx((3 + 4.5 + 6.5) / 3))
+    assert ((office.short.count, office.short.of), office.corner.count) == ((2, 3), 2)
+    assert (hospital.n, hospital.mean_m, hospital.interval_m, hospital.corner.count) == (1, 9.0, None, 0)
+    assert (everything.n, everything.short.count, everything.corner.share) == (4, 2, 0.5)
+
+
+def test_means_have_a_t_interval_from_two_episodes_on() -> None:
+    found = measure([episode_row(n, num_steps=steps) for n, steps in enumerate((100, 200, 300), 1)])
+    half = 4.302653 * 100 / 3**0.5
+    assert row_of(found.tiers, "near").steps_interval == pytest.approx((200 - half, 200 + half))
+    assert row_of(found.tiers, "mid").steps_interval is None
+    assert row_of(measure([episode_row(1)]).tiers, "near").tl_interval_m is None
+
+
 def test_overlap_counts_instances_that_occur_in_training() -> None:
     test = {"split": Split.TEST_ID}
     found = measure(

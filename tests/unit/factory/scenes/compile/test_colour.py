@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.colors import XKCD_COLORS, to_rgb
 
 from factory.scenes.compile.colour import dominant_name, lab_of, linear_of, name_indices, srgb_of
 from schemas.terms import COLOUR_NAMES
@@ -36,10 +37,52 @@ from schemas.terms import COLOUR_NAMES
         ((222, 190, 140), "brown"),
         ((225, 203, 168), "brown"),
         ((240, 220, 130), "yellow"),
+        ((1, 21, 62), "blue"),
+        ((28, 43, 82), "blue"),
+        ((6, 46, 3), "green"),
+        ((42, 1, 52), "purple"),
+        ((101, 0, 33), "red"),
+        ((255, 2, 141), "pink"),
     ],
 )
 def test_reference_colours_have_their_names(rgb: tuple[int, int, int], name: str) -> None:
     assert COLOUR_NAMES[int(name_indices(np.array(rgb) / 255))] == name
+
+
+def survey() -> tuple[np.ndarray, list[str]]:
+    """The colours (N, 3), 0..1, of the XKCD survey whose name ends in one basic term, and that term."""
+    basic = {"grey": "gray", "navy": "blue", "maroon": "red"} | {name: name for name in COLOUR_NAMES}
+    rows = {}
+    for name, code in XKCD_COLORS.items():
+        words = name.removeprefix("xkcd:").replace("/", " ").split()
+        terms = {basic[word] for word in words if word in basic}
+        if words[-1] in basic and len(terms) == 1:
+            rows[code] = terms.pop()
+    return np.array([to_rgb(code) for code in rows]), list(rows.values())
+
+
+def named(srgb: np.ndarray) -> list[str]:
+    return [(*COLOUR_NAMES, "unknown")[index] for index in name_indices(srgb)]
+
+
+def test_most_colours_of_the_xkcd_survey_have_their_surveyed_names() -> None:
+    srgb, expected = survey()
+    hits = [found == name for found, name in zip(named(srgb), expected, strict=True)]
+    assert len(hits) > 300
+    assert np.mean(hits) > 0.8
+    assert np.mean(np.array(hits)[lab_of(srgb)[:, 0] < 30]) > 0.9
+
+
+def test_no_surveyed_hue_is_called_black_however_dark() -> None:
+    srgb, expected = survey()
+    hues = [(name, found) for name, found in zip(expected, named(srgb), strict=True) if name not in {"black", "gray"}]
+    assert len(hues) > 300
+    assert [pair for pair in hues if pair[1] == "black"] == []
+
+
+def test_a_black_with_a_trace_of_a_hue_is_neither_black_nor_named_by_the_hue() -> None:
+    assert named(np.array([[30, 35, 48], [20, 20, 40]]) / 255) == ["unknown", "blue"]
+    assert dominant_name([(30 / 255, 35 / 255, 48 / 255)] * 9) == "unknown"
 
 
 def test_a_colour_needs_half_of_the_samples() -> None:

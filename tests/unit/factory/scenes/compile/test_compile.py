@@ -13,8 +13,9 @@ from PIL import Image
 
 from factory.scenes import build_scene, draw_topdown, import_scene, package_path
 from factory.scenes.compile.compiler import compile_stage
+from factory.scenes.limits import StageLimits
 from schemas.errors import UsageError, WorldError
-from schemas.scene import CompiledScene, decode_scene, encode_scene
+from schemas.scene import CompiledScene, Sky, decode_scene, encode_scene
 from schemas.terms import Tier
 from tests.builders.stage import StageText, room_body
 from workers.geometry.grid import Grid
@@ -39,6 +40,31 @@ def test_the_chair_is_the_one_target_and_is_reached_from_every_tier(tmp_path: Pa
     assert target.size_m == pytest.approx((0.4, 0.4, 0.9))
     assert target.colour == "red"
     assert target.straight_tiers == target.connected_tiers == (Tier.NEAR, Tier.MID, Tier.FAR)
+
+
+def covered(tmp_path: Path, things: str, ceiling_m: float | None = None) -> CompiledScene:
+    stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT, things))
+    return compile_stage(stage, "room", "test", limits=StageLimits(ceiling_m=ceiling_m))
+
+
+def test_an_open_stage_has_a_sky_and_a_closed_one_has_none(tmp_path: Path) -> None:
+    roof = TEXT.box("Roof", (-4.2, -3.2, 2.5), (4.2, 3.2, 2.6))
+    half = TEXT.box("Roof", (-4.2, -3.2, 2.5), (0.0, 3.2, 2.6))
+    skies = [covered(tmp_path, things).info.sky for things in ("", half, roof)]
+    assert skies == [Sky(), Sky(), None]
+
+
+def test_a_ceiling_closes_an_open_stage_at_its_height_above_the_floor(tmp_path: Path) -> None:
+    bare, scene = covered(tmp_path, ""), covered(tmp_path, "", 2.4)
+    assert scene.info.sky is None
+    (ceiling,) = (item for item in scene.info.instances if item.prim_path == "/AddedCeiling")
+    (part,) = np.flatnonzero(scene.part_instance == ceiling.id)
+    corners = scene.positions[scene.part_first[part] :][: scene.part_count[part]].reshape(-1, 3, 3)
+    assert corners[..., 2] == pytest.approx(scene.info.floor_height_m + 2.4)
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] < 0).all()
+    assert np.ptp(corners[..., :2], axis=(0, 1)) == pytest.approx((8.4, 6.4), abs=1e-3)
+    assert (scene.occupancy == bare.occupancy).all()
+    assert [target.straight_tiers for target in scene.info.targets] == [t.straight_tiers for t in bare.info.targets]
 
 
 def test_centimetres_and_y_up_compile_to_the_same_scene(tmp_path: Path) -> None:

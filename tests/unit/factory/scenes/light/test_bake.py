@@ -46,6 +46,53 @@ def floor_light(light: LightMap, boxes: Sequence[Box], x: float, y: float) -> fl
     return light_at(light, boxes, 0, 2, 1, (x, y, 0.0))
 
 
+def light_in(light: LightMap, triangle: int, weights: tuple[float, float, float]) -> float:
+    """The mean of the three channels, read between texels as the renderer does, at a point of a triangle."""
+    rows, columns = light.picture.shape[:2]
+    u, v = np.array(weights) @ light.uvs[triangle] * (columns, rows) - 0.5
+    column, row = int(u), int(v)
+    four = light.picture[row : row + 2, column : column + 2].astype(float).mean(axis=2)
+    return float(np.array((row + 1 - v, v - row)) @ four @ np.array((column + 1 - u, u - column)))
+
+
+@pytest.mark.parametrize("lamps", [((0.0, 0.0),), ((-2.0, -1.6), (2.0, -1.6), (-2.0, 1.6), (2.0, 1.6))])
+def test_the_light_of_a_symmetric_room_is_symmetric(lamps: tuple[tuple[float, float], ...]) -> None:
+    """What differs between the halves of a large face is the noise of few rays, which looks cloudy."""
+    halves = [(x, y) for x in (-1, 1) for y in (-1, 1)]
+    desks = [Box((1.5 * x - 0.6, y - 0.3, 0.7), (1.5 * x + 0.6, y + 0.3, 0.74)) for x, y in halves]
+    lit = [Box((x - 0.3, y - 0.6, 2.45), (x + 0.3, y + 0.6, 2.49)) for x, y in lamps]
+    boxes = (*ROOM[:LAMP_NUMBER], *lit, *desks)
+    light = bake(boxes, lamps=range(LAMP_NUMBER, LAMP_NUMBER + len(lit)))
+    places = [(y, z) for y in np.arange(0.13, 2.9, 0.21) for z in np.arange(0.1, 2.3, 0.17)]
+    values = [[light_at(light, boxes, 1, 0, 1, (-3.0, side * y, z)) for side in (-1, 1)] for y, z in places]
+    assert np.sqrt(np.mean(np.diff(values, axis=1) ** 2)) < 1.4
+
+
+def test_the_light_of_a_cone_has_no_wedges() -> None:
+    turn = 2 * np.pi * np.arange(13) / 12
+    low, high = (
+        np.column_stack((radius * np.cos(turn), radius * np.sin(turn), np.full(13, z))) + (0.9, 0.4, 0.0)
+        for radius, z in ((0.28, 0.02), (0.05, 0.09))
+    )
+    sides = [face for k in range(12) for face in ((low[k], low[k + 1], high[k + 1]), (low[k], high[k + 1], high[k]))]
+    room, first = box_triangles(ROOM), 12 * len(ROOM)
+    groups = np.append(np.repeat(np.arange(len(ROOM)), 12), np.full(24, len(ROOM)))
+    light = bake_light(np.concatenate((room, sides)), groups, np.where(groups == LAMP_NUMBER, 1.0, 0.0), 0.0)
+    for share in (0.2, 0.5, 0.8):
+        before = [light_in(light, first + 2 * k, (0.0, 1 - share, share)) for k in range(12)]
+        after = [light_in(light, first + 2 * ((k + 1) % 12) + 1, (1 - share, 0.0, share)) for k in range(12)]
+        assert before == pytest.approx(after, abs=3.0)
+
+
+def test_a_flat_object_on_a_table_leaves_no_smudge_around_it() -> None:
+    keyboard = Box((1.31, -0.22, 0.658), (1.47, 0.2, 0.678))
+    boxes = (*ROOM, TABLE)
+    bare, used = bake(boxes), bake((*boxes, keyboard))
+    places = [(x, y, 0.65) for x in (1.26, 1.52) for y in (-0.15, -0.05, 0.05, 0.15)]
+    darkest = min(light_at(used, boxes, 7, 2, 1, at) - light_at(bare, boxes, 7, 2, 1, at) for at in places)
+    assert darkest > -30.0
+
+
 def test_a_corner_is_darker_than_the_open_floor() -> None:
     light = bake(ROOM)
     assert floor_light(light, ROOM, -2.9, -2.9) < 0.8 * floor_light(light, ROOM, 0.0, 0.0)

@@ -9,18 +9,20 @@ import pytest
 
 from factory.scenes.light.charts import find_charts
 from factory.scenes.light.curves import corner_normals, find_bends
+from factory.scenes.light.patches import SQUARE, interpolate
 from factory.scenes.light.unwrap import unwrap
 from tests.builders.scene import Box
 from tests.builders.solids import box_triangles
 
 
-def drum(sides: int, radius: float = 0.3, height: float = 0.8) -> np.ndarray:
-    """The side of an upright prism, two triangles per face, counter-clockwise from outside."""
+def drum(sides: int, radius: float = 0.3, height: float = 0.8, taper: float = 1.0) -> np.ndarray:
+    """The side of an upright prism or frustum, two triangles per face, counter-clockwise from outside."""
     turn = 2 * np.pi * np.arange(sides + 1) / sides
     ring = np.stack((radius * np.cos(turn), radius * np.sin(turn)), axis=1)
     faces = []
     for (x0, y0), (x1, y1) in pairwise(ring):
-        a, b, c, d = (x0, y0, 0.0), (x1, y1, 0.0), (x1, y1, height), (x0, y0, height)
+        a, b = (x0, y0, 0.0), (x1, y1, 0.0)
+        c, d = (taper * x1, taper * y1, height), (taper * x0, taper * y0, height)
         faces += [(a, b, c), (a, c, d)]
     return np.array(faces)
 
@@ -59,11 +61,22 @@ def test_normals_agree_where_two_pieces_of_a_drum_meet() -> None:
     ends = []
     for share in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)):
         place = np.full((12, 2), share)
-        metres = place * charts.extent
-        spot = charts.origin + metres[:, :1] * charts.axes[:, 0] + metres[:, 1:] * charts.axes[:, 1]
+        spot = interpolate(charts.anchors, np.arange(12), place[:, None])[:, 0]
         ends += list(zip(spot.round(4).tolist(), bends.normals(np.arange(12), place), strict=True))
     for spot, normal in ends:
         assert normal == pytest.approx(np.array(spot) * (1, 1, 0) / 0.3, abs=1e-3)
+
+
+def test_normals_and_places_agree_along_the_edges_of_a_frustum() -> None:
+    triangles = drum(12, height=0.1, taper=0.2)
+    charts = find_charts(triangles, zeros(triangles))
+    bends = find_bends(charts, triangles, zeros(triangles))
+    corners = charts.anchors.reshape(-1, 3).round(6)
+    normals = bends.normals(np.repeat(np.arange(12), 4), np.tile(SQUARE, (12, 1)))
+    for corner, normal in zip(corners, normals, strict=True):
+        same = normals[(corners == corner).all(axis=1)]
+        assert len(same) == 2
+        assert same == pytest.approx(np.tile(normal, (2, 1)), abs=1e-6)
 
 
 def test_normals_are_not_smoothed_across_groups() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.light.charts import Charts, find_charts
+from factory.scenes.light.patches import interpolate
 from factory.scenes.light.unwrap import TooManyPieces, Unwrap, unwrap
 from tests.builders.scene import Box, box_room
 from tests.builders.solids import box_triangles
@@ -41,12 +42,23 @@ def test_a_turned_box_has_charts_no_larger_than_its_faces() -> None:
     assert charts.area == pytest.approx(charts.extent.prod(axis=1))
 
 
-def test_corners_are_given_by_origin_and_axes() -> None:
-    triangles = box_triangles([Box((1, 2, 3), (4, 4, 4))])
-    charts = find_charts(triangles, np.zeros(12, np.int64))
-    axes = charts.axes[charts.of_triangle]
-    again = charts.origin[charts.of_triangle][:, None] + np.einsum("tka,tac->tkc", charts.corners, axes[:, :2])
-    assert again == pytest.approx(triangles)
+def test_corners_are_interpolated_between_the_anchors_of_their_chart() -> None:
+    roof = np.array([[(0, 0, 1), (2, 0, 1), (1, 1, 2)]], float)
+    taper = np.array([[(0, 0, 5), (4, 0, 5), (3, 1, 5)], [(0, 0, 5), (3, 1, 5), (1, 1, 5)]], float)
+    triangles = np.concatenate((box_triangles([Box((1, 2, 3), (4, 4, 4))]), roof, taper))
+    charts = find_charts(triangles, np.zeros(len(triangles), np.int64))
+    chart = np.repeat(charts.of_triangle, 3)
+    again = interpolate(charts.anchors, chart, charts.share.reshape(-1, 1, 2))
+    assert again.reshape(-1, 3, 3) == pytest.approx(triangles)
+
+
+@pytest.mark.parametrize("turn", range(3))
+def test_a_tapered_face_is_mapped_corner_by_corner_however_it_is_divided(turn: int) -> None:
+    faces = ([(0, 0, 5), (4, 0, 5), (3, 1, 5)], [(0, 0, 5), (3, 1, 5), (1, 1, 5)])
+    triangles = np.array([np.roll(face, turn + number, axis=0) for number, face in enumerate(faces)], float)
+    charts = find_charts(triangles, np.zeros(2, np.int64))
+    assert sorted(charts.anchors[0].tolist()) == [[0, 0, 5], [1, 1, 5], [3, 1, 5], [4, 0, 5]]
+    assert set(map(tuple, charts.share.reshape(-1, 2).tolist())) == {(0, 0), (1, 0), (1, 1), (0, 1)}
 
 
 def test_groups_and_distant_faces_of_one_plane_are_not_joined() -> None:

@@ -1,14 +1,17 @@
-"""The outermost match is the object; containers, groups and scopes are descended."""
+"""The outermost match is the object; containers, groups and scopes are descended. Shape and colour have to fit too."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from factory.scenes.compile.shade import target_colour
+from factory.scenes.compile.textures import load_textures
 from factory.scenes.importer import extract_stage
 from factory.scenes.rules import load_rules
-from factory.scenes.targets.candidates import find_candidates
+from factory.scenes.targets.candidates import find_candidates, footprint_width
 from tests.builders.stage import StageText, Vector3
 
 TEXT = StageText()
@@ -20,7 +23,8 @@ def box(name: str, at: float = 0.0, size: float = 0.8, colour: Vector3 = (0.5, 0
 
 def found(tmp_path: Path, body: str) -> list[tuple[str, str]]:
     extraction = extract_stage(TEXT.write(tmp_path / "scene.usda", body))
-    candidates = find_candidates(extraction, extraction.parts, load_rules())
+    book = load_textures({}, lambda path: None)
+    candidates = find_candidates(extraction, extraction.parts, load_rules(), lambda own: target_colour(own, book))
     return [(candidate.path.removeprefix("/World/"), candidate.category) for candidate in candidates]
 
 
@@ -49,7 +53,7 @@ def test_scopes_are_descended(tmp_path: Path) -> None:
 
 
 def test_prims_below_a_component_are_not_separate_objects(tmp_path: Path) -> None:
-    stand = TEXT.group("SM_Nightstand", box("Table_top"), head='kind = "component"')
+    stand = TEXT.group("SM_Gadget", box("Table_top"), head='kind = "component"')
     assert found(tmp_path, stand) == []
 
 
@@ -72,3 +76,52 @@ def test_copies_of_a_point_instancer_are_objects(tmp_path: Path) -> None:
         {TEXT.group("Crate", box("Body"))}
     }}"""
     assert found(tmp_path, instancer) == [("Crates/Crate[0]", "crate"), ("Crates/Crate[1]", "crate")]
+
+
+PALE, WOOD = (0.85, 0.85, 0.82), (0.35, 0.18, 0.07)
+
+
+@pytest.mark.parametrize(
+    ("size", "colour", "expected"),
+    [
+        ((1.8, 0.05, 1.2), PALE, "whiteboard"),
+        ((0.05, 1.2, 0.9), PALE, "whiteboard"),
+        ((3.0, 0.02, 0.15), WOOD, None),
+        ((3.0, 0.02, 0.15), PALE, None),
+        ((1.8, 0.05, 1.2), WOOD, None),
+        ((1.8, 1.2, 0.05), PALE, None),
+        ((1.8, 0.6, 1.2), PALE, None),
+    ],
+    ids=["panel", "panel across", "plank", "pale plank", "wooden panel", "lying panel", "block"],
+)
+def test_a_board_is_a_whiteboard_only_as_a_pale_upright_panel(
+    tmp_path: Path, size: Vector3, colour: Vector3, expected: str | None
+) -> None:
+    body = TEXT.box("Board_01", (0, 0, 1), (size[0], size[1], 1 + size[2]), colour)
+    assert found(tmp_path, body) == ([("Board_01", expected)] if expected else [])
+
+
+@pytest.mark.parametrize("degrees", [0, 30, 45, 123])
+def test_the_width_of_a_footprint_does_not_depend_on_its_rotation(degrees: float) -> None:
+    turn = np.radians(degrees)
+    corners = np.array([(0, 0), (2, 0), (2, 0.1), (0, 0.1), (1, 0.05)])
+    turned = corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    assert footprint_width(turned) == pytest.approx(0.1, abs=1e-6)
+    assert footprint_width(np.vstack((turned[:2], turned[:2].mean(axis=0)))) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_bed_is_no_bed_without_its_size_and_its_name_may_be_a_synonym(tmp_path: Path) -> None:
+    sizes = {
+        "Fridge": (0.7, 0.7, 1.8),
+        "TV_01": (1.2, 0.1, 0.7),
+        "BunkBed": (2.0, 1.0, 1.7),
+        "Bed_Toy": (0.2, 0.1, 0.1),
+    }
+    body = "".join(
+        TEXT.box(name, (5.0 * k, 0, 0), (5.0 * k + s[0], s[1], s[2])) for k, (name, s) in enumerate(sizes.items())
+    )
+    assert sorted(found(tmp_path, body)) == [("BunkBed", "bed"), ("Fridge", "refrigerator"), ("TV_01", "television")]
+
+
+def test_a_name_that_fits_a_later_rule_only_by_shape_gets_its_category(tmp_path: Path) -> None:
+    assert found(tmp_path, TEXT.box("BedsideTable", (0, 0, 0), (1.8, 0.6, 0.7))) == [("BedsideTable", "table")]

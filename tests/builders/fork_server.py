@@ -1,6 +1,6 @@
 """Starts processes quickly: forks them from a process that has imported their modules.
 
-Each child is a real process with its own log, arguments and environment.
+Each child is a real process with its own session, output files, arguments, environment and working directory.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from schemas.support.closing import Closing
 
@@ -58,20 +59,30 @@ class Child:
         self._ended.set()
 
 
+@dataclass(frozen=True)
+class _Order:
+    module: str
+    words: list[str]
+    environment: dict[str, str]
+    folder: str
+    out: str
+    err: str
+
+
 class ForkServer(Closing):
     """Starts processes quickly. Context manager: exit kills the remaining processes.
 
     Args:
-        modules: modules to run; each has a `main` that reads `sys.argv`.
-        environment: variables for all processes, in addition to the inherited ones.
+        modules: modules to import in advance. Those that are run have a `main` that reads `sys.argv`.
+        environment: environment variables of the server.
     """
 
     def __init__(self, modules: Sequence[str], environment: Mapping[str, str]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.chaos.fork_server", *modules],
+            [sys.executable, "-m", "tests.builders.fork_server", *modules],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=os.environ | environment | {"OPENBLAS_NUM_THREADS": "1"},
+            env={**environment, "OPENBLAS_NUM_THREADS": "1"},
             text=True,
         )
         self._children: dict[int, Child] = {}
@@ -80,12 +91,22 @@ class ForkServer(Closing):
         self._thread = threading.Thread(target=self._listen, name="fork-server")
         self._thread.start()
 
-    def start(self, module: str, words: Sequence[str], log: Path, extra: Mapping[str, str]) -> Child:
-        """Starts `module`; appends its output to `log` and adds `extra` to its environment."""
+    def start(
+        self, module: str, words: Sequence[str], environment: Mapping[str, str], out: Path, err: Path | None = None
+    ) -> Child:
+        """Starts `module` in the present working directory.
+
+        Args:
+            module: module to run, as `python -m` does.
+            words: arguments.
+            environment: all environment variables of the process.
+            out: file to which its output is appended.
+            err: file to which its errors are appended; by default `out`.
+        """
         assert self._process.stdin is not None
         self._asked = (module, *words)
-        order = {"module": module, "words": list(words), "log": str(log), "extra": dict(extra)}
-        self._process.stdin.write(json.dumps(order) + "\n")
+        order = _Order(module, [*words], {**environment}, str(Path.cwd()), str(out), str(err or out))
+        self._process.stdin.write(json.dumps(asdict(order)) + "\n")
         self._process.stdin.flush()
         child = self._started.get(timeout=_STARTS_WITHIN_S)
         assert child is not None, f"the fork server has ended with {self._process.wait()}"
@@ -117,6 +138,7 @@ def main() -> None:
     for module in sys.argv[1:]:
         importlib.import_module(module)
     gc.freeze()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner, which closes stdin
     hear, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake)
@@ -133,7 +155,7 @@ def main() -> None:
             for line in lines:
                 pid = os.fork()
                 if pid == 0:
-                    _run_child(json.loads(line), hear, wake)
+                    _run_child(_Order(**json.loads(line)), hear, wake)
                 alive.add(pid)
                 _report(f"started {pid}")
         if hear in ready:
@@ -141,11 +163,12 @@ def main() -> None:
         _reap(alive)
     for pid in alive:
         os.kill(pid, signal.SIGKILL)
+    _reap(alive, 0)
 
 
-def _reap(alive: set[int]) -> None:
+def _reap(alive: set[int], options: int = os.WNOHANG) -> None:
     while alive:
-        pid, status = os.waitpid(-1, os.WNOHANG)
+        pid, status = os.waitpid(-1, options)
         if pid == 0:
             return
         alive.remove(pid)
@@ -156,19 +179,25 @@ def _report(line: str) -> None:
     os.write(1, f"{line}\n".encode())
 
 
-def _run_child(order: dict[str, Any], *fds: int) -> NoReturn:
-    """Runs the ordered module in the forked process and exits as an interpreter does."""
+def _run_child(order: _Order, *fds: int) -> NoReturn:
+    """Runs the ordered module in the forked process as `__main__`, and exits as an interpreter does."""
+    os.setsid()
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     nothing = os.open(os.devnull, os.O_RDONLY)
-    log = os.open(order["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-    for source, target in ((nothing, 0), (log, 1), (log, 2)):
+    out, err = (os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600) for path in (order.out, order.err))
+    for source, target in ((nothing, 0), (out, 1), (err, 2)):
         os.dup2(source, target)
-    for fd in (*fds, nothing, log):
+    for fd in (*fds, nothing, out, err):
         os.close(fd)
-    os.environ.update(order["extra"])
-    sys.argv = [order["module"], *order["words"]]
-    sys.exit(importlib.import_module(order["module"]).main())
+    os.chdir(order.folder)
+    os.environ.clear()
+    os.environ.update(order.environment)
+    sys.argv = [order.module, *order.words]
+    sys.orig_argv = [sys.executable, "-m", *sys.argv]
+    program = sys.modules["__main__"] = importlib.import_module(order.module)
+    sys.exit(program.main())
 
 
 if __name__ == "__main__":

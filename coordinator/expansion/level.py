@@ -1,0 +1,107 @@
+"""Distributes episodes over categories so that the totals of all categories are as equal as the scenes permit.
+
+The result is exact: no other distribution has a smaller sum of squared totals. Pure functions without chance.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from coordinator.expansion.cells import Cell
+from coordinator.expansion.scene_cells import SceneCells
+
+__all__ = ["category_quotas", "level"]
+
+Shares = dict[int, Counter[str]]
+"""Number of episodes by place and category; a place is one cell of one scene."""
+
+
+def category_quotas(scenes: Sequence[SceneCells]) -> dict[str, dict[Cell, Counter[str]]]:
+    """Returns the number of episodes of each category in each cell, by name of the scene.
+
+    The cells of one split and tier are levelled together over all scenes, and continue the totals of the splits and
+    tiers before them, so that every split and tier has even categories as far as possible. At the end all cells are
+    levelled together.
+    """
+    places = [(scene, cell) for scene in scenes for cell in scene.quota]
+    options = [sorted({target.category for target in scene.pool(*cell)}) for scene, cell in places]
+    shares: Shares = {}
+    totals: Counter[str] = Counter()
+    for group in dict.fromkeys(cell for _, cell in places):
+        within = [number for number, (_, cell) in enumerate(places) if cell == group]
+        for number in within:
+            scene, cell = places[number]
+            shares[number] = _even(scene.quota[cell], options[number], totals)
+            totals.update(shares[number])
+        level({number: shares[number] for number in within}, options, totals)
+    level(shares, options, totals)
+    quotas: dict[str, dict[Cell, Counter[str]]] = {}
+    for number, (scene, cell) in enumerate(places):
+        quotas.setdefault(scene.scene.name, {})[cell] = shares[number]
+    return quotas
+
+
+def level(shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], totals: Counter[str]) -> None:
+    """Levels the totals by exchanges of categories within places, in place.
+
+    The sum of squared totals is minimal when no chain of exchanges leads from a category to one with at least two
+    episodes less (Harvey, Ladner, Lovasz, Tamir: Semi-matchings for bipartite graphs and load balancing, 2006).
+
+    Args:
+        shares: places in which categories may be exchanged.
+        options: categories of each place.
+        totals: number of episodes of each category, those of other places included.
+    """
+    names = sorted({name for place in shares for name in options[place]})
+    while any(_lower(high, shares, options, totals) for high in sorted(names, key=lambda name: -totals[name])):
+        pass
+
+
+def _even(count: int, options: Sequence[str], totals: Counter[str]) -> Counter[str]:
+    """Returns an even distribution; the rest goes to the categories with the lowest totals."""
+    each, rest = divmod(count, len(options))
+    ranked = sorted(options, key=lambda name: (totals[name], name))
+    return Counter({name: each + (rank < rest) for rank, name in enumerate(ranked)})
+
+
+def _lower(
+    high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], totals: Counter[str]
+) -> bool:
+    """Moves episodes from a category to the lowest one that a chain of exchanges reaches; returns whether it did."""
+    takes_from = _chains(high, shares, options)
+    low = min(takes_from, key=lambda name: (totals[name], name), default=high)
+    amount = (totals[high] - totals[low]) // 2
+    if amount < 1:
+        return False
+    chain = []
+    taker = low
+    while taker != high:
+        giver, place = takes_from[taker]
+        chain.append((giver, taker, place))
+        amount = min(amount, shares[place][giver])
+        taker = giver
+    for giver, taker, place in chain:
+        shares[place].subtract({giver: amount})
+        shares[place].update({taker: amount})
+    totals.subtract({high: amount})
+    totals.update({low: amount})
+    return True
+
+
+def _chains(
+    high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]]
+) -> dict[str, tuple[str, int]]:
+    """Returns for every category that a chain reaches: the category that gives it episodes, and the place."""
+    takes_from: dict[str, tuple[str, int]] = {}
+    front = [high]
+    while front:
+        reached: list[str] = []
+        for giver in front:
+            for place in sorted(shares, key=lambda place: -shares[place][giver]):
+                if shares[place][giver] > 0:
+                    new = [name for name in options[place] if name != high and name not in takes_from]
+                    takes_from |= dict.fromkeys(new, (giver, place))
+                    reached += new
+        front = reached
+    return takes_from

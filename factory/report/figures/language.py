@@ -1,0 +1,91 @@
+"""Figure of the language statistics: targets found without language, ambiguity, target in view (none in the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from factory.html.palette import colour
+from factory.report.data import ReportInput
+from factory.report.drawing.canvas import Axes, draw_panel
+from factory.report.drawing.figure import Figure, Table
+from factory.report.drawing.text import count, interval, name
+from factory.stats.language import summarise_language
+from factory.stats.model import LanguageRow, LanguageStatistics, Share
+
+_MEASURES = {
+    "nearest": ("target is nearest", "won"),
+    "central": ("target is most central", "won"),
+    "central_of_category": ("target is most central\nof its category", "won"),
+    "several_in_scene": ("fits several objects\nin the scene", "timeout"),
+    "several_in_view": ("fits several objects\nin view", "timeout"),
+    "contradictory": ("contradictory", "collision"),
+    "not_in_front": ("“in front of you”,\nbut not in front", "collision"),
+}
+"""Field of a row -> label and colour."""
+_TABLES = {
+    "Target in the first frame by scene": {
+        "nearest": "nearest",
+        "most central": "central",
+        "of its category": "central_of_category",
+    },
+    "Unclear instructions by scene": {
+        "several in scene": "several_in_scene",
+        "several in view": "several_in_view",
+        "contradictory": "contradictory",
+        "not in front": "not_in_front",
+    },
+}
+"""Title of a table -> heading and field of its columns."""
+
+
+def draw(material: ReportInput) -> Figure:
+    """Returns the shares of all episodes with their intervals, and the tables by scene and by category."""
+    title, source = "Instructions and objects in view", "no figure in the paper"
+    views, everything = material.drives.views, len(material.episodes)
+    if not views:
+        return Figure("language", title, source, "No episodes to show.")
+    found = summarise_language(material.meta.run, material.meta.run, material.scenes, everything, views)
+    caption = (
+        f"Shares of {count(found.read, 'episode')} with 95 % Wilson intervals; "
+        f"{count(found.instructions, 'distinct instruction')}. "
+        "Blue, in the first frame: the target is the object nearest to the camera, the object with the "
+        "smallest bearing, or that of its category with the smallest bearing, so that it can be found without language "
+        "or without spatial reasoning. Yellow: category and colour of the instruction fit several objects. "
+        "Red: the target is not in view in the first frame but another object of its category is (contradictory), or "
+        "the instruction has “in front of you” and the target is not in view or more than 30 degrees from the heading."
+    )
+    panel = draw_panel(
+        "language",
+        "Shares of episodes by measure",
+        lambda axes: _paint(axes, found.rows[-1]),
+        0.9 + 0.4 * len(_MEASURES),
+    )
+    tables = (*(_scene_table(found, *table) for table in _TABLES.items()), _arrival_table(found))
+    return Figure("language", title, source, caption, (panel,), tables)
+
+
+def _paint(axes: Axes, row: LanguageRow) -> None:
+    for place, (field, (_, fill)) in enumerate(_MEASURES.items()):
+        share: Share = getattr(row, field)
+        if share.share is None or share.low is None or share.high is None:
+            continue
+        ends = [100 * share.low, 100 * share.high]
+        axes.plot(ends, [place, place], color=colour(fill), linewidth=2, solid_capstyle="butt")
+        axes.plot(100 * share.share, place, "o", markersize=6.5, color=colour(fill))
+        beyond, side = (ends[1] + 1.5, "left") if ends[1] < 88 else (ends[0] - 1.5, "right")
+        axes.text(beyond, place, f"{100 * share.share:.0f} %", va="center", ha=side, fontsize=8.5)
+    axes.set_yticks(range(len(_MEASURES)), [label for label, _ in _MEASURES.values()])
+    axes.set_ylim(len(_MEASURES) - 0.5, -0.5)
+    axes.set_xlim(-2, 102)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("share of the episodes, %")
+
+
+def _scene_table(found: LanguageStatistics, title: str, columns: Mapping[str, str]) -> Table:
+    rows = tuple((name(row.group), *(interval(getattr(row, key)) for key in columns.values())) for row in found.rows)
+    return Table(("scene", *columns), rows, f"{title}; 95 % intervals")
+
+
+def _arrival_table(found: LanguageStatistics) -> Table:
+    rows = tuple((name(row.group), str(row.in_view.of), interval(row.in_view)) for row in found.arrivals)
+    return Table(("category", "N", "in view in the last frame"), rows, "Target in view on arrival; 95 % intervals")

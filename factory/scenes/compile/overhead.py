@@ -1,0 +1,62 @@
+"""Adds a ceiling to an open stage, and finds out whether the sky is visible from the floor. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.importer import Part
+from factory.scenes.importer.material import Surface
+from factory.scenes.light.rays import Caster
+from factory.scenes.navigation.floor import find_floor_height
+from schemas.support import portable
+from schemas.support.numpy_types import Floats
+
+__all__ = ["is_open", "with_ceiling"]
+
+_PATH = "/AddedCeiling"
+_PAINT = Surface(colour=(0.72, 0.72, 0.70))
+_EYE_M = 0.35
+_REACH_M = 200.0
+_DIRECTIONS = 48
+_OPEN_SHARE = 0.005
+"""Share of the views upwards that end at no surface above which a stage is open."""
+
+
+def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
+    """Returns the parts with a flat ceiling over their extent, visible from below, or the same parts for `None`.
+
+    Args:
+        parts: parts of the stage; those that are no colliders are visible.
+        height_m: height of the ceiling above the floor, metres.
+
+    Raises:
+        WorldError: the stage has no floor.
+    """
+    if height_m is None:
+        return tuple(parts)
+    shown = np.concatenate([part.triangles for part in parts if not part.is_collider])
+    z = find_floor_height(shown) + height_m
+    (x0, y0), (x1, y1) = shown[..., :2].min(axis=(0, 1)), shown[..., :2].max(axis=(0, 1))
+    corners = np.array([(x0, y0, z), (x0, y1, z), (x1, y1, z), (x1, y0, z)])
+    return (*parts, Part(_PATH, corners[[[0, 1, 2], [0, 2, 3]]], None, None, _PAINT))
+
+
+def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> bool:
+    """Returns whether rays upwards from the spawn points leave the scene, through a missing ceiling or a window.
+
+    Args:
+        triangles: (T, 3, 3) visible triangles, world metres.
+        spawns: (S, 2) floor points, metres.
+        floor_m: height of the floor, metres.
+    """
+    number = np.arange(_DIRECTIONS) + 0.5
+    rise, turn = number / _DIRECTIONS, np.pi * (3 - np.sqrt(5)) * number
+    flat = np.sqrt(1 - rise * rise)
+    ways = np.column_stack((flat * portable.cos(turn), flat * portable.sin(turn), rise)).astype(np.float32)
+    eyes = np.column_stack((spawns, np.full(len(spawns), floor_m + _EYE_M))).astype(np.float32)
+    origins, directions = np.repeat(eyes, _DIRECTIONS, axis=0), np.tile(ways, (len(eyes), 1))
+    distance, is_back = Caster(triangles).first_hits(origins, directions, _REACH_M)
+    return bool(np.mean((distance >= _REACH_M) | is_back) > _OPEN_SHARE)

@@ -1,0 +1,170 @@
+"""Computes language statistics: whether the target can be found without language, and whether instructions are clear.
+
+Pure functions of the objects in view and of the names in the scene; no I/O.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy  # loads `scipy.ndimage` at its first use
+from numpy.typing import NDArray
+
+from factory.stats.measures import share_of
+from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Remark, Share
+from factory.stats.rollouts import ALL
+from schemas.config import CameraConfig
+from schemas.dataset import EpisodeSummary
+from schemas.language import TEMPLATES, says_in_front
+from schemas.referents import ids_in_view
+from schemas.start_view import IN_FRONT_RAD
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """Object in view of the camera."""
+
+    id: int
+    """Value of its pixels in the id image."""
+    range_m: float
+    """Distance from the camera to the nearest visible point, metres."""
+    bearing_rad: float
+    """Horizontal angle from the optical axis to the mean column of the mask, radians; positive to the right."""
+
+
+@dataclass(frozen=True)
+class EpisodeView:
+    """Objects that the instruction of an episode fits, and those in view."""
+
+    row: EpisodeSummary
+    target: int
+    """Id of the target."""
+    of_category: frozenset[int]
+    """Ids of all objects of the scene that have the target's category."""
+    fitting: frozenset[int]
+    """Ids of all objects of the scene that the instruction fits."""
+    seen: tuple[SeenObject, ...]
+    """Objects with a category in view in the first frame."""
+    is_in_view_at_end: bool
+    """Whether the target is in view in the last frame."""
+
+
+def see_objects(
+    ids: NDArray[np.uint16],
+    depth: NDArray[np.float32],
+    objects: Collection[int],
+    camera: CameraConfig,
+    min_pixels: int,
+) -> tuple[SeenObject, ...]:
+    """Returns the given objects that are in view, in the order of their ids.
+
+    Args:
+        ids: (S, S) instance ids.
+        depth: (S, S) metres along the optical axis, 0 where the ray hits nothing.
+        objects: Ids of the objects to find.
+        camera: Camera of the image.
+        min_pixels: Smallest mask of an object in view, pixels.
+    """
+    found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
+    if not found:
+        return ()
+    # tangents of the angles from the optical axis to the centres of the pixels of a row or column
+    half = ids.shape[0] / 2
+    tangents = (np.arange(ids.shape[0]) + 0.5 - half) / half * math.tan(math.radians(camera.fov_deg) / 2)
+    ranges = depth * np.sqrt(1 + tangents[:, None] ** 2 + tangents[None, :] ** 2)
+    nearest = scipy.ndimage.minimum(ranges, ids, found)
+    columns = scipy.ndimage.mean(np.broadcast_to(tangents, ids.shape), ids, found)
+    return tuple(
+        SeenObject(number, float(range_m), math.atan(column))
+        for number, range_m, column in zip(found, nearest, columns, strict=True)
+    )
+
+
+def summarise_language(
+    dataset: str,
+    run: str,
+    scenes: Iterable[str],
+    episodes: int,
+    views: Sequence[EpisodeView],
+    remarks: Sequence[Remark] = (),
+) -> LanguageStatistics:
+    """Returns the language statistics of episodes.
+
+    Args:
+        dataset: Name of the dataset.
+        run: Name of the run.
+        scenes: Scene names of the plan.
+        episodes: Number of episodes of the dataset.
+        views: Episodes whose frames were read.
+        remarks: Remarks about omitted data.
+    """
+    names = list(dict.fromkeys([*scenes, *(view.row.scene for view in views)]))
+    categories = [name for name, _ in Counter(view.row.target_category for view in views).most_common()]
+    return LanguageStatistics(
+        dataset=dataset,
+        run=run,
+        episodes=episodes,
+        read=len(views),
+        instructions=len({view.row.instruction for view in views}),
+        remarks=tuple(remarks),
+        rows=(*(_row(name, [view for view in views if view.row.scene == name]) for name in names), _row(ALL, views)),
+        arrivals=tuple(
+            ArrivalRow(
+                group=name,
+                in_view=_share(
+                    [v for v in views if name in (ALL, v.row.target_category)], lambda v: v.is_in_view_at_end
+                ),
+            )
+            for name in (*categories, ALL)
+        ),
+    )
+
+
+def _row(group: str, views: Sequence[EpisodeView]) -> LanguageRow:
+    in_front = [view for view in views if view.row.template_id in TEMPLATES and says_in_front(view.row.template_id)]
+    return LanguageRow(
+        group=group,
+        n=len(views),
+        nearest=_share(views, lambda view: _first(view.seen, _range) == view.target),
+        central=_share(views, lambda view: _first(view.seen, _bearing) == view.target),
+        central_of_category=_share(views, lambda view: _first(_alike(view), _bearing) == view.target),
+        several_in_scene=_share(views, lambda view: len(view.fitting) > 1),
+        several_in_view=_share(views, lambda view: sum(each.id in view.fitting for each in view.seen) > 1),
+        contradictory=_share(views, lambda view: bool(_alike(view)) and _target(view) is None),
+        not_in_front=_share(in_front, lambda view: not _is_in_front(view)),
+    )
+
+
+def _share(views: Sequence[EpisodeView], holds: Callable[[EpisodeView], bool]) -> Share:
+    return share_of(sum(map(holds, views)), len(views))
+
+
+def _first(seen: Sequence[SeenObject], measure: Callable[[SeenObject], float]) -> int | None:
+    return min(seen, key=measure).id if seen else None
+
+
+def _range(seen: SeenObject) -> float:
+    return seen.range_m
+
+
+def _bearing(seen: SeenObject) -> float:
+    return abs(seen.bearing_rad)
+
+
+def _alike(view: EpisodeView) -> list[SeenObject]:
+    return [each for each in view.seen if each.id in view.of_category]
+
+
+def _target(view: EpisodeView) -> SeenObject | None:
+    return next((each for each in view.seen if each.id == view.target), None)
+
+
+def _is_in_front(view: EpisodeView) -> bool:
+    row = view.row
+    direction = math.atan2(row.goal_y_m - row.spawn_y_m, row.goal_x_m - row.spawn_x_m)
+    bearing = math.remainder(direction - row.spawn_yaw_rad, 2 * math.pi)
+    return _target(view) is not None and abs(bearing) <= IN_FRONT_RAD

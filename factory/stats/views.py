@@ -1,0 +1,86 @@
+"""Reads the first and the last frames of a dataset's episodes for the language statistics. Computes no statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from coordinator.archive.contract import scene_file
+from factory.dataset.episode import Episode
+from factory.dataset.packages import package_file
+from factory.stats.language import EpisodeView, see_objects, summarise_language
+from factory.stats.model import LanguageStatistics
+from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
+from schemas.dataset import file_name_of
+from schemas.dataset_files import EPISODES, SCENES
+from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.measure import target_in_view
+from schemas.referents import referents, referents_of
+from schemas.scene import SceneInfo, read_scene_info
+from schemas.storage.place import Place
+
+ProgressCallback = Callable[[int, int], None]
+
+
+def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, _all: None) -> LanguageStatistics:
+    """Returns the language statistics of a dataset; reads two frames of at most `MOST_OPENED` episodes.
+
+    Args:
+        root: Directory or URL of the dataset.
+        on_progress: Callback with the number of episodes read and the total.
+
+    Raises:
+        WorldError: The dataset does not exist, or its format is newer than this software.
+        ArchiveCorrupt: `dataset_meta.json` or the table of episodes cannot be read.
+    """
+    rows = read_rows(root)
+    infos = _read_infos(root, rows)
+    chosen = spread_evenly(rows.episodes, MOST_OPENED) if (root / EPISODES).is_dir() else []
+    views = []
+    for done, row in enumerate(chosen, 1):
+        name = file_name_of(row.episode_id)
+        with Episode(root / name, row) as episode:
+            try:
+                view = read_view(episode, infos)
+            except ArchiveCorrupt as error:
+                rows.add_damage(name, f"skipped: {format_error(error, root)}")
+            else:
+                views += [view] if view else []
+        on_progress(done, len(chosen))
+    scenes = [scene.name for scene in rows.meta.plan.scenes]
+    return summarise_language(str(root), rows.meta.run, scenes, len(rows.episodes), views, rows.remarks)
+
+
+def read_view(episode: Episode, infos: Mapping[str, SceneInfo]) -> EpisodeView | None:
+    """Returns the objects in view of an episode, or `None` if its scene is missing.
+
+    Args:
+        episode: Episode of the dataset.
+        infos: SHA-256 of a scene package -> metadata of the scene.
+
+    Raises:
+        ArchiveCorrupt: The episode is missing or damaged.
+    """
+    meta, info = episode.meta, infos.get(episode.summary.scene_sha256)
+    if info is None:
+        return None
+    target, min_pixels = meta.target_instance_id, meta.job.gains.min_mask_px
+    objects = {instance.id for instance in info.instances if instance.category is not None}
+    return EpisodeView(
+        row=episode.summary,
+        target=target,
+        of_category=referents(info, meta.job.category),
+        fitting=referents_of(meta.job, info),
+        seen=see_objects(episode.ids(0), episode.depth(0), objects, meta.job.camera, min_pixels),
+        is_in_view_at_end=target_in_view(episode.ids(-1), target, min_pixels),
+    )
+
+
+def _read_infos(root: Place, rows: Rows) -> dict[str, SceneInfo]:
+    found = {}
+    for name, sha256 in rows.meta.scenes.items():
+        try:
+            with package_file(root / SCENES / scene_file(name, sha256)).open("rb") as file:
+                found[sha256] = read_scene_info(file)
+        except (InvalidBundle, OSError) as error:
+            rows.add_damage(SCENES, f"the episodes of {name} are skipped: {format_error(error, root)}")
+    return found
