@@ -19,6 +19,7 @@ from schemas.bundle import BundleReader, BundleWriter
 from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import UsageError
 from schemas.plan import MAX_EPISODES
+from schemas.start_view import StartView
 from schemas.terms import Recording
 from tests.builders.dataset import make_dataset
 
@@ -71,7 +72,9 @@ def test_a_false_digest_of_a_states_recording_is_found(copy: Callable[[Recording
     assert "rendered with " in text
 
 
-def test_a_false_visibility_of_a_states_recording_is_found(copy: Callable[[Recording], Path]) -> None:
+def test_a_false_visibility_and_a_forbidden_start_view_of_a_states_recording_are_found(
+    copy: Callable[[Recording], Path],
+) -> None:
     root = copy(Recording.STATES)
     path = root / EPISODES / "ep_000001.zip"
     bundle, file = BundleReader(io.BytesIO(path.read_bytes())), io.BytesIO()
@@ -79,10 +82,12 @@ def test_a_false_visibility_of_a_states_recording_is_found(copy: Callable[[Recor
     for _ in bundle.meta.frame_digests:
         writer.add_digest(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.uint16))
     unseen = bundle.meta.rollout.model_copy(update={"steps_visible": 0})
-    writer.finish(bundle.arrays, bundle.meta.model_copy(update={"rollout": unseen}))
+    job = bundle.meta.job.model_copy(update={"start_view": StartView(within_rad=0.0)})
+    writer.finish(bundle.arrays, bundle.meta.model_copy(update={"rollout": unseen, "job": job}))
     path.write_bytes(file.getvalue())
     found = texts(verify(root, render=MAX_EPISODES), Kind.RENDERED)
     assert any(text.startswith("steps_visible 0, but ") for text in found)
+    assert any(text.startswith("start: the target is ") for text in found)
 
 
 def test_the_distance_of_stored_frames_is_reported(copy: Callable[[Recording], Path]) -> None:
