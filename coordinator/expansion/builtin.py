@@ -73,7 +73,8 @@ BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _B
 
 
 def is_paper_plan(plan: Plan) -> bool:
-    """Returns whether a plan is `paper`, or `paper` with fewer scenes or episodes, another expert or another seed."""
+    """Returns whether a plan is `paper`, or a variant with fewer scenes or episodes, other expert, seed or record."""
     theirs = [ScenePlan(name=scene.name, episodes=part.episodes) for scene in _PAPER.scenes for part in plan.scenes]
-    whole = plan.model_copy(update={"scenes": _PAPER.scenes, "expert": _PAPER.expert, "seed": _PAPER.seed})
+    kept = {name: getattr(_PAPER, name) for name in ("scenes", "expert", "seed", "record")}
+    whole = plan.model_copy(update=kept)
     return whole == _PAPER and all(scene in theirs for scene in plan.scenes)

@@ -103,7 +103,7 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
     """Returns the spec of an archived episode."""
     meta, job = episode.meta, episode.meta.job
     drawn = _drawn_pose(meta, places.load(job.scene, job.scene_sha256))
-    seen = categories_in_view(episode.ids(0), meta.instances, job.gains.min_mask_px)
+    seen = categories_in_view(episode.ids(0), episode.instances, job.gains.min_mask_px)
     target_pixels = int(np.count_nonzero(episode.ids(0) == meta.target_instance_id))
     return EvalSpec(
         spec_id=episode.episode_id,
