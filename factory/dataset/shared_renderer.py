@@ -10,8 +10,6 @@ import threading
 from collections import OrderedDict
 from typing import NamedTuple, cast
 
-import structlog
-
 from factory.dataset.packages import ScenePackage
 from factory.support.settings import read_renderer
 from schemas.config import CameraConfig
@@ -27,8 +25,6 @@ _REMEDY = (
     "the episode stores states, and its frames are rendered with OpenGL: on Debian `apt-get install libegl1 "
     "libgl1-mesa-dri`; MINIVLA_RENDERER=tiny uses PyBullet's TinyRenderer, whose colours differ"
 )
-
-log = structlog.get_logger(__name__)
 
 
 class View(NamedTuple):
@@ -111,6 +107,9 @@ class SharedRenderer:
             return
         self._warned.add(recorded_with)
         remedy = "`factory verify --render` compares the frames with the recorded digests"
+        import structlog  # not at the start of each process that reads a dataset, which it would slow down
+
+        log = structlog.get_logger(__name__)
         log.warning("renderer_differs", recorded_with=recorded_with, here=here, remedy=remedy)
 
 
