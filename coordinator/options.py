@@ -8,6 +8,7 @@ from datetime import datetime
 
 from coordinator.clock import seconds_since_boot, utc_now
 from coordinator.expansion.evaluation import EvalJobs
+from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.puller import Judge, Nearby, nothing_nearby
@@ -41,6 +42,8 @@ class CoordinatorOptions:
     """Root of the dataset in object storage; `None` for a dataset in a directory."""
     evaluation: EvalJobs | None = None
     """Jobs of an evaluation, which replace the plan's draws; their results are archived without episode tables."""
+    find_states: FindStates = simulate_all
+    """Function that returns the states recording of a job."""
     connect: Sequence[str] = ()
     """Endpoints of other coordinators, whose workers may also execute jobs of this one."""
     nearby: Nearby = nothing_nearby

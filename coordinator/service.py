@@ -152,6 +152,7 @@ class Coordinator(Closing):
             is_draining=self._draining.is_set,
             has_room=lambda: room.has_room,
             evaluation=options.evaluation,
+            find_states=options.find_states,
         )
 
     def _open_pullers(self, run: RunContext, nearby: Nearby) -> Pullers:

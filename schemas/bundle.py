@@ -5,7 +5,7 @@ Works on open binary files, with deterministic bytes and bounded decoding. Opens
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import BinaryIO, cast
 
@@ -14,17 +14,25 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
+from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
-from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
+from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst, is_npy_of
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
 from schemas.errors import InvalidBundle
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
-__all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
+__all__ = [
+    "MAX_BUNDLE_BYTES",
+    "MAX_FRAMES",
+    "BundleReader",
+    "BundleWriter",
+    "EpisodeArrays",
+    "encode_depth",
+    "member_names",
+]
 
 MAX_BUNDLE_BYTES = 2 << 30
 _META = "meta.json"
@@ -35,12 +43,21 @@ _DEPTH_BYTES = 4 * FRAME_SIZE_PX * FRAME_SIZE_PX + 4096
 _LIMITS = ContainerLimits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, member_bytes=4 << 20)
 
 
+_STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
+"""Number of members of a states recording: the arrays and `meta.json`."""
+
+
+def encode_depth(depth: NDArray[np.float32]) -> bytes:
+    """Returns a depth image as a bundle stores it, without a checksum: the container has a CRC, the frame a digest."""
+    return encode_npy_zst(depth, checksum=False)
+
+
 def _frame_names(t: int) -> tuple[str, str, str]:
     return f"rgb_front/{t:06d}.png", f"depth_front/{t:06d}.npy.zst", f"seg_front/{t:06d}.png"
 
 
 def member_names(frames: int) -> tuple[str, ...]:
-    """Returns the member names of a bundle with that number of frames, in the order of the file."""
+    """Returns the member names of a bundle with that number of stored frames, in the order of the file."""
     of_frames = (name for t in range(frames) for name in _frame_names(t))
     return (*of_frames, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
 
@@ -53,7 +70,7 @@ class EpisodeArrays:
     """(T, 2) commanded twist: v in m/s, w in rad/s."""
     actions_tokens: NDArray[np.int16]
     """(T, 2) action tokens, 0..6."""
-    poses: NDArray[np.float32]
+    poses: NDArray[np.float64]
     """(T, 7) poses of base_link in the world frame: x, y, z in metres, qw, qx, qy, qz."""
 
     def in_order(self) -> tuple[NDArray[np.generic], ...]:
@@ -80,14 +97,18 @@ class BundleWriter:
         names = _frame_names(len(self._digests))
         colour = encode_png(rgb)
         self._lap("png rgb")
-        metres = encode_npy_zst(depth, checksum=False)  # the container has a CRC, the frame a digest
+        metres = encode_depth(depth)
         self._lap("depth")
         instances = encode_png(ids)
         self._lap("png ids")
         for name, data in zip(names, (colour, metres, instances), strict=True):
             self._out.add(name, data)
-        self._digests.append(frame_digest(rgb, depth, ids))
+        self.add_digest(rgb, depth, ids)
         self._lap("bundle")
+
+    def add_digest(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
+        """Adds the digest of a frame without storing the frame, for a states recording."""
+        self._digests.append(frame_digest(rgb, depth, ids))
 
     @property
     def frame_digests(self) -> tuple[str, ...]:
@@ -135,10 +156,15 @@ class BundleReader(Closing):
         self.length = self.meta.rollout.num_steps if steps is None else steps
         if self.length > MAX_FRAMES:  # checked before the member names are generated
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
-        expected = member_names(self.length)
+        self.has_frames = len(self._in.names) > _STATES_MEMBERS
+        """Whether the bundle stores frames; a states recording does not."""
+        expected = member_names(self.length if self.has_frames else 0)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
-        self.arrays = EpisodeArrays(**{spec.name: self._array(spec) for spec in EPISODE_ARRAYS})  # type: ignore[arg-type]
+        arrays = {spec.name: self._array(spec) for spec in EPISODE_ARRAYS}
+        self.pose_dtype = arrays[POSES.name].dtype
+        """Type of the stored poses; float32 in bundles of format 1."""
+        self.arrays = EpisodeArrays(**{**arrays, POSES.name: arrays[POSES.name].astype(POSES.dtype)})
 
     @cached_property
     def meta(self) -> EpisodeMeta:
@@ -151,7 +177,10 @@ class BundleReader(Closing):
 
     def _array(self, spec: ArraySpec) -> NDArray[np.generic]:
         shape = tuple(self.length if side is None else side for side in spec.shape)
-        array = decode_npy(spec.name, self._in.read(f"{spec.name}.npy"), spec.dtype, shape)
+        data = self._in.read(f"{spec.name}.npy")
+        former = spec.former_dtype
+        dtype = former if former is not None and is_npy_of(data, former, shape) else spec.dtype
+        array = decode_npy(spec.name, data, dtype, shape)
         findings = spec.violations(array, self.length)
         if findings:
             raise InvalidBundle("bundle refused", findings)
@@ -192,7 +221,8 @@ class BundleReader(Closing):
 
     def content_digest(self, frame_digests: tuple[str, ...]) -> str:
         """Returns the content digest over these frame digests, the arrays and the metadata."""
-        return content_digest(frame_digests, self.arrays.in_order(), self.meta.canonical())
+        stored = replace(self.arrays, poses=self.arrays.poses.astype(self.pose_dtype))
+        return content_digest(frame_digests, stored.in_order(), self.meta.canonical())
 
     def member_bytes(self) -> dict[str, int]:
         """Returns the stored size of each kind of member, e.g. `rgb_front`, bytes."""

@@ -124,8 +124,8 @@ class EpisodeSummary(Model):
     """Navigation error at the end with the height of the centroid, metres."""
     min_ne_m: NonNegative
     """Smallest planar distance to the target's centroid over the episode, metres."""
-    steps_visible: Count
-    """Number of steps in which the target was visible to the expert."""
+    steps_visible: Count | None
+    """Number of steps in which the target was visible to the expert; null if that was not recorded."""
     scene_sha256: Sha256
     """Digest of the compiled scene."""
     plan_digest: Sha256

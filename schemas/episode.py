@@ -16,8 +16,9 @@ from schemas.terms import EndReason
 
 __all__ = ["BUNDLE_FORMAT", "MAX_FRAMES", "EpisodeMeta", "Provenance", "Rollout", "Route"]
 
-BUNDLE_FORMAT = 1
-"""Version of the bundle format. A reader opens its own version and older ones, and rejects newer ones."""
+BUNDLE_FORMAT = 2
+"""Version of the bundle format; format 1 has float32 poses and frames only. A reader opens its own version and older
+ones, and rejects newer ones."""
 MAX_FRAMES = 1000
 """Largest number of steps of an episode."""
 _MAX_PATH_POSES = 100_000
@@ -48,8 +49,9 @@ class Rollout(Model):
     """Smallest planar distance to the target's centroid over the episode, metres; oracle metrics use it."""
     collision_count: Count
     """Number of steps with a contact other than the floor."""
-    steps_visible: Count
-    """Number of steps in which the target was visible to the expert."""
+    steps_visible: Count | None
+    """Number of steps in which the target was visible to the expert; null in a states recording of an expert that uses
+    no images."""
     spawn_surface_m: NonNegative | None = Field(default=None, exclude_if=lambda it: it is None)
     """Planar distance from the spawn to the target's footprint, metres; null if the scene records no footprint."""
     final_surface_m: NonNegative | None = Field(default=None, exclude_if=lambda it: it is None)
@@ -104,9 +106,9 @@ class EpisodeMeta(Model):
     route: Route = Route()
     """Shortest and planned paths."""
     instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
-    """Instances that the ids in `seg_front` refer to."""
+    """Instances that the ids in `seg_front` refer to; empty in a states recording, because the scene lists them."""
     frame_digests: Annotated[tuple[Digest, ...], Field(max_length=MAX_FRAMES)]
-    """XXH3-128 of (rgb, depth, ids) of every frame."""
+    """XXH3-128 of (rgb, depth, ids) of every frame, or in a states recording of those of `Job.sampled_steps`."""
     content_digest: Digest
     """XXH3-128 over the frame digests, the arrays and the canonical metadata without `provenance`."""
     provenance: Provenance

@@ -20,9 +20,11 @@ from schemas.config import (
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
 from schemas.start_view import StartView
-from schemas.terms import ExpertName
+from schemas.terms import ExpertName, Recording
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
+_SAMPLE_KEY = (1,)
+"""Spawn key of the random stream for sampled frames; it differs from the streams of the attempt."""
 
 
 def episode_id(index: int) -> str:
@@ -69,6 +71,8 @@ class Job(EpisodeSpec):
         default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
     )
     """Requirements on a demonstration; omitted if there are none."""
+    record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
+    """What the episode stores; omitted for frames, so that former digests stay valid."""
 
     @property
     def episode_id(self) -> str:
@@ -81,3 +85,12 @@ class Job(EpisodeSpec):
         Design: docs/design/reproducibility.md#seeds.
         """
         return np.random.default_rng(np.random.SeedSequence((self.root_seed, self.index, self.attempt)))
+
+    def sampled_steps(self, steps: int) -> tuple[int, ...]:
+        """Returns the steps whose frame digests a states recording stores: the first, the last and one drawn step.
+
+        Args:
+            steps: number of steps of the episode.
+        """
+        sequence = np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_SAMPLE_KEY)
+        return tuple(sorted({0, int(np.random.default_rng(sequence).integers(steps)), steps - 1}))

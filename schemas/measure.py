@@ -192,14 +192,14 @@ class TrackMeasure(NamedTuple):
     """Distance from the last pose to the target's footprint, metres; `None` without footprint."""
 
 
-def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
+def yaw_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns the headings (T,) of poses (T, 7) x, y, z, qw, qx, qy, qz, radians."""
-    w, x, y, z = poses[:, 3:].astype(np.float64).T
+    w, x, y, z = poses[:, 3:].T
     return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def measure_track(
-    poses: NDArray[np.float32],
+    poses: NDArray[np.float64],
     centroid_m: tuple[float, float, float],
     footprint_m: Sequence[tuple[float, float]] = (),
 ) -> TrackMeasure:
@@ -210,7 +210,7 @@ def measure_track(
         centroid_m: centroid of the target in the world frame, metres.
         footprint_m: vertices of the target's convex footprint, counter-clockwise, metres; empty if it is unknown.
     """
-    track = poses[:, :3].astype(np.float64)
+    track = poses[:, :3]
     to_goal = np.linalg.norm(track[:, :2] - np.asarray(centroid_m[:2]), axis=1)
     steps = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
     surface = footprint_distances(track[[0, -1], :2], footprint_m).tolist() if footprint_m else (None, None)

@@ -32,7 +32,7 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
-from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, SceneCategories, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, Recording, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
 
@@ -160,6 +160,8 @@ class Plan(Model):
     """Fraction of episodes in each split."""
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Controller that drives."""
+    record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
+    """What an episode stores; omitted for frames, so that former digests stay valid."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories", "categories_overall"] = "instances"

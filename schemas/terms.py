@@ -49,6 +49,18 @@ class ExpertName(StrEnum):
     PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; every episode ends with a timeout
     PLANNER = "planner"  # forward-only path planning and pure pursuit
 
+    @property
+    def uses_images(self) -> bool:
+        """Whether the controller uses the camera image at every step."""
+        return self is not ExpertName.PLANNER
+
+
+class Recording(StrEnum):
+    """What an episode stores (docs/dataset.md#recordings)."""
+
+    FRAMES = "frames"  # actions, poses and every frame
+    STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read
+
 
 class Screening(StrEnum):
     """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""

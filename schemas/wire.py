@@ -23,6 +23,8 @@ MAX_MESSAGE_BYTES = 1 << 20
 """Largest size of a message, bytes."""
 MAX_EVAL_TASK_CHARS = 1 << 18
 """Largest length of an evaluation task, characters."""
+MAX_STATES_CHARS = 3 << 18
+"""Largest length of the recorded states of an episode in a message, base64; most have 20 to 60 thousand characters."""
 MAX_LEASES = 256
 """Largest number of leases in simulation, and of leases in the spool, in one heartbeat; a host with more leases sends
 several heartbeats."""
@@ -52,6 +54,10 @@ RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
 def cut_detail(text: str) -> str:
     """Returns a text as a valid detail: without NUL, and truncated to `MAX_DETAIL_CHARS`."""
     return text.replace("\0", "")[:MAX_DETAIL_CHARS]
+
+
+States = Annotated[str, Field(max_length=MAX_STATES_CHARS)]
+"""Bundle of a states recording, base64."""
 
 
 class Lease(Model):
@@ -137,6 +143,8 @@ class ClaimReply(Model):
     """Lease on the job."""
     evaluation: EvalPayload | None = None
     """Task of the job in an evaluation."""
+    states: States | None = None
+    """States recording of the job's episode: the worker renders its frames instead of simulating the job."""
     retry_after_s: NonNegative = 0.0
     """Time to wait before the next claim, seconds."""
     finished: bool = False

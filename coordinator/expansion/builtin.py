@@ -36,7 +36,7 @@ _PAPER = Plan(
 """1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
-"""Categories that hardly any start shows alone (docs/decisions/0138-exempt-shelves-and-racks-from-uniqueness.md)."""
+"""Categories that hardly any start shows alone (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
 
 
 def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
@@ -67,13 +67,14 @@ _BALANCED = Plan(
 """1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
 training and evaluation, instructions that fit one object, no contact and the target in view on arrival. The numbers of
 the scenes permit equal shares and let each scene name all its categories
-(docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
+(docs/decisions/0125-give-every-category-of-balanced-an-equal-share.md)."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 
 
 def is_paper_plan(plan: Plan) -> bool:
-    """Returns whether a plan is `paper`, or `paper` with fewer scenes or episodes, another expert or another seed."""
+    """Returns whether a plan is `paper`, or a variant with fewer scenes or episodes, other expert, seed or record."""
     theirs = [ScenePlan(name=scene.name, episodes=part.episodes) for scene in _PAPER.scenes for part in plan.scenes]
-    whole = plan.model_copy(update={"scenes": _PAPER.scenes, "expert": _PAPER.expert, "seed": _PAPER.seed})
+    kept = {name: getattr(_PAPER, name) for name in ("scenes", "expert", "seed", "record")}
+    whole = plan.model_copy(update=kept)
     return whole == _PAPER and all(scene in theirs for scene in plan.scenes)

@@ -219,6 +219,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         spawn=plan.spawn,
         gains=plan.gains,
         planner=plan.planner,
+        record=plan.record,
         start_view=_start_view(plan, entry.info, planned.episode),
         demonstration=plan.demonstration,
     )

@@ -18,7 +18,7 @@ from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
 from schemas.support.foreign import PARSER_ERRORS, path_trouble
 from schemas.support.suggest import did_you_mean
-from schemas.terms import ExpertName, SuccessMeasure
+from schemas.terms import ExpertName, Recording, SuccessMeasure
 
 __all__ = ["load_plan", "parse_plan", "scene_of", "shrink"]
 
@@ -123,8 +123,9 @@ def shrink(
     episodes: int | None = None,
     expert: ExpertName | None = None,
     seed: int | None = None,
+    record: Recording | None = None,
 ) -> Plan:
-    """Returns the plan with fewer scenes or episodes in the same proportions, or with another expert or seed.
+    """Returns the plan with fewer scenes or episodes in the same proportions, another expert, seed or recording.
 
     Raises:
         UsageError: the plan has no such scene, or `episodes` is less than 1.
@@ -136,12 +137,9 @@ def shrink(
             raise UsageError(f"--episodes {episodes}: must be at least 1")
         share = apportion({part.name: float(part.episodes) for part in parts}, episodes)
         parts = tuple(part.model_copy(update={"episodes": share[part.name]}) for part in parts if share[part.name] > 0)
-    changes: dict[str, Any] = {"scenes": parts}
-    if expert is not None:
-        changes["expert"] = expert
-    if seed is not None:
-        changes["seed"] = seed
-    return plan.model_copy(update=changes)
+    chosen = {"expert": expert, "seed": seed, "record": record}
+    changes: dict[str, Any] = {key: value for key, value in chosen.items() if value is not None}
+    return plan.model_copy(update={"scenes": parts, **changes})
 
 
 def _messages(error: ValidationError) -> list[str]:

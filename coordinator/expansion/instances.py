@@ -41,8 +41,8 @@ def side_of(split: Split) -> Side:
 
 def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
     """Returns the tiers from which the plan's expert can start for a target."""
-    needs_line = plan.expert is not ExpertName.PLANNER and plan.spawn.screening is not Screening.NONE
-    return target.tiers(plan.task.success, by_path=not needs_line)
+    is_any_start = plan.expert is ExpertName.PLANNER or plan.spawn.screening is Screening.NONE
+    return target.tiers(plan.task.success, is_any_start)
 
 
 def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cells) -> Sides:

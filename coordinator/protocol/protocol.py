@@ -65,6 +65,14 @@ thousands of unknown names, each of which would cause a separate validation erro
 _SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
+FindStates = Callable[[Job], str | None]
+"""Function that returns the states recording of a job, base64, whose frames the worker renders; `None`: simulate it."""
+
+
+def simulate_all(_job: Job) -> None:
+    """Returns no recording, so that every job is simulated."""
+
+
 @dataclass(frozen=True)
 class Terms:
     """Terms of the run for its workers; the flags change while it runs."""
@@ -85,6 +93,8 @@ class Terms:
     """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None
     """Tasks of an evaluation; `None` for a collection."""
+    find_states: FindStates = simulate_all
+    """Function that returns the states recording of a job."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +234,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)
-        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), evaluation=payload))
+        states = terms.find_states(job)
+        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), evaluation=payload, states=states))
     hosts.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
     return ProtocolAnswer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))

@@ -9,7 +9,7 @@ from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from coordinator.tables.card_configs import configs_to_yaml, split_configs
 from schemas.dataset_meta import DatasetMeta
 from schemas.language import TEMPLATES
-from schemas.terms import Split, SuccessMeasure, Tier
+from schemas.terms import Recording, Split, SuccessMeasure, Tier
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _SPLITS = {
@@ -72,12 +72,10 @@ Categories: {categories}.
   (the shortest way along the floor to the success region, the l of SPL), `spawn_surface_m` and `final_surface_m`
   (distance to the target's footprint at the start and at the end; `spawn_dist_m` and `final_ne_m` are to its centroid),
   `target_in_view` (at the end), and `instance_side` (see Splits).
-- `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: `rgb_front/*.png` (640 x 640, 8 bit),
-  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
-  table in `meta.json`), `actions_continuous.npy` (v in m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy`
-  (x, y, z, qw, qx, qy, qz of base_link in the world), `meta.json`. Frame t is what the robot saw before action t.
-- `data/<split>-*.parquet`: the same rows by split, with a `thumbnail` (frame 0, JPEG, 160 x 160), written when
-  the run ends.
+- `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: {frames}`actions_continuous.npy` (v in
+  m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy` (exact x, y, z, qw, qx, qy, qz of base_link in the
+  world), `meta.json`. Frame t is what the robot saw before action t.{rendered}
+- `data/<split>-*.parquet`: the same rows by split{thumbnail}, written when the run ends.
 - `attempts.parquet`: every failed attempt ({failed}) with its reason.
 - `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
 
@@ -117,6 +115,13 @@ for episode in Dataset(".").filter(split="train_id"):
 The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
+_FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
+  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
+  table in `meta.json`), """
+_RENDERED = """ This dataset records states:
+  minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
+  with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
+_THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
     'screened by `spawn.screening = "{}"` of the plan.'
@@ -132,6 +137,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         aggregates: aggregates of all rows of its tables.
         with_tables: splits with split tables.
     """
+    stores_frames = meta.plan.record is Recording.FRAMES
     return _CARD.format(
         configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
@@ -153,6 +159,9 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         tiers=_tier_table(aggregates),
         splits=_split_part(meta, aggregates),
         categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
+        frames=_FRAMES if stores_frames else "",
+        rendered="" if stores_frames else _RENDERED,
+        thumbnail=_THUMBNAIL if stores_frames else "",
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
         templates=len(TEMPLATES),
     )

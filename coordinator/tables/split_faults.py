@@ -16,6 +16,7 @@ from coordinator.tables.split_layout import (
     THUMBNAIL,
     UNREADABLE,
     SplitTable,
+    has_pictures,
     read_pictures,
     split_tables_of,
 )
@@ -110,6 +111,8 @@ def _check_thumbnails(root: Place, table: SplitTable) -> str:
 
 def _missing_thumbnails(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
     """Returns a message on missing thumbnails whose episode files exist; a gateway may store the other files."""
+    if not has_pictures(root):
+        return ""
     lacking = [row for row in table.sources() if row["content_digest"] not in pictures]
     names = [row["episode_id"] for row in lacking if (root / row["file_name"]).is_file()]
     return f"no thumbnail of {names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}" if names else ""

@@ -15,12 +15,14 @@ import pyarrow.parquet as pq
 import xxhash
 
 from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
-from schemas.errors import ArchiveCorrupt
+from schemas.dataset_meta import read_dataset_meta
+from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.storage.place import Place, table_of
-from schemas.terms import Split
+from schemas.terms import Recording, Split
 
 THUMBNAIL = "thumbnail"
-"""Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available."""
+"""Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available, or
+if the dataset records states."""
 DIGEST_KEY, PICTURES_KEY = b"minivla_rows", b"minivla_thumbnails"
 """Keys of the file metadata: digest of the rows and number of thumbnails."""
 UNREADABLE = (pa.ArrowException, OSError, KeyError, ValueError)
@@ -91,6 +93,14 @@ def _slices(file: pq.ParquetFile, shard_episodes: int) -> Iterator[tuple[int, pa
             count = len(list(run))
             yield shard, pa.Table.from_batches([batch.slice(start, count)])
             start += count
+
+
+def has_pictures(root: Place) -> bool:
+    """Returns whether the episodes store frames, from which thumbnails are made."""
+    try:
+        return read_dataset_meta(root).plan.record is Recording.FRAMES
+    except WorldError:
+        return True
 
 
 def read_pictures(path: Place) -> dict[str, bytes]:

@@ -28,6 +28,7 @@ from coordinator.tables.split_layout import (
     PICTURES_KEY,
     THUMBNAIL,
     SplitTable,
+    has_pictures,
     read_pictures,
     split_tables_of,
 )
@@ -76,11 +77,11 @@ def write_split_tables(archive: Archive, seconds: float | None = None, deep: boo
 
 
 def _write(archive: Archive, table: SplitTable, former: Mapping[str, bytes], deadline: float) -> None:
-    rows = table.sources()
+    rows, are_made = table.sources(), has_pictures(archive.root)
 
     def picture_of(row: Mapping[str, Any]) -> bytes | None:
         kept = former.get(row["content_digest"])
-        if kept is not None or time.monotonic() > deadline:
+        if kept is not None or not are_made or time.monotonic() > deadline:
             return kept
         return _read_thumbnail(archive.root / row["file_name"], row["num_steps"])
 

@@ -66,7 +66,7 @@ def survey_frames(bundle: BundleReader, on_frame: Callable[[int], None] = lambda
 
 
 class _Survey:
-    def __init__(self, meta: EpisodeMeta, poses: NDArray[np.float32]) -> None:
+    def __init__(self, meta: EpisodeMeta, poses: NDArray[np.float64]) -> None:
         self._meta = meta
         self._far_m = meta.job.camera.far_m
         self._known = np.zeros(1 << 16, dtype=bool)
@@ -130,10 +130,10 @@ def _ends_of_runs(ids: NDArray[np.uint16]) -> NDArray[np.uint16]:
 class _Stuck:
     """Detector of images that do not change while the robot moves."""
 
-    def __init__(self, name: str, poses: NDArray[np.float32], move_m: float, turn_rad: float) -> None:
+    def __init__(self, name: str, poses: NDArray[np.float64], move_m: float, turn_rad: float) -> None:
         self._name = name
         self._move_m, self._turn_rad = move_m, turn_rad
-        self._xy = poses[:, :2].astype(np.float64)
+        self._xy = poses[:, :2]
         self._yaw = yaw_of(poses)
         self._since = 0
         self._last: Image | None = None

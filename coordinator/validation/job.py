@@ -12,6 +12,7 @@ from schemas.episode import EpisodeMeta
 from schemas.job import Job
 from schemas.language import TEMPLATES, instruction, needs_colour, templates_for
 from schemas.scene import Target
+from schemas.terms import Recording
 
 __all__ = ["job_findings", "table_findings", "target_findings"]
 
@@ -33,8 +34,10 @@ def table_findings(meta: EpisodeMeta) -> list[str]:
     found = []
     if meta.episode_id != meta.job.episode_id:
         found.append(f"episode_id {meta.episode_id!r}, its job's index gives {meta.job.episode_id!r}")
-    if len(meta.frame_digests) != meta.rollout.num_steps:
-        found.append(f"{len(meta.frame_digests)} frame digests for {meta.rollout.num_steps} frames")
+    steps = meta.rollout.num_steps
+    frames = steps if meta.job.record is Recording.FRAMES else len(meta.job.sampled_steps(steps))
+    if len(meta.frame_digests) != frames:
+        found.append(f"{len(meta.frame_digests)} frame digests for {frames} frames")
     return found + _language_findings(meta.job) + _instance_findings(meta)
 
 
@@ -70,6 +73,8 @@ def _language_findings(job: Job) -> list[str]:
 
 
 def _instance_findings(meta: EpisodeMeta) -> list[str]:
+    if meta.job.record is Recording.STATES:
+        return ["a states recording has an instance table; the scene lists the instances"] if meta.instances else []
     found = [
         f"instance id {number} stands {times} times in the table"
         for number, times in Counter(instance.id for instance in meta.instances).items()

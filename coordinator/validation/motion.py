@@ -97,8 +97,8 @@ def motion_findings(arrays: EpisodeArrays, robot: RobotConfig, control_hz: int, 
 
 
 def _drive_of(arrays: EpisodeArrays, control_hz: int, touched: bool) -> _Drive:
-    poses = arrays.poses.astype(np.float64)
-    yaw = yaw_of(arrays.poses)
+    poses = arrays.poses
+    yaw = yaw_of(poses)
     turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
     heading = yaw[:-1] + turned / 2
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
@@ -121,14 +121,14 @@ def _command_findings(drive: _Drive, robot: RobotConfig) -> list[str]:
     ]
 
 
-def _stance_findings(poses: NDArray[np.float32]) -> list[str]:
-    quaternions = poses[:, 3:].astype(np.float64)
+def _stance_findings(poses: F64) -> list[str]:
+    quaternions = poses[:, 3:]
     norm_error = np.abs(np.linalg.norm(quaternions, axis=1) - 1)
     found = _beyond("deviation of the quaternion's norm from 1", "", norm_error, QUATERNION_SLACK, 0.0)
     up_z = np.clip(1 - 2 * (quaternions[:, 1] ** 2 + quaternions[:, 2] ** 2), -1, 1)
     if not found:  # the tilt of an invalid quaternion is meaningless
         found = _beyond("tilt", "rad", np.arccos(up_z), MAX_TILT_RAD, 0.0)
-    heights = poses[:, 2].astype(np.float64)
+    heights = poses[:, 2]
     return found + _beyond("height above the first frame", "m", np.abs(heights - heights[0]), HEIGHT_SLACK_M, 0.0)
 
 

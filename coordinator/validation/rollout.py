@@ -18,13 +18,14 @@ from schemas.tokens import tokens_of
 __all__ = ["rollout_findings", "visibility_findings"]
 
 DISTANCE_SLACK_M = 1e-6
-"""Tolerance between recorded and recomputed distances, metres; both use the same formula on the float32 poses."""
+"""Tolerance between recorded and recomputed distances, metres; both use the same formula on the poses."""
 POSE_SLACK = 1e-6
 """Tolerance between the recorded spawn pose and pose 0, metres and radians; both use the same formula."""
 SPEED_SLACK_MPS = 1e-3
-"""Tolerance between measured speed and speed of the float32 poses, m/s: 4e-6 m at 50 m, times 60 Hz."""
+"""Tolerance between measured speed and speed of the recorded poses, m/s: poses of format 1 are float32, which gives
+4e-6 m at 50 m, times 60 Hz."""
 RADIUS_SLACK_M = 1e-5
-"""Tolerance between distances of float64 and float32 poses, metres."""
+"""Tolerance between distances of float64 and of float32 poses (format 1), metres."""
 
 
 def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
@@ -33,7 +34,7 @@ def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
     return [
         *_statistics_findings(meta, track, len(arrays.poses)),
         *_surface_findings(meta, track),
-        *_goal_findings(meta, track, arrays.poses.astype(np.float64)),
+        *_goal_findings(meta, track, arrays.poses),
         *_contact_findings(meta),
         *_token_findings(arrays),
     ]
@@ -70,7 +71,7 @@ def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) ->
         if not abs(getattr(rollout, name) - getattr(track, name)) <= DISTANCE_SLACK_M
     ]
     counts = {"collision_count": rollout.collision_count, "steps_visible": rollout.steps_visible}
-    found += [f"{name} {count} in {frames} steps" for name, count in counts.items() if count > frames]
+    found += [f"{name} {count} in {frames} steps" for name, count in counts.items() if (count or 0) > frames]
     if frames > meta.job.task.max_steps:
         found.append(f"num_steps {frames} is more than the job's max_steps {meta.job.task.max_steps}")
     return found

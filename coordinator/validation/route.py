@@ -17,7 +17,7 @@ __all__ = ["route_findings"]
 GEODESIC_SLACK_M = 0.05
 """Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell and not on the edge."""
 START_SLACK_M = 1e-4
-"""Tolerance between the path's first pose in float64 and pose 0 in float32, metres."""
+"""Tolerance between the path's first pose and pose 0, which is float32 in format 1, metres."""
 STRIDE_M = 0.2 + 1e-6
 """Longest step between two poses of a path, metres."""
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from coordinator.validation.frames import survey_frames
 from coordinator.validation.job import job_findings, table_findings, target_findings
 from coordinator.validation.motion import motion_findings
@@ -11,8 +13,10 @@ from coordinator.validation.rollout import rollout_findings, visibility_findings
 from coordinator.validation.route import route_findings
 from coordinator.validation.start import start_findings
 from schemas.bundle import BundleReader
+from schemas.encoding.arrays import POSES
 from schemas.job import Job
 from schemas.scene import Target
+from schemas.terms import Recording
 
 __all__ = ["validate"]
 
@@ -24,6 +28,9 @@ def validate(
     on_frame: Callable[[int], None] = lambda _t: None,
 ) -> list[str]:
     """Decodes a whole bundle and returns all violations, with values and units.
+
+    The frame digests of a states recording are not compared with frames, because this process does not render;
+    `factory verify --render` does.
 
     Args:
         bundle: open bundle; opening it has checked members, shapes, dtypes and bounds of the arrays.
@@ -37,17 +44,36 @@ def validate(
     meta, arrays, task = bundle.meta, bundle.arrays, bundle.meta.job.task
     findings = job_findings(meta, job) if job is not None else []
     findings += table_findings(meta)
+    findings += _format_findings(bundle)
     findings += target_findings(meta, target) if target is not None else []
     findings += rollout_findings(meta, arrays)
     findings += route_findings(meta, arrays)
     findings += motion_findings(arrays, meta.job.robot, task.control_hz, meta.rollout.collision_count)
-    survey = survey_frames(bundle, on_frame)
-    findings += survey.findings
-    if len(survey.digests) < bundle.length:
-        return findings  # the remaining checks need every frame
-    findings += visibility_findings(meta, survey.target_pixels)
-    findings += start_findings(meta, arrays, bundle.ids(0))
-    digest = bundle.content_digest(survey.digests)
+    digests = meta.frame_digests
+    if bundle.has_frames:
+        survey = survey_frames(bundle, on_frame)
+        findings += survey.findings
+        if len(survey.digests) < bundle.length:
+            return findings  # the remaining checks need every frame
+        findings += visibility_findings(meta, survey.target_pixels)
+        findings += start_findings(meta, arrays, bundle.ids(0))
+        digests = survey.digests
+    digest = bundle.content_digest(digests)
     if digest != meta.content_digest:
         findings.append(f"content digest {digest}, meta.json says {meta.content_digest}")
     return findings
+
+
+def _format_findings(bundle: BundleReader) -> list[str]:
+    meta, record = bundle.meta, bundle.meta.job.record
+    wanted = POSES.former_dtype if meta.format < 2 else POSES.dtype
+    found = []
+    if bundle.pose_dtype != wanted:
+        found.append(f"poses.npy has {bundle.pose_dtype}; bundles of format {meta.format} have {np.dtype(wanted)}")
+    if bundle.has_frames != (record is Recording.FRAMES):
+        found.append(f"the bundle {'has' if bundle.has_frames else 'lacks'} frames; its job records {record}")
+    is_counted = record is Recording.FRAMES or meta.job.expert.uses_images
+    if (meta.rollout.steps_visible is not None) != is_counted:
+        seen, expert = meta.rollout.steps_visible, meta.job.expert
+        found.append(f"steps_visible {seen} in a recording of {record} by the {expert} expert")
+    return found

@@ -13,7 +13,8 @@ import socket
 import sys
 from typing import BinaryIO
 
-import numpy.ma  # noqa: F401 - like the encodings, imported before the sandbox forbids imports
+import numpy.ma
+import numpy.random  # noqa: F401 - for the sampled frames of a states recording
 
 from coordinator.validation.sandbox import confine
 from coordinator.validation.validate import validate

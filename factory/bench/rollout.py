@@ -42,7 +42,7 @@ class _Run:
     wall_s: float
     cpu_s: float
     stages: StageTimes
-    poses: NDArray[np.float32]
+    poses: NDArray[np.float64]
     """(frames, 7) poses of the episode: x, y, z, qw, qx, qy, qz."""
 
 
@@ -104,7 +104,7 @@ def _timed(job: Job, stage: SceneRenderer, recorder: StageRecorder, file: Binary
     stages = recorder.take()
     if isinstance(outcome, Success):
         return _Run(outcome.meta.rollout.num_steps, wall, cpu, stages, BundleReader(file).arrays.poses)
-    return _Run(0, wall, cpu, stages, np.empty((0, 7), np.float32))
+    return _Run(0, wall, cpu, stages, np.empty((0, 7)))
 
 
 def _rewind(file: BinaryIO) -> None:

@@ -1,4 +1,7 @@
-"""Reads one archived episode: opens the bundle on first access and decodes it frame by frame. Writes nothing."""
+"""Reads one archived episode: opens the bundle on first access and decodes or renders it frame by frame.
+
+Writes nothing.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,13 @@ from typing import BinaryIO, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from factory.dataset.bundle import EpisodeBundle
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.scene import Instance
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
 
@@ -30,11 +36,13 @@ class Frame(NamedTuple):
     depth: NDArray[np.float32]
     """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing."""
     ids: NDArray[np.uint16]
-    """(640, 640) instance ids, described by `Episode.meta.instances`; 0 is background."""
+    """(640, 640) instance ids, described by `Episode.instances`; 0 is background."""
 
 
 class Episode(Closing):
     """Archived episode of T steps: T frames, T actions, T poses; frame t and pose t precede action t.
+
+    The frames of a states recording are rendered when they are read (docs/dataset.md#recordings).
 
     Construction and pickling read no file; each process opens the file at its first access. Instances are thread-safe.
 
@@ -66,6 +74,12 @@ class Episode(Closing):
             return bundle.meta
 
     @property
+    def instances(self) -> tuple[Instance, ...]:
+        """Instances that the ids of the frames refer to."""
+        with self._reading() as bundle:
+            return bundle.instances
+
+    @property
     def actions(self) -> NDArray[np.float32]:
         """(T, 2) commanded twists: v in m/s, w in rad/s."""
         return self._bundle().arrays.actions_continuous
@@ -76,7 +90,7 @@ class Episode(Closing):
         return self._bundle().arrays.actions_tokens
 
     @property
-    def poses(self) -> NDArray[np.float32]:
+    def poses(self) -> NDArray[np.float64]:
         """(T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z."""
         return self._bundle().arrays.poses
 
@@ -96,17 +110,26 @@ class Episode(Closing):
             return bundle.ids(self._step(t))
 
     def stored(self, name: str) -> bytes:
-        """Returns the encoded bytes of a bundle member, such as `seg_front/000000.png`, without decoding them."""
+        """Returns the encoded bytes of a member, such as `seg_front/000000.png`, as a recording of frames has it."""
         with self._reading() as bundle:
             return bundle.stored(name)
 
-    def frame(self, t: int) -> Frame:
-        """Returns all images at step t; a negative t counts from the end."""
-        return Frame(self.rgb(t), self.depth(t), self.ids(t))
+    def frame(self, t: int, size: int = FRAME_SIZE_PX) -> Frame:
+        """Returns all images at step t; a negative t counts from the end.
 
-    def frames(self) -> Iterator[Frame]:
-        """Yields every frame in order; keeps one frame in memory."""
-        return (self.frame(t) for t in range(len(self)))
+        Args:
+            t: step.
+            size: width and height, pixels; frames of another size than the recorded 640 are rendered.
+        """
+        with self._reading() as bundle:
+            if bundle.has_frames and size == FRAME_SIZE_PX:
+                return Frame(self.rgb(t), self.depth(t), self.ids(t))
+            found = bundle.render(self._step(t), size)
+        return Frame(found.rgb, found.depth, found.ids)
+
+    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX) -> Iterator[Frame]:
+        """Yields every `stride`-th frame in order; keeps one frame in memory."""
+        return (self.frame(t, size) for t in range(0, len(self), stride))
 
     def __len__(self) -> int:
         return self.summary.num_steps
@@ -119,14 +142,14 @@ class Episode(Closing):
             raise IndexError(f"{self.episode_id} has steps 0 to {len(self) - 1}, not {t}")
         return t % len(self)
 
-    def _bundle(self) -> BundleReader:
+    def _bundle(self) -> EpisodeBundle:
         with self._opening:
             if self._opened is None or self._opened.pid != os.getpid():  # a forked process shares the file position
                 self._opened = _Opened(self.path, len(self))
             return self._opened.bundle
 
     @contextmanager
-    def _reading(self) -> Iterator[BundleReader]:
+    def _reading(self) -> Iterator[EpisodeBundle]:
         try:
             yield self._bundle()
         except InvalidBundle as error:
@@ -155,7 +178,7 @@ class _Opened:
         self.close = weakref.finalize(self, file.close)
         self.pid = os.getpid()
         try:
-            self.bundle = BundleReader(file, steps)
+            self.bundle = EpisodeBundle(file, path.parents[1], steps)
         except InvalidBundle as error:
             refusal = _refusal(path, file, steps)
             self.close()

@@ -1,15 +1,72 @@
-"""Provides compiled scenes of a dataset as local files; downloads those of a remote dataset once and caches them."""
+"""Finds the compiled scenes of a dataset by digest, as local files; downloads those of a remote dataset once."""
 
 from __future__ import annotations
 
+import functools
 import secrets
 from pathlib import Path
+from typing import NamedTuple
 
-from factory.support.settings import cache_directory
+from factory.support.settings import cache_directory, scene_path
+from schemas.dataset_files import SCENES
+from schemas.errors import ArchiveCorrupt
+from schemas.scene import CompiledScene, SceneInfo, decode_scene, read_scene_info
 from schemas.storage.disk import translated
 from schemas.storage.place import Place, digest_of
 
-__all__ = ["package_file"]
+_KEPT_INFOS = 64
+
+
+class ScenePackage(NamedTuple):
+    """Compiled scene of a dataset, identified by its digest."""
+
+    root: Place
+    """Location of the dataset."""
+    name: str
+    """Name of the scene."""
+    sha256: str
+    """SHA-256 of the package."""
+
+    def decode(self) -> CompiledScene:
+        """Returns the scene.
+
+        Raises:
+            ArchiveCorrupt: No package has the digest.
+        """
+        with find_package_file(*self).open("rb") as file:
+            return decode_scene(file)
+
+    @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - the keys are values, and few
+    def info(self) -> SceneInfo:
+        """Returns the metadata of the scene; raises the errors of `decode`."""
+        with find_package_file(*self).open("rb") as file:
+            return read_scene_info(file)
+
+
+def find_package_file(root: Place, name: str, sha256: str) -> Path:
+    """Returns the package of a scene with that digest, from the dataset or a folder of `MINIVLA_SCENES`.
+
+    Raises:
+        ArchiveCorrupt: No package has the digest; the message has the digests of the packages found, and the folders.
+    """
+    found = []
+    folders = (root / SCENES, *scene_path())
+    for place in (place for folder in folders for place in packages_of(folder, name)):
+        path = package_file(place)
+        digest = digest_of(path)
+        if digest == sha256:
+            return path
+        found.append(f"{place} has SHA-256 {digest}")
+    others = "; ".join(found) or f"no package of scene {name} was found"
+    raise ArchiveCorrupt(
+        f"the package of scene {name} with SHA-256 {sha256} is missing: {others}; searched: "
+        f"{', '.join(map(str, folders))}. Restore the file, or add its folder to MINIVLA_SCENES"
+    )
+
+
+def packages_of(folder: Place, name: str) -> list[Place]:
+    """Returns the packages of a scene in a folder."""
+    return sorted(folder.glob(f"{name}-*.scene.zip"), key=str)
 
 
 def package_file(place: Place) -> Path:

@@ -86,7 +86,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         for number, t in enumerate(steps):
             (place / f"{number}.jpg").write_bytes(_jpeg(episode.rgb(t), options.jpeg_quality))
         poses = episode.poses[:: steps.step]
-        position = poses[:, :2].astype(np.float64)
+        position = poses[:, :2]
         yaw = yaw_of(poses)
         (place / "traj_data.pkl").write_bytes(pickle_arrays({"position": position, "yaw": yaw}))
         return GnmFacts(frames=len(steps), length_m=_length(position))

@@ -36,7 +36,7 @@ class FrameSample:
 class Drives:
     """Data read from the episode files: tracks, token counts, sample frames, objects in view."""
 
-    tracks: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
     tokens: NDArray[np.int64] = field(default_factory=lambda: np.zeros((GRID_POINTS, GRID_POINTS), np.int64))
     """Number of steps per point of the action grid: [speed token, yaw rate token]."""

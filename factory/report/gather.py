@@ -87,9 +87,9 @@ def _read_drive(
         drives.samples += samples
 
 
-def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
+def _thin(track: NDArray[np.float64]) -> NDArray[np.float64]:
     chosen = np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).round().astype(int))
-    thinned: NDArray[np.float32] = track[chosen]
+    thinned: NDArray[np.float64] = track[chosen]
     return thinned
 
 
@@ -136,6 +136,7 @@ def _in_turn(episodes: Sequence[EpisodeSummary]) -> list[EpisodeSummary]:
     for row in episodes:
         by_category.setdefault(row.target_category, []).append(row)
     ranked = [
-        sorted(rows, key=lambda row: (-row.steps_visible / row.num_steps, row.index)) for rows in by_category.values()
+        sorted(rows, key=lambda row: (-(row.steps_visible or 0) / row.num_steps, row.index))
+        for rows in by_category.values()
     ]
     return [row for turn in zip_longest(*ranked) for row in turn if row is not None]

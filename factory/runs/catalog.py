@@ -14,14 +14,14 @@ from pathlib import Path
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.nearest import find_nearest
-from factory.dataset.packages import package_file
+from factory.dataset.packages import find_package_file, package_file, packages_of
 from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
 from schemas.dataset_files import SCENES, STAGING
-from schemas.errors import ArchiveCorrupt, InvalidPlan
+from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
@@ -63,7 +63,7 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback =
         InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene.
     """
     entries: dict[str, SceneEntry] = {}
-    held = {scene.name: _packages(root, scene.name) for scene in plan.scenes}
+    held = {scene.name: packages_of(root / SCENES, scene.name) for scene in plan.scenes}
     require_files(plan, [name for name, packages in held.items() if packages])
     for scene in plan.scenes:
         kept = held[scene.name]
@@ -82,13 +82,9 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
     """Returns the scene package with which an episode was generated.
 
     Raises:
-        ArchiveCorrupt: The dataset does not contain the package.
+        ArchiveCorrupt: No package has the digest.
     """
-    for path in _packages(root, name):
-        entry = read_entry(package_file(path))
-        if entry.sha256 == sha256:
-            return entry
-    raise ArchiveCorrupt(f"{root / SCENES} has no package of scene {name} with SHA-256 {sha256}; run `factory verify`")
+    return read_entry(find_package_file(root, name, sha256))
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:
@@ -107,11 +103,6 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
             continue
         with replacing(path, part=path.parents[1] / STAGING / path.name) as part:
             part.write_text(text, encoding="utf-8")
-
-
-def _packages(root: Place, name: str) -> list[Place]:
-    """Returns the packages of a scene in a dataset."""
-    return sorted((root / SCENES).glob(f"{name}-*.scene.zip"), key=str)
 
 
 def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:

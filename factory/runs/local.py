@@ -19,6 +19,7 @@ import structlog
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
+from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
@@ -60,6 +61,8 @@ class LocalRun:
     """Results of the acceptance gate before the run."""
     store: ObjectPath | None = None
     """Location of the dataset in object storage; `None` for a dataset in `root`."""
+    find_states: FindStates = simulate_all
+    """Function that returns the states recording of a job."""
 
 
 def run_locally(
@@ -89,6 +92,7 @@ def run_locally(
             settings=settings,
             gate=run.gate,
             store=run.store,
+            find_states=run.find_states,
             nearby=lambda lease: find_bundle(spool, lease),
         ),
     ) as coordinator:

@@ -28,3 +28,13 @@ def store_endpoint() -> str:
 def scene_cache() -> Path:
     """Returns the folder of compiled scenes."""
     return cache_directory() / "scenes"
+
+
+def scene_path() -> tuple[Path, ...]:
+    """Returns the folders of `MINIVLA_SCENES`, in which scene packages are searched after the dataset itself."""
+    return tuple(Path(folder) for folder in os.environ.get("MINIVLA_SCENES", "").split(os.pathsep) if folder)
+
+
+def read_renderer() -> str:
+    """Returns the renderer for episodes that store no frames; `MINIVLA_RENDERER` overrides the default, `gl`."""
+    return os.environ.get("MINIVLA_RENDERER") or "gl"

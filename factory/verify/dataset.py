@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from types import MappingProxyType
 
@@ -36,7 +36,7 @@ from schemas.dataset_files import (
     is_part,
 )
 from schemas.dataset_meta import DatasetMeta
-from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.job import episode_id
 from schemas.storage.place import Place, at_hand, children, table_of
 
@@ -54,10 +54,16 @@ _KIND_OF_FAULT = MappingProxyType(
     }
 )
 _CHECKS_AT_A_TIME = 4
+_EXACT_POSES = 2
+"""First bundle format with exact poses."""
 
 
 def verify(
-    root: Place, deep: bool = False, on_progress: ProgressCallback = lambda _done, _all: None, processes: int = 1
+    root: Place,
+    deep: bool = False,
+    on_progress: ProgressCallback = lambda _done, _all: None,
+    processes: int = 1,
+    render: int = 0,
 ) -> VerifyReport:
     """Verifies a dataset.
 
@@ -70,9 +76,12 @@ def verify(
         deep: Whether to check the content of the episodes.
         on_progress: Called with the number of checked episodes and the total.
         processes: Number of processes that check episodes; 1 runs in the calling process.
+        render: Number of episodes, evenly spread, whose frames are rendered again and compared with their digests.
 
     Raises:
-        WorldError: The dataset does not exist, or its format is newer than this software.
+        WorldError: The dataset does not exist, its format is newer than this software, or frames are to be rendered
+            and this machine cannot.
+        UsageError: Frames are to be rendered, and the episodes have no exact poses.
     """
     report = VerifyReport(root, deep)
     try:
@@ -84,7 +93,9 @@ def verify(
     rows = _rows(dataset, report)
     _check_listing(root, rows, report)
     _check_tables(dataset, rows, report)
-    checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report)
+    drawn = _drawn_again(rows, render)
+    report.rendered = len(drawn)
+    checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report, drawn)
     for done, findings in enumerate(_run_checks(checks, processes), 1):
         report.findings += findings
         on_progress(done, len(rows))
@@ -112,12 +123,27 @@ def _rows(dataset: Dataset, report: VerifyReport) -> Rows:
     return rows
 
 
-def _plan_checks(rows: Rows, scenes: dict[str, SceneEntry], report: VerifyReport) -> list[EpisodeCheck]:
+def _drawn_again(rows: Rows, count: int) -> set[str]:
+    """Returns the ids of at most `count` episodes, evenly spread over the dataset."""
+    names = sorted(rows)
+    chosen = {names[place * len(names) // count] for place in range(count)} if count < len(names) else set(names)
+    old = [name for name in sorted(chosen) if rows[name].format < _EXACT_POSES]
+    if old:
+        raise UsageError(
+            f"{old[0]} has bundle format {rows[old[0]].format}, whose poses are rounded to float32, so that its frames "
+            f"cannot be rendered again; verify without --render"
+        )
+    return chosen
+
+
+def _plan_checks(
+    rows: Rows, scenes: dict[str, SceneEntry], report: VerifyReport, drawn: Collection[str]
+) -> list[EpisodeCheck]:
     checks = []
     for row in rows.values():
         target, findings = target_of(row, scenes.get(row.scene))
         report.findings += findings
-        checks.append(EpisodeCheck(report.root, row, target, report.deep))
+        checks.append(EpisodeCheck(report.root, row, target, report.deep, row.episode_id in drawn))
     return checks
 
 

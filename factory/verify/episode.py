@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
+from factory.dataset.bundle import EpisodeBundle
+from factory.verify.rendering import compare_rendered
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary, file_name_of, summary_of
 from schemas.dataset_files import METADATA_FILE
-from schemas.errors import InvalidBundle
+from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
 from schemas.storage.place import Place, at_hand
 
@@ -27,10 +29,18 @@ class EpisodeCheck:
     target: Target | None
     """Target in the scene; `None` where the scene cannot be read."""
     deep: bool
+    render: bool = False
+    """Whether to render frames again and compare them with their digests."""
 
 
 def check_episode(check: EpisodeCheck) -> list[Finding]:
-    """Returns all findings of an episode file: size, SHA-256 and, with `deep`, every frame, the motion and the row."""
+    """Returns all findings of an episode file.
+
+    They concern size and SHA-256, with `deep` every frame, the motion and the row, with `render` the rendered frames.
+
+    Raises:
+        WorldError: frames are to be rendered, and this machine cannot.
+    """
     row = check.row
     path = check.root / file_name_of(row.episode_id)
     found: list[Finding] = []
@@ -48,10 +58,15 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
                     differences = _differences(row, summary_of(bundle.meta, sha256, size))
                 found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
+            if check.render:
+                with EpisodeBundle(file, check.root) as episode:
+                    found += [Finding(Kind.RENDERED, row.file_name, text) for text in compare_rendered(episode)]
     except FileNotFoundError:
         found.append(Finding(Kind.MISSING, row.file_name, "is missing"))
     except InvalidBundle as error:
         found += [Finding(Kind.INVALID, row.file_name, text) for text in error.findings]
+    except ArchiveCorrupt as error:
+        found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be rendered: {error}"))
     except OSError as error:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
     return found

@@ -19,6 +19,7 @@ class Kind(StrEnum):
     INVALID = "invalid"  # violates the format, the motion limits or its own digests
     CONTRADICTION = "contradiction"  # the tables contradict the episode, the scene or the plan
     DAMAGED = "damaged"  # a table or scene that cannot be read
+    RENDERED = "rendered"  # a frame that is rendered again differs from its digest
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class VerifyReport:
     deep: bool
     episodes: int = 0
     """Number of episodes in the tables."""
+    rendered: int = 0
+    """Number of episodes whose frames were rendered again."""
     complete: bool = False
     """Whether the dataset is marked as complete."""
     digest: str | None = None

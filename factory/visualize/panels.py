@@ -68,7 +68,7 @@ class TrackMap:
     """
 
     def __init__(self, episode: BundleReader, scene: CompiledScene, size: int) -> None:
-        self._track = episode.arrays.poses[:, :2].astype(float)
+        self._track = episode.arrays.poses[:, :2]
         self._goal = np.array(episode.meta.target_centroid_m[:2])
         points = np.vstack([self._track, self._goal])
         self._centre = (points.min(axis=0) + points.max(axis=0)) / 2

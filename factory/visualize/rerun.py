@@ -176,8 +176,9 @@ def _log_still(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledSce
         log.log(name, rerun.SeriesLines(colors=[colour], widths=[2.0]), static=True)
     log.log("instruction", rerun.TextDocument(_describe_episode(episode), media_type="text/markdown"), static=True)
     _log_robot(rerun, log, job.camera)
-    ids = np.array([0, *(instance.id for instance in meta.instances)], np.uint16)
-    names = ["nothing", *(_name_of(instance.prim_path, instance.category) for instance in meta.instances)]
+    instances = episode.instances
+    ids = np.array([0, *(instance.id for instance in instances)], np.uint16)
+    names = ["nothing", *(_name_of(instance.prim_path, instance.category) for instance in instances)]
     labels = [
         (int(number), name, tuple(map(int, colour)))
         for number, name, colour in zip(ids, names, show_ids(ids, meta.target_instance_id), strict=True)

@@ -31,6 +31,8 @@ class ArraySpec:
     """Smallest valid value, of all columns or of each; `None` for no bound."""
     high: float | tuple[float, ...] | None = None
     """Largest valid value, of all columns or of each; `None` for no bound."""
+    former_dtype: DTypeLike | None = None
+    """Type of the elements in bundles of format 1, if it was another one."""
 
     def violations(self, array: NDArray[np.generic], length: int | None = None) -> list[str]:
         """Returns all violations of the spec by `array`, with expected and actual values.
@@ -48,7 +50,7 @@ class ArraySpec:
         )
         if not fits:
             return [f"{self.name}: shape {array.shape}, expected {self._show_shape(length)}"]
-        if array.dtype != np.dtype(self.dtype):
+        if array.dtype not in (self.dtype, self.former_dtype or self.dtype):
             return [f"{self.name}: dtype {array.dtype}, expected {np.dtype(self.dtype)}"]
         return self._value_violations(array)
 
@@ -94,8 +96,9 @@ ACTIONS_CONTINUOUS = ArraySpec("actions_continuous", (None, 2), np.float32, "(m/
 ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), np.int16, "token", 0, 6)
 """Grid point of the 7 x 7 grid that is nearest to each action."""
 
-POSES = ArraySpec("poses", (None, 7), np.float32, "(m, m, m, quaternion w x y z)")
-"""Pose of base_link in the world frame at each frame: (x, y, z, qw, qx, qy, qz)."""
+POSES = ArraySpec("poses", (None, 7), np.float64, "(m, m, m, quaternion w x y z)", former_dtype=np.float32)
+"""Pose of base_link in the world frame at each frame: (x, y, z, qw, qx, qy, qz); exact, so that the frame can be
+rendered again."""
 
 EPISODE_ARRAYS = (ACTIONS_CONTINUOUS, ACTIONS_TOKENS, POSES)
 """Arrays of a bundle other than frames, in the order of the file."""

@@ -64,6 +64,11 @@ def encode_npy(array: NDArray[np.generic]) -> bytes:
     return b"".join((_header(array.dtype, array.shape), np.ascontiguousarray(array).data))
 
 
+def is_npy_of(data: bytes, dtype: DTypeLike, shape: tuple[int, ...]) -> bool:
+    """Returns whether a file starts with the header that `encode_npy` writes for this dtype and shape."""
+    return data.startswith(_header(np.dtype(dtype), shape))
+
+
 @functools.lru_cache(maxsize=64)
 def _header(dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> bytes:
     buffer = io.BytesIO()

@@ -24,10 +24,10 @@ from schemas.job import Job
 from schemas.language import instruction
 from schemas.measure import measure_track
 from schemas.scene import Instance
-from schemas.terms import EndReason, ExpertName, Split, Tier
+from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
 from schemas.tokens import tokens_of
 
-__all__ = ["BundleParts", "bundle_bytes", "job_for", "parts_for", "short_task"]
+__all__ = ["BundleParts", "bundle_bytes", "former_parts", "job_for", "parts_for", "short_task"]
 
 Frame = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
 
@@ -36,6 +36,11 @@ GOAL_M = (1.6, 0.0, 0.5)
 RADIUS_M = 1.58
 """A wide success circle, so that a drive of a few centimetres reaches it."""
 TARGET_ID, FLOOR_ID, WALL_ID = 7, 1, 2
+_INSTANCES = (
+    Instance(id=FLOOR_ID, prim_path="/World/floor"),
+    Instance(id=WALL_ID, prim_path="/World/wall"),
+    Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),
+)
 
 
 def short_task() -> TaskConfig:
@@ -111,8 +116,12 @@ class BundleParts:
     def _write(self) -> tuple[bytes, EpisodeMeta]:
         file = io.BytesIO()
         writer = BundleWriter(file)
-        for frame in self.frames:
-            writer.add_frame(*frame)
+        if self.meta.job.record is Recording.STATES:
+            for t in self.meta.job.sampled_steps(len(self.frames)):
+                writer.add_digest(*self.frames[t])
+        else:
+            for frame in self.frames:
+                writer.add_frame(*frame)
         sealed = writer.finish(self.arrays, self.meta)
         return file.getvalue(), sealed
 
@@ -123,6 +132,14 @@ def parts_for(job: Job | None = None, steps: int = 12) -> BundleParts:
     arrays = _drive(steps, job)
     frames = [_frame(float(x), steps_seen) for steps_seen, x in enumerate(arrays.poses[:, 0])]
     return BundleParts(_meta(job, arrays), arrays, frames)
+
+
+def former_parts() -> BundleParts:
+    """Returns the parts of the smallest bundle of format 1, whose poses are float32."""
+    parts = parts_for()
+    poses = parts.arrays.poses.astype(np.float32)
+    measured = parts.with_arrays(poses=poses.astype(np.float64)).measured()
+    return measured.with_arrays(poses=poses).with_meta(format=1)
 
 
 def bundle_bytes(index: int = 1) -> bytes:
@@ -147,7 +164,7 @@ def _drive(steps: int, job: Job) -> EpisodeArrays:
         speeds.append(speed)
     actions = np.zeros((steps, 2), np.float32)
     actions[:, 0] = speeds
-    poses = np.zeros((steps, 7), np.float32)
+    poses = np.zeros((steps, 7))
     poses[1:, 0] = np.cumsum(actions[:-1, 0].astype(np.float64) / hz)
     poses[:, 3] = 1.0
     return EpisodeArrays(actions, tokens_of(actions), poses)
@@ -184,11 +201,7 @@ def _meta(job: Job, arrays: EpisodeArrays) -> EpisodeMeta:
             steps_visible=steps,
             **track._asdict(),
         ),
-        instances=(
-            Instance(id=FLOOR_ID, prim_path="/World/floor"),
-            Instance(id=WALL_ID, prim_path="/World/wall"),
-            Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),
-        ),
+        instances=_INSTANCES if job.record is Recording.FRAMES else (),
         frame_digests=(),
         content_digest="0" * 32,
         provenance=Provenance(

@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 import structlog
 
-from schemas.config import CameraConfig
+from schemas.config import CameraConfig, TaskConfig
 from schemas.encoding.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.errors import UsageError, WorldError
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Sky
 from schemas.support.stage_timer import StageTimer
 from schemas.terms import RendererKind
+from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room, build_scene, room_walls
+from workers.experts.observation import LazyFrame
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame, Renderer
+from workers.render import RenderedFrame, Renderer, Window, WindowRenderer
 from workers.render import choose as choose_module
 from workers.render.choose import open_renderer
 
@@ -394,6 +396,42 @@ def test_a_depth_and_id_frame_equals_the_frame_without_colour(renderer: Renderer
         for found in (relief, again):
             np.testing.assert_array_equal(found.depth, frame.depth)
             np.testing.assert_array_equal(found.ids, frame.ids)
+
+
+@pytest.mark.gl
+def test_a_window_of_depth_and_ids_equals_that_part_of_the_frame() -> None:
+    rng = np.random.default_rng(3)
+    with open_renderer("gl") as renderer:
+        assert isinstance(renderer, WindowRenderer)
+        renderer.load(furnished_room(), CAMERA)
+        for x, y, yaw in rng.uniform((-2.0, -2.0, -3.0), (2.0, 2.0, 3.0), (12, 3)).tolist():
+            pose = Pose.planar(x, y, yaw)
+            whole = renderer.render_depth_and_ids(pose)
+            windows = [renderer.window_of(pose, int(number)) for number in range(1, 12)]
+            for number, window in enumerate(windows, 1):
+                outside = whole.ids.copy()
+                outside[window.top : window.bottom, window.left : window.right] = 0
+                assert not (outside == number).any()
+            for window in (*windows, Window(352, 160, 608, 480), Window(0, 639, 1, 640), Window(5, 5, 5, 9)):
+                part, wanted = renderer.render_window(pose, window), whole.cut(window)
+                if not window.is_empty:
+                    np.testing.assert_array_equal(part.depth, wanted.depth)
+                    np.testing.assert_array_equal(part.ids, wanted.ids)
+            np.testing.assert_array_equal(renderer.render(pose).ids, whole.ids)  # the next frame is whole again
+
+
+@pytest.mark.gl
+def test_measurements_from_windows_equal_those_from_the_frame() -> None:
+    job = job_for(task=TaskConfig())
+    with open_renderer("gl") as renderer:
+        renderer.load(furnished_room(), CAMERA)
+        for yaw in np.linspace(-3.0, 3.0, 9).tolist():
+            for number in (8, 9, 99):  # 99 has no part
+                view, frame = (LazyFrame(lambda: renderer, Pose.planar(-1.0, 0.3, yaw), job, number) for _ in "12")
+                assert frame.frame is not None
+                assert view.obstacle_near == frame.obstacle_near
+                assert view.sighting[:2] == frame.sighting[:2]
+                assert view.sighting.measure_depth() == frame.sighting.measure_depth()
 
 
 def test_a_depth_and_id_frame_requires_a_scene(renderer: Renderer) -> None:

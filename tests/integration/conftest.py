@@ -1,4 +1,4 @@
-"""A small real dataset for the tests of evaluation."""
+"""Small real datasets for the tests of evaluation and of recordings."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
+from schemas.terms import Recording
+from tests.builders.driven import make_driven
 from tests.builders.evaluation import archive_drives
 from tests.builders.shared import build_once
 
@@ -15,3 +17,12 @@ from tests.builders.shared import build_once
 def drives(shared: Path) -> Dataset:
     """Three archived episodes in the room of boxes: one for training, two for testing; tests only read them."""
     return Dataset(build_once(shared / "drives-3", archive_drives))
+
+
+@pytest.fixture(scope="session")
+def recordings(shared: Path) -> dict[Recording, Path]:
+    """The same two drives, recorded as frames and as states; tests only read them. Needs an EGL driver."""
+    return {
+        record: build_once(shared / f"driven-{record}", lambda folder, record=record: make_driven(folder, record))
+        for record in Recording
+    }

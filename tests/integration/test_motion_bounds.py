@@ -34,7 +34,7 @@ def record(driver: Driver, start: tuple[float, float, float], steps: int = 150) 
             world.command(*command)
             world.step()
     continuous = np.array(actions, np.float32)
-    return EpisodeArrays(continuous, tokens_of(continuous), np.array(poses, np.float32)), contacts
+    return EpisodeArrays(continuous, tokens_of(continuous), np.array(poses)), contacts
 
 
 DRIVES: dict[str, tuple[Driver, tuple[float, float, float]]] = {

@@ -143,7 +143,7 @@ def test_odometry_and_commands_are_those_of_the_episode(bag: Bag, dataset: Path)
     for t in range(STEPS):
         pose = bag["/odom"][t][1].pose.pose
         found = [pose.position.x, pose.position.y, pose.position.z, pose.orientation.w, pose.orientation.z]
-        np.testing.assert_array_equal(np.float32(found), episode.poses[t, [0, 1, 2, 3, 6]])
+        np.testing.assert_array_equal(found, episode.poses[t, [0, 1, 2, 3, 6]])
         command_ = bag["/cmd_vel"][t][1]
         np.testing.assert_array_equal(np.float32([command_.linear.x, command_.angular.z]), episode.actions[t])
         assert bag["/action_tokens"][t][1].data.tolist() == episode.tokens[t].tolist()

@@ -56,7 +56,7 @@ def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
     episodes = datasets.load_dataset(str(place), "episodes", split="train", cache_dir=cache)
     frames = datasets.load_dataset(str(place), "frames", split="train", cache_dir=cache).with_format("numpy")
     poses = np.concatenate([paper.array(name, "poses") for name in episodes["episode_id"]])
-    np.testing.assert_array_equal(np.stack(list(frames["pose"])), poses)
+    np.testing.assert_array_equal(np.stack(list(frames["pose"])), poses.astype(np.float32))
     return f"frames: {len(frames)} rows with the poses of the paper's tree; episodes: {len(episodes)}"
 
 

@@ -62,7 +62,7 @@ def judge_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int
     actions, poses = paper.array(episode.name, "actions_continuous"), paper.array(episode.name, "poses")
     assert episode.length == len(range(0, len(actions), stride))
     rows = data.hf_dataset.select(range(start, start + episode.length))
-    assert np.array_equal(np.stack(list(rows["pose"])), poses[::stride])
+    assert np.array_equal(np.stack(list(rows["pose"])), poses[::stride].astype(np.float32))
     assert np.allclose(np.stack(list(rows["action"])), mean_commands(actions, stride), atol=1e-6)
 
 

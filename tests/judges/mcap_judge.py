@@ -107,7 +107,7 @@ def judge_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any
     elif topic == "/odom":
         place, turn = decoded.pose.position, decoded.pose.orientation
         row = (place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z)
-        np.testing.assert_array_equal(np.array(row, np.float32), paper.array(name, "poses")[t])
+        np.testing.assert_array_equal(row, paper.array(name, "poses")[t])
     elif topic == "/action":
         told = np.array((decoded.v_mps, decoded.w_rps), np.float32)
         np.testing.assert_array_equal(told, paper.array(name, "actions_continuous")[t])

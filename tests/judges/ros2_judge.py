@@ -51,7 +51,7 @@ def judge_file(paper: Paper, path: Path) -> Counter[str]:
                 np.testing.assert_array_equal(ids, paper.ids(path.stem, t))
             elif connection.topic == "/odom":
                 place = message.pose.pose.position
-                np.testing.assert_array_equal(np.float32([place.x, place.y, place.z]), poses[t, :3])
+                np.testing.assert_array_equal([place.x, place.y, place.z], poses[t, :3])
             elif connection.topic == "/cmd_vel":
                 np.testing.assert_array_equal(np.float32([message.linear.x, message.angular.z]), actions[t])
     assert {counts[topic] for topic in (COLOUR, DEPTH, IDS, "/odom", "/cmd_vel", "/tf")} == {len(poses)}

@@ -162,6 +162,7 @@ class Slot:
             sid=host.sid,
             eval_task=None if given.evaluation is None else given.evaluation.task,
             attachment_path=attached,
+            states=given.states,
         )
         self._simulation.order(order)
         step = 0

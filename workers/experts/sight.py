@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import TaskConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
+from workers.render import Window
 
-__all__ = ["Sighting", "is_obstacle_near", "see"]
+__all__ = ["Sighting", "foreground_window", "is_obstacle_near", "see"]
 
 _BYTE_SUM_ROWS = 255
 """Largest number of rows whose true pixels can be summed in one byte."""
@@ -31,22 +33,25 @@ class Sighting(NamedTuple):
     because the median takes longer than all other measurements and most experts do not use it."""
 
 
-def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int) -> Sighting:
+def see(
+    ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int, left: int = 0
+) -> Sighting:
     """Measures the target's mask (paper Eq. 2-3).
 
     Args:
-        ids: (H, W) instance ids.
+        ids: (H, W) instance ids of an image, or of a window that contains the whole mask.
         depth: (H, W) metres along the optical axis.
         instance_id: id of the target.
         min_pixels: smallest mask for which column and depth are measured, pixels.
+        left: column of the image at which the window begins.
     """
-    width = ids.shape[1]
     mask = ids == instance_id
     pixels = int(np.count_nonzero(mask))
     if pixels < min_pixels:
-        return Sighting(pixels, width / 2, lambda: 0.0)
+        return Sighting(pixels, FRAME_SIZE_PX / 2, lambda: 0.0)
     columns = _pixels_by_column(mask)
-    column = float(np.dot(columns, np.arange(width) + 0.5)) / pixels
+    # a sum of multiples of 0.5, which float64 represents exactly, so that a window gives the same bits
+    column = float(np.dot(columns, np.arange(left, left + ids.shape[1]) + 0.5)) / pixels
     return Sighting(pixels, column, lambda: float(np.median(depth[mask])))
 
 
@@ -59,19 +64,22 @@ def _pixels_by_column(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
     return counts
 
 
-def is_obstacle_near(depth: NDArray[np.float32], task: TaskConfig) -> bool:
+def foreground_window(task: TaskConfig) -> Window:
+    """Returns the foreground crop of an image."""
+    top, bottom = (round(side * FRAME_SIZE_PX) for side in task.crop_rows)
+    left, right = (round(side * FRAME_SIZE_PX) for side in task.crop_columns)
+    return Window(top, left, bottom, right)
+
+
+def is_obstacle_near(crop: NDArray[np.float32], task: TaskConfig) -> bool:
     """Returns whether the 5th-percentile depth of the foreground crop is below the limit (paper Sec. III-F).
 
     The percentile is below the limit if more than 5 % of the valid pixels are, so counting replaces sorting.
 
     Args:
-        depth: (H, W) metres, 0 for invalid pixels.
-        task: gives the crop and the limit.
+        crop: (H, W) depth within `foreground_window`, metres, 0 for invalid pixels.
+        task: gives the limit.
     """
-    height, width = depth.shape
-    top, bottom = (round(side * height) for side in task.crop_rows)
-    left, right = (round(side * width) for side in task.crop_columns)
-    crop = depth[top:bottom, left:right]
     near = int(np.count_nonzero(crop < task.near_obstacle_depth_m)) - int(np.count_nonzero(crop == 0.0))
     if near <= 0:
         return False

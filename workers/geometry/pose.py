@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 @dataclass(frozen=True, slots=True)
 class Pose:
@@ -29,6 +32,11 @@ class Pose:
     def planar(cls, x: float, y: float, yaw_rad: float, z: float = 0.0) -> Pose:
         """Returns an upright pose at (x, y, z) metres that heads `yaw_rad` from the world's x axis."""
         return cls(x, y, z, math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
+
+    @classmethod
+    def of(cls, row: NDArray[np.float64]) -> Pose:
+        """Returns the pose of a row (7,) of recorded poses: x, y, z, qw, qx, qy, qz."""
+        return cls(*map(float, row))
 
     def levelled(self, limit_rad: float) -> Pose:
         """Returns an upright pose with this position and heading if the tilt is at most `limit_rad`, else this pose."""

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 from schemas.base import Bytes, Count, Line, Model, NonNegative, Sha256
 from schemas.job import Job
 from schemas.terms import FailReason
-from schemas.wire import MAX_DETAIL_CHARS, Detail
+from schemas.wire import MAX_DETAIL_CHARS, Detail, States
 
 
 class SimulationOrder(Model):
@@ -29,6 +29,8 @@ class SimulationOrder(Model):
     """Evaluation task, unparsed."""
     attachment_path: Path | None = None
     """Path of the task's attachment, already fetched and checked."""
+    states: States | None = None
+    """States recording of the episode; its frames are rendered instead of a simulation."""
 
 
 class SimulationReportKind(StrEnum):

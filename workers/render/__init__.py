@@ -7,16 +7,48 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
 
-__all__ = ["DepthAndIds", "RenderedFrame", "Renderer"]
+__all__ = ["WHOLE", "DepthAndIds", "RenderedFrame", "Renderer", "Window", "WindowRenderer"]
+
+
+class Window(NamedTuple):
+    """Rectangle of an image, pixels; empty if it has no rows or no columns."""
+
+    top: int
+    left: int
+    bottom: int
+    """First row below the rectangle."""
+    right: int
+    """First column to the right of the rectangle."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the window has no pixels."""
+        return self.top >= self.bottom or self.left >= self.right
+
+    def joined(self, other: Window) -> Window:
+        """Returns the smallest window that contains both."""
+        if self.is_empty or other.is_empty:
+            return other if self.is_empty else self
+        first, last = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
+        return Window(*first, *last)
+
+    def contains(self, other: Window) -> bool:
+        """Returns whether all pixels of another window are in this one."""
+        return other.is_empty or self.joined(other) == self
+
+
+WHOLE = Window(0, 0, FRAME_SIZE_PX, FRAME_SIZE_PX)
+"""Window of a whole frame."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +71,17 @@ class DepthAndIds:
     """Depth, as `RenderedFrame.depth`."""
     ids: NDArray[np.uint16]
     """Instance ids, as `RenderedFrame.ids`."""
+
+    def cut(self, window: Window, around: Window = WHOLE) -> DepthAndIds:
+        """Returns the part in a window.
+
+        Args:
+            window: part of the frame.
+            around: part of the frame that this image shows.
+        """
+        rows = slice(window.top - around.top, window.bottom - around.top)
+        columns = slice(window.left - around.left, window.right - around.left)
+        return DepthAndIds(self.depth[rows, columns], self.ids[rows, columns])
 
 
 class Renderer(AbstractContextManager["Renderer", None], Protocol):
@@ -72,3 +115,18 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
 
     def close(self) -> None:
         """Frees all resources; further calls have no effect."""
+
+
+@runtime_checkable
+class WindowRenderer(Protocol):
+    """Renderer that can render a part of the image at a lower cost; its pixels equal those of the whole image."""
+
+    def window_of(self, pose: Pose, instance_id: int) -> Window:
+        """Returns a window that contains all pixels of an instance in the image from a pose; it may be larger."""
+
+    def render_window(self, pose: Pose, window: Window) -> DepthAndIds:
+        """Returns depth and ids of a part of the frame.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """

@@ -6,12 +6,17 @@ Pure geometry of bounding boxes. Does not render, and does not account for occlu
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.scene import CompiledScene
+from workers.render import Window
+
+_MARGIN_PX = 2
+"""Margin of a window around projected corners, pixels; OpenGL rounds corners to fractions of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,15 @@ class PartBounds:
             low, high = corners.min(axis=0), corners.max(axis=0)
             centre[part], half[part] = (low + high) / 2, (high - low) / 2
         return cls(centre, half)
+
+    def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Returns the corners (8, 3) of the box around the chosen parts, metres; (0, 3) if they have no vertices."""
+        chosen = chosen & (self.half[:, 0] >= 0)
+        if not chosen.any():
+            return np.empty((0, 3))
+        low = (self.centre - self.half)[chosen].min(axis=0)
+        high = (self.centre + self.half)[chosen].max(axis=0)
+        return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(8, 3)
 
     @functools.cached_property
     def facts(self) -> NDArray[np.float64]:
@@ -67,3 +81,29 @@ def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np
     seen = np.flatnonzero(reach.min(axis=0) >= 0)
     far = np.abs(bounds.centre[seen] - eye) + bounds.half[seen]
     return seen[np.argsort(np.einsum("ij,ij->i", far, far), kind="stable")]
+
+
+def window_of_corners(corners: NDArray[np.float64], clip: NDArray[np.float64], near_m: float, size: int) -> Window:
+    """Returns the window of an image that contains the convex hull of some points.
+
+    Args:
+        corners: (N, 3) points in the world frame, metres; without points the window is empty.
+        clip: (4, 4) matrix from world to OpenGL clip space, for column vectors; its w is the depth in metres.
+        near_m: near distance of the camera, metres; a point closer than it gives the whole image.
+        size: width and height of the image, pixels.
+    """
+    if not len(corners):
+        return Window(0, 0, 0, 0)
+    x, y, _, w = clip @ np.column_stack((corners, np.ones(len(corners)))).T
+    if w.min() <= near_m:
+        return Window(0, 0, size, size)
+    columns, rows = (x / w + 1) / 2 * size, (1 - y / w) / 2 * size
+    top, bottom = _pixels(rows, size)
+    left, right = _pixels(columns, size)
+    return Window(top, left, bottom, right)
+
+
+def _pixels(places: NDArray[np.float64], size: int) -> tuple[int, int]:
+    """Returns the first pixel of a range and the first one after it, with a margin for the rounding of corners."""
+    first, last = math.floor(float(places.min())) - _MARGIN_PX, math.ceil(float(places.max())) + _MARGIN_PX
+    return min(max(first, 0), size), min(max(last, 0), size)

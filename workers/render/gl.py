@@ -22,7 +22,8 @@ from schemas.support.portable import product
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
-from workers.render import DepthAndIds, RenderedFrame
+from workers.render import DepthAndIds, RenderedFrame, Window
+from workers.render.cull import window_of_corners
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import SceneShelf
@@ -61,6 +62,8 @@ class GlRenderer(Closing):
         self.description = _describe(self._context)
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: GpuScene | None = None
+        self._looked: tuple[Pose, tuple[bytes, NDArray[np.intp]]] | None = None
+        """Last pose and what `_look` returned for it; windows of one image have one pose."""
         self._sky = SkyPainter(None, self._camera)
         with self._context:
             self._programs = Programs(self._context)
@@ -84,6 +87,7 @@ class GlRenderer(Closing):
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
+        self._looked = None
         self._sky = SkyPainter(scene.info.sky, camera)
         with self._context:
             self._scene = self._shelf.take(scene)
@@ -130,6 +134,35 @@ class GlRenderer(Closing):
         self._lap("read-back")
         return relief
 
+    def window_of(self, pose: Pose, instance_id: int) -> Window:
+        """Returns a window that contains all pixels of an instance; the whole image if a part may be behind the camera.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+        clip = product(self._projection, view_matrix(optical_pose(pose, self._camera)))
+        return window_of_corners(self._loaded().corners_of(instance_id), clip, self._camera.near_m, self._size)
+
+    def render_window(self, pose: Pose, window: Window) -> DepthAndIds:
+        """Returns depth and ids of a part of the frame, bit-identical to those of `render`.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+        if window.is_empty:
+            return DepthAndIds(np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16))
+        scene = self._loaded()
+        clip, parts = self._look(scene, pose)
+        with self._context:
+            target = self._target(self._size)
+            target.begin(window)
+            scene.draw_bare(parts, clip)
+            self._context.finish()
+            self._lap("render")
+            relief = target.read_relief(self._camera, window=window)
+        self._lap("read-back")
+        return relief
+
     def _target(self, size: int) -> GlTarget:
         """Returns the target of a size; targets are kept for reuse."""
         if size not in self._targets:
@@ -148,10 +181,12 @@ class GlRenderer(Closing):
 
     def _look(self, scene: GpuScene, pose: Pose) -> tuple[bytes, NDArray[np.intp]]:
         """Returns the matrix of the shader programs for a pose, and the parts to draw."""
-        optical = optical_pose(pose, self._camera)
-        clip = product(self._projection, view_matrix(optical))
-        matrix = onto_target(clip, self._camera).T.astype(np.float32).tobytes()
-        return matrix, scene.parts_to_draw(clip, optical, self._camera)
+        if self._looked is None or self._looked[0] != pose:
+            optical = optical_pose(pose, self._camera)
+            clip = product(self._projection, view_matrix(optical))
+            matrix = onto_target(clip, self._camera).T.astype(np.float32).tobytes()
+            self._looked = pose, (matrix, scene.parts_to_draw(clip, optical, self._camera))
+        return self._looked[1]
 
     def _prepare(self, scene: CompiledScene) -> GpuScene:
         return GpuScene(self._context, self._programs, scene)

@@ -90,6 +90,8 @@ class GpuScene:
         """
         self._is_textured = scene.part_texture >= 0
         self._bounds, self._occluders = PartBounds.of(scene), Occluders.of(scene)
+        self._instances = scene.part_instance
+        self._corners: dict[int, NDArray[np.float64]] = {}
         self._draws = np.zeros(len(scene.part_first), _DRAW)
         self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
         self._draws["instances"] = 1
@@ -107,6 +109,12 @@ class GpuScene:
         """Returns the parts that are in view and not behind a wall, nearest first."""
         parts = visible_parts(self._bounds, clip, optical.eye)
         return parts[~self._occluders.hidden(self._bounds, parts, optical, camera)]
+
+    def corners_of(self, instance_id: int) -> NDArray[np.float64]:
+        """Returns the corners (8, 3) of the box along the axes around an instance, metres; (0, 3) without parts."""
+        if instance_id not in self._corners:
+            self._corners[instance_id] = self._bounds.corners(self._instances == instance_id)
+        return self._corners[instance_id]
 
     def draw(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
         """Draws parts in the given order, but in each distance band those without texture first.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
-from workers.render import DepthAndIds
+from workers.render import DepthAndIds, Window
 
 _GUARD = 3
 """Width of the viewport as a multiple of the target, which is at its centre. llvmpipe draws a triangle with a corner
@@ -66,8 +66,13 @@ class GlTarget:
         beside = size * (_GUARD // 2)
         self._images.viewport = (-beside, -beside, size * _GUARD, size * _GUARD)
 
-    def begin(self) -> None:
-        """Binds the images for drawing, and clears the depth buffer."""
+    def begin(self, window: Window | None = None) -> None:
+        """Binds the images for drawing, and clears the depth buffer.
+
+        Args:
+            window: part of the images that is drawn; `None` for the whole images.
+        """
+        self._images.scissor = None if window is None else _box(window)  # type: ignore[assignment]
         self._images.use()
         self._images.color_mask = _DEPTH_ONLY
         self._images.clear(depth=0.0)
@@ -79,21 +84,29 @@ class GlTarget:
         self._images.read_into(rgb, components=3, attachment=0)
         return rgb
 
-    def read_relief(self, camera: CameraConfig, *beside: NDArray[np.uint8]) -> DepthAndIds:
+    def read_relief(
+        self, camera: CameraConfig, *beside: NDArray[np.uint8], window: Window | None = None
+    ) -> DepthAndIds:
         """Returns depth and ids; sets ids and the images `beside` to 0 where no surface is within the clip range."""
-        shape = (self._size, self._size)
+        box = _box(window or Window(0, 0, self._size, self._size))
+        shape = box[3], box[2]
         depth, ids = np.empty(shape, np.float32), np.empty(shape, np.uint16)
-        self._images.read_into(depth, components=1, attachment=-1, dtype="f4")
-        self._images.read_into(ids, components=1, attachment=1, dtype="u2")
+        self._images.read_into(depth, box, components=1, attachment=-1, dtype="f4", alignment=1)
+        self._images.read_into(ids, box, components=1, attachment=1, dtype="u2", alignment=1)
         near, farthest = np.float32(camera.near_m), _least_height(camera)
         if depth.min() < farthest:
             void = np.flatnonzero(depth < farthest)
             depth.reshape(-1)[void] = np.inf  # the division gives 0
             images: tuple[NDArray[Any], ...] = (ids, *beside)
             for image in images:
-                image.reshape(self._size * self._size, -1)[void] = 0
+                image.reshape(depth.size, -1)[void] = 0
         np.divide(near, depth, out=depth)
         return DepthAndIds(depth, ids)
+
+
+def _box(window: Window) -> tuple[int, int, int, int]:
+    """Returns a window in OpenGL's form: x, y, width, height; the top row of an image is y = 0, see `onto_target`."""
+    return window.left, window.top, window.right - window.left, window.bottom - window.top
 
 
 def _least_height(camera: CameraConfig) -> np.float32:

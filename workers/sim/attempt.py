@@ -20,13 +20,13 @@ from schemas.measure import Goal, measure_track, target_in_view
 from schemas.referents import referents_of
 from schemas.scene import SceneInfo, Target
 from schemas.start_view import start_view_findings
-from schemas.terms import EndReason, FailReason
+from schemas.terms import EndReason, FailReason, Recording
 from workers.experts import Expert, make_expert
 from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.render import Renderer
+from workers.render import RenderedFrame, Renderer
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import draw_poses, is_spawn_stable
@@ -148,13 +148,15 @@ def _drive_and_seal(
         world,
         stage.renderer,
         expert,
-        lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids),
+        _frame_sink(writer) if job.record is Recording.FRAMES else None,
         attempt.on_step,
         stage.lap,
     )
     if done.end_reason is not EndReason.SUCCESS:
         writer.abandon()
         return AttemptFailure(FailReason(done.end_reason), done.end, len(done.arrays.poses))
+    if job.record is Recording.STATES:
+        _add_sampled_frames(writer, job, done.arrays, stage)
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
@@ -163,6 +165,17 @@ def _drive_and_seal(
     sealed = writer.finish(done.arrays, meta)
     stage.lap("bundle")
     return Success(sealed)
+
+
+def _frame_sink(writer: BundleWriter) -> Callable[[RenderedFrame], None]:
+    return lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids)
+
+
+def _add_sampled_frames(writer: BundleWriter, job: Job, arrays: EpisodeArrays, stage: SceneRenderer) -> None:
+    """Renders the sampled frames of a states recording and adds their digests."""
+    for t in job.sampled_steps(len(arrays.poses)):
+        frame = stage.renderer.render(Pose.of(arrays.poses[t]))
+        writer.add_digest(frame.rgb, frame.depth, frame.ids)
 
 
 def describe_episode(
@@ -179,7 +192,7 @@ def describe_episode(
         phrase_is_unique=len(referents_of(job, info)) == 1,
         rollout=_summarise(done.arrays, target, done, draws),
         route=route,
-        instances=info.instances,
+        instances=info.instances if job.record is Recording.FRAMES else (),
         frame_digests=(),
         content_digest=_NO_DIGEST,
         provenance=provenance,

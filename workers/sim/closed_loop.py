@@ -66,8 +66,7 @@ class ClosedLoop:
     def arrays(self) -> EpisodeArrays:
         """Returns the recorded arrays of the steps so far: poses and actions of equal length."""
         continuous = np.array(self._actions, np.float32).reshape(-1, 2)
-        poses = self.track[: len(continuous)].astype(np.float32)
-        return EpisodeArrays(continuous, tokens_of(continuous), poses)
+        return EpisodeArrays(continuous, tokens_of(continuous), self.track[: len(continuous)])
 
     def decide(self, wanted: Twist) -> EndReason | None:
         """Records the action for the current observation; returns the reason if the episode ends with it, else `None`.

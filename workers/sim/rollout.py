@@ -37,8 +37,8 @@ class Drive:
     """Recorded actions and poses."""
     contact_steps: int
     """Number of steps with a contact other than the floor."""
-    steps_visible: int
-    """Number of steps in which the target was visible to the expert."""
+    steps_visible: int | None
+    """Number of steps in which the target was visible to the expert; `None` if no image was needed to drive."""
     target_in_view: bool
     """Whether the last frame shows the target."""
     end: str
@@ -51,7 +51,7 @@ def drive(
     world: World,
     renderer: Renderer,
     expert: Expert,
-    sink: FrameSink,
+    sink: FrameSink | None,
     on_step: StepCallback,
     lap: StageTimer = no_stage_timer,
 ) -> Drive:
@@ -63,21 +63,25 @@ def drive(
         world: world with the robot at its start pose.
         renderer: renderer with the scene loaded.
         expert: expert whose `begin` was called for this start; `act` is called once per step.
-        sink: called with every frame.
+        sink: called with every frame; `None` renders only what the expert needs, usually depth and ids.
         on_step: called after every step.
         lap: called at the end of the stages `control` and `physics` of every step; renderer and sink report their own.
     """
     loop = ClosedLoop(job, target, world, renderer)
-    visible = 0
+    visible = 0 if sink is not None or job.expert.uses_images else None
     while True:
         view = loop.view
-        frame = view.frame
+        if sink is not None:
+            _ = view.frame  # rendered first, so that the expert reads depth and ids from it
         reason = loop.decide(expert.act(view))
-        is_visible = view.sighting.pixels >= job.gains.min_mask_px
-        visible += is_visible
+        needs_image = visible is not None or reason is not None
+        is_visible = needs_image and view.sighting.pixels >= job.gains.min_mask_px
+        if visible is not None:
+            visible += is_visible
         reason = _missed(job.demonstration, reason, loop.contact_steps, is_visible) or reason
         lap("control")
-        sink(frame)
+        if sink is not None:
+            sink(view.frame)
         on_step(loop.steps)
         if reason is not None:
             end = f"{reason} after {loop.steps} steps, {view.distance_m:.2f} m from {target.target_id}"

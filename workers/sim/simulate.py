@@ -15,6 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import base64
 import errno
 import faulthandler
 import hashlib
@@ -29,6 +30,7 @@ from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 from workers.process.pipes import listen, take_stdout
 from workers.sim.attempt import AttemptFailure, run_attempt
+from workers.sim.render_recording import render_recording
 from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["main"]
@@ -89,7 +91,10 @@ def _serve(order: SimulationOrder, stage: SceneRenderer, send: SendReport) -> bo
 def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, progress: _Progress) -> SimulationReport:
     stage.load(order.scene_path, order.job.scene_sha256)
     with part.open("w+b") as file:
-        outcome = run_attempt(order.job, stage, file, order.sid, progress)
+        if order.states is None:
+            outcome = run_attempt(order.job, stage, file, order.sid, progress)
+        else:
+            outcome = render_recording(order.job, stage, base64.b64decode(order.states), file, progress)
         if isinstance(outcome, AttemptFailure):
             return failure(outcome.reason, outcome.detail, outcome.steps, progress.seconds())
         file.flush()

@@ -181,7 +181,7 @@ def _is_screened(job: Job) -> bool:
 
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
     """Returns the surveyed points (N, 2) whose distance along the floor to the target is in the range of the tier."""
-    points = _points_with_line(job, target, place) if _is_screened(job) else place.scene.spawns
+    points = _points_on_free_lines(job, target, place) if _is_screened(job) else place.scene.spawns
     low, high = job.spawn.far_floor_m
     way = geodesic_field(place.grid, target, job.task).metres
     floor_m = place.grid.values_at(way, points, np.inf).astype(np.float64)
@@ -192,12 +192,12 @@ def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np
     return np.asarray(points[(floor_m >= low - job.task.success_radius_m) & (floor_m <= longest)])
 
 
-def _points_with_line(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
-    """Returns the surveyed points (N, 2) that see the target and have a free straight line to the success region."""
-    if job.task.success is SuccessMeasure.SURFACE:
-        points = place.scene.spawns[place.grid.have_sight(place.scene.spawns, target)]
-        return np.asarray(points[_is_way_free(job, target, place, points.astype(np.float64))])
-    return place.scene.spawns[place.scene.spawn_sees[:, place.scene.info.targets.index(target)] > 0]
+def _points_on_free_lines(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    if job.task.success is SuccessMeasure.CENTROID:
+        column = place.scene.info.targets.index(target)
+        return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
+    points = place.scene.spawns[place.grid.have_sight(place.scene.spawns, target)]
+    return np.asarray(points[_is_way_free(job, target, place, points.astype(np.float64))])
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
@@ -226,9 +226,8 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
 
 
 def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64]) -> bool:
-    radius = job.task.success_radius_m
     path_m = geodesic_m(place.grid, xy, target, job.task)
-    return path_m is not None and path_m + radius >= job.spawn.far_floor_m[0]
+    return path_m is not None and path_m + job.task.success_radius_m >= job.spawn.far_floor_m[0]
 
 
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:

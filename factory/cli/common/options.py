@@ -16,7 +16,7 @@ from coordinator.expansion.file import shrink
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
-from schemas.terms import ExpertName, RendererKind
+from schemas.terms import ExpertName, Recording, RendererKind
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -45,9 +45,18 @@ plan_seed_option = click.option(
 """`--seed N`: replaces the plan's seed."""
 
 
+record_option = click.option(
+    "--record",
+    type=click.Choice([str(kind) for kind in Recording]),
+    help="Stored content: frames, or states, from which readers render frames. Default: the plan's.",
+)
+"""`--record frames|states`: replaces the plan's recording."""
+
+
 def shrink_options(command: Command) -> Command:
-    """Adds `--scene --episodes --expert --seed`, which change a plan's scenes, episode count, expert and seed."""
+    """Adds `--scene --episodes --expert --seed --record`, which change these values of a plan."""
     for option in (
+        record_option,
         plan_seed_option,
         expert_option,
         count_option(
@@ -68,6 +77,7 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
         episodes=changes.get("episodes"),
         expert=ExpertName(expert) if expert else None,
         seed=changes.get("seed"),
+        record=Recording(changes["record"]) if changes.get("record") else None,
     )
 
 

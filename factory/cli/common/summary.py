@@ -57,7 +57,7 @@ def say_missing(site: object, progress: Progress) -> None:
 
 def print_summary(summary: dict[str, Any]) -> None:
     """Prints the summary as text."""
-    size = f"{summary['bytes'] / 1e6:.0f} MB"
+    size = f"{summary['bytes'] / 1e6:.3g} MB" if summary["bytes"] < 1e7 else f"{summary['bytes'] / 1e6:.0f} MB"
     print_text(f"dataset {summary['dataset']}: {summary['episodes']} of {summary['planned']} episodes, {size}")
     print_text(f"digest  {summary['digest']}")
     print_table("", ("scene", "episodes"), summary["by_scene"].items())

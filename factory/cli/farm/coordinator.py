@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from coordinator.options import CoordinatorOptions
+from coordinator.protocol.protocol import simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import open_door
@@ -27,12 +28,16 @@ from factory.cli.common.options import (
     verbose_option,
 )
 from factory.cli.common.output import say_building
+from factory.cli.common.places import PLACE
 from factory.cli.common.summary import say_missing
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, write_target_lists
+from factory.runs.render import prepare_rendering
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
+from schemas.errors import UsageError
 from schemas.storage.disk import require_room
+from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
 
 
@@ -61,6 +66,12 @@ def command() -> None:
 @tls_option
 @http_options
 @gate_option("skip")
+@click.option(
+    "--states",
+    type=PLACE,
+    metavar="DIR|URL",
+    help="Let the workers render the frames of this states dataset, instead of running PLAN. Default: run PLAN.",
+)
 @shrink_options
 @verbose_option
 def start(
@@ -74,6 +85,7 @@ def start(
     http: str | None,
     http_token: Path | None,
     gate_mode: GateMode,
+    states: Place | None,
     verbose: bool,
     **changes: Any,
 ) -> int:
@@ -85,11 +97,16 @@ def start(
     """
     configure_logs(verbose)
     guard, listen = open_door(tls, listen)
+    if states is not None and plan_name is not None:
+        raise UsageError(f"--states {states}: the plan is that of the dataset; omit PLAN {plan_name}")
+    rendering = None if states is None else prepare_rendering(states, site)
     plan, is_new = begin(plan_name, site, changes)
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), say_building)
+        catalog = (
+            open_catalog(plan, site.place, scene_cache(), say_building) if rendering is None else rendering.catalog
+        )
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -100,7 +117,13 @@ def start(
                 plan,
                 catalog,
                 CoordinatorOptions(
-                    listen=listen, ledger_url=ledger, settings=settings, guard=guard, gate=gate, store=site.store
+                    listen=listen,
+                    ledger_url=ledger,
+                    settings=settings,
+                    guard=guard,
+                    gate=gate,
+                    store=site.store,
+                    find_states=simulate_all if rendering is None else rendering.states,
                 ),
             ) as coordinator,
             status_pages(coordinator.health, http, http_token),

@@ -11,6 +11,7 @@ from factory.cli.common.bars import Bars
 from factory.cli.common.options import count_option, place_argument, write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.common.places import episode_path
+from factory.dataset.bundle import EpisodeBundle
 from factory.runs.catalog import find_package
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from factory.visualize.panels import draw_contact_sheet
@@ -46,7 +47,7 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
         )
     if kind == ".mp4":
         require_mp4()
-    with path.open("rb") as file, BundleReader(file) as bundle:
+    with path.open("rb") as file, EpisodeBundle(file, root) as bundle:
         job = bundle.meta.job
         with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
             scene = decode_scene(package)

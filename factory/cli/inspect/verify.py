@@ -12,7 +12,20 @@ from factory.cli.common.options import place_argument, workers_option
 from factory.cli.common.output import json_option, print_json
 from factory.support.logs import configure_logs
 from factory.verify.dataset import VerifyReport, verify
+from schemas.plan import MAX_EPISODES
 from schemas.storage.place import Place
+
+
+class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
+    """Number of episodes, or `all`."""
+
+    name = "count"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Returns the number; `all` is the largest one."""
+        if value == "all":
+            return MAX_EPISODES
+        return int(click.IntRange(min=0).convert(value, param, ctx))
 
 
 @click.command("verify")
@@ -20,16 +33,24 @@ from schemas.storage.place import Place
 @click.option(
     "--deep", is_flag=True, help="Also decode every frame and recompute digests, statistics and kinematics. Slow."
 )
-@workers_option("Number of processes, used with --deep")
+@click.option(
+    "--render",
+    type=_EpisodeCount(),
+    default=0,
+    metavar="all|N",
+    help="Render frames of all or N episodes again and compare them with the recorded digests. Default: of none.",
+)
+@workers_option("Number of processes, used with --deep and --render")
 @json_option
-def command(root: Place, deep: bool, workers: int | None, as_json: bool) -> int:
+def command(root: Place, deep: bool, render: int, workers: int | None, as_json: bool) -> int:
     """Check the files, tables and hashes of a dataset.
 
     Exits with 1 if anything is damaged.
     """
     configure_logs()
+    processes = (workers or os.cpu_count() or 1) if deep or render else 1
     with one_bar("verifying") as tell:
-        report = verify(root, deep, tell, (workers or os.cpu_count() or 1) if deep else 1)
+        report = verify(root, deep, tell, processes, render)
     if as_json:
         print_json(_plain(report))
     else:
@@ -44,6 +65,7 @@ def _plain(report: VerifyReport) -> dict[str, Any]:
         "ok": report.ok,
         "complete": report.complete,
         "episodes": report.episodes,
+        "rendered": report.rendered,
         "digest": report.digest,
         "findings": [{"kind": f.kind, "file": f.file, "text": f.text} for f in report.findings],
     }
@@ -53,6 +75,7 @@ def _print(report: VerifyReport) -> None:
     for finding in report.findings:
         click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
     how = "all bytes checked" if report.deep else "files and tables checked; --deep checks the content of episodes"
+    how += f"; frames of {report.rendered} episodes rendered again" if report.rendered else ""
     verdict = "valid" if report.ok else f"{len(report.findings)} findings"
     state = "complete" if report.complete else "incomplete"
     click.echo(f"{report.root}: {verdict} ({how}); {report.episodes} episodes, {state}, digest {report.digest}")

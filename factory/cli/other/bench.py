@@ -28,7 +28,15 @@ from factory.bench.sample import first_attempts, make_sample, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import count_option, former_option, plan_argument, renderer_option, workers_option
+from factory.cli.common.options import (
+    count_option,
+    former_option,
+    plan_argument,
+    record_option,
+    renderer_option,
+    shrunk_plan,
+    workers_option,
+)
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
 from factory.cli.other.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
@@ -67,6 +75,7 @@ def command() -> None:
 @scene_filter()
 @count_option("--episodes", 8, "Number of episodes of each scene.")
 @_repeats_option
+@record_option
 @click.option("--against", type=click.Choice(["plain"]), help="Also measure a plain PyBullet pipeline for comparison.")
 @count_option("--frames", _PLAIN_FRAMES, "Number of frames of the plain pipeline.", least=2)
 @renderer_option
@@ -76,6 +85,7 @@ def rollout(
     scenes: tuple[str, ...] | None,
     episodes: int,
     repeats: int,
+    record: str | None,
     against: str | None,
     frames: int,
     renderer: RendererKind,
@@ -87,7 +97,7 @@ def rollout(
     rendering, encoding and writing of the bundle. `frames_per_s_per_core` uses wall-clock time. `frames_per_cpu_s` uses
     CPU time of the process, which does not depend on the load of the machine.
     """
-    plan = narrow(load_plan(plan_name), scenes or (), episodes)
+    plan = shrunk_plan(narrow(load_plan(plan_name), scenes or (), episodes), {"record": record})
     machine, recorder = describe_machine(), StageRecorder()
     with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())

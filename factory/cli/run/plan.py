@@ -55,7 +55,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         told |= {"content": None if content is None else _content_data(content)}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
-    print_text(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
+    facts = f"{plan.episodes} episodes of {plan.record}, seed {plan.seed}, expert {plan.expert}, run {plan.run}"
+    print_text(f"plan {plan.name}: {facts}")
     for scene in plan.scenes:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")

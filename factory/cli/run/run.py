@@ -73,7 +73,7 @@ def command(
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
         run = LocalRun(plan, catalog, site.home, processes, renderer, verbose, gate, site.store)
-        with _RunBar(plan) as bar:
+        with RunBar(plan) as bar:
             progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:
         click.echo(f"interrupted; continue with: factory run --out {site}", err=True)
@@ -84,7 +84,7 @@ def command(
     return 1 if progress.missing else 0
 
 
-class _RunBar(Bars):
+class RunBar(Bars):
     """Progress bar of a run: episodes, rate, time left, running jobs and failed attempts."""
 
     def __init__(self, plan: Plan) -> None:

@@ -103,7 +103,7 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
     """Returns the spec of an archived episode."""
     meta, job = episode.meta, episode.meta.job
     drawn = _drawn_pose(meta, places.load(job.scene, job.scene_sha256))
-    seen = categories_in_view(episode.ids(0), meta.instances, job.gains.min_mask_px)
+    seen = categories_in_view(episode.ids(0), episode.instances, job.gains.min_mask_px)
     target_pixels = int(np.count_nonzero(episode.ids(0) == meta.target_instance_id))
     return EvalSpec(
         spec_id=episode.episode_id,
@@ -149,5 +149,7 @@ def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, fl
         is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
         return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
 
-    found = next(draw_poses(meta.job, target, place, meta.job.rng(), is_recorded), None)
+    accepts = is_recorded if meta.job.start_view else (lambda _pose: True)  # instead of rendering every view again
+    draws = draw_poses(meta.job, target, place, meta.job.rng(), accepts)
+    found = next(filter(is_recorded, draws), None)
     return None if found is None else (found.x, found.y, found.yaw)

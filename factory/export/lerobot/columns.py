@@ -46,7 +46,7 @@ def kept_frames(steps: int, stride: int) -> range:
 
 
 def frame_columns(
-    actions: NDArray[np.float32], poses: NDArray[np.float32], recorded_hz: int, stride: int
+    actions: NDArray[np.float32], poses: NDArray[np.float64], recorded_hz: int, stride: int
 ) -> FrameColumns:
     """Returns the columns of an episode.
 
@@ -62,7 +62,7 @@ def frame_columns(
         state=_odometry(poses, recorded_hz)[kept],
         action=action,
         tokens=tokens_of(action).astype(np.int64),
-        pose=poses[kept],
+        pose=poses[kept].astype(np.float32),
         timestamp=(np.arange(len(kept)) / (recorded_hz // stride)).astype(np.float32),
         frame_index=np.arange(len(kept), dtype=np.int64),
     )
@@ -75,10 +75,10 @@ def _mean_of_windows(actions: NDArray[np.float32], stride: int) -> NDArray[np.fl
     return (sums / sizes[:, None]).astype(np.float32)
 
 
-def _odometry(poses: NDArray[np.float32], hz: int) -> NDArray[np.float32]:
+def _odometry(poses: NDArray[np.float64], hz: int) -> NDArray[np.float32]:
     """Returns (T, 5) planar poses in the frame of the first pose, and twists by backward differences."""
     yaw = np.unwrap(yaw_of(poses))
-    offset = poses[:, :2].astype(np.float64) - poses[0, :2].astype(np.float64)
+    offset = poses[:, :2] - poses[0, :2]
     cos, sin = np.cos(yaw[0]), np.sin(yaw[0])
     x, y = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
     turned = yaw - yaw[0]

@@ -156,13 +156,13 @@ def calibration(camera: CameraConfig) -> dict[str, Any]:
     }
 
 
-def measured_twists(poses: NDArray[np.float32], hz: int) -> NDArray[np.float64]:
+def measured_twists(poses: NDArray[np.float64], hz: int) -> NDArray[np.float64]:
     """Returns twists (T, 2), v along x (m/s) and yaw rate (rad/s), by backward differences of the poses.
 
     The first twist is zero, because the robot starts at rest.
     """
     yaw = yaw_of(poses)
-    steps = np.diff(poses[:, :2].astype(np.float64), axis=0)
+    steps = np.diff(poses[:, :2], axis=0)
     forward = steps[:, 0] * np.cos(yaw[:-1]) + steps[:, 1] * np.sin(yaw[:-1])
     turned = np.angle(np.exp(1j * np.diff(yaw)))
     twists = np.zeros((len(poses), 2))

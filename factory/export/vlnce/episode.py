@@ -82,7 +82,7 @@ def scene_file(scene: str) -> str:
     return f"minivla/{scene}/{scene}.glb"
 
 
-def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float32]) -> list[tuple[float, float]]:
+def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[tuple[float, float]]:
     """Returns the points from which Habitat measures success: the centroid, or points of the footprint's edge.
 
     Habitat uses the nearest of several goals. The first is the one nearest to the end of the track.
@@ -98,7 +98,7 @@ def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float32]) -> list[tuple[fl
     return sorted(points, key=lambda point: math.dist(point, last))
 
 
-def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float32], floor_height_m: float) -> dict[str, Any]:
+def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float) -> dict[str, Any]:
     """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
     Args:
@@ -107,7 +107,7 @@ def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float32], floor_height_m:
         floor_height_m: height of the floor, metres; goals are on the floor, because a navigation mesh covers only it.
     """
     job, rollout = meta.job, meta.rollout
-    track = thin_track(poses[:, :3].astype(np.float64))
+    track = thin_track(poses[:, :3])
     return {
         "episode_id": job.index,
         "trajectory_id": job.index,

@@ -17,7 +17,7 @@ from schemas.encoding.container import ContainerWriter
 from schemas.encoding.ndarray import encode_npy
 from schemas.errors import InvalidBundle
 from schemas.terms import SuccessMeasure
-from tests.builders.bundle import bundle_bytes, parts_for
+from tests.builders.bundle import bundle_bytes, former_parts, parts_for
 
 Members = dict[str, bytes]
 
@@ -68,6 +68,24 @@ def test_digests_can_be_computed_again_from_the_file() -> None:
     assert bundle.content_digest(digests) == bundle.meta.content_digest
 
 
+def test_poses_are_stored_exactly() -> None:
+    parts = parts_for()
+    poses = parts.arrays.poses.copy()
+    poses[:, 1] = np.linspace(0.0, 1e-9, len(poses))  # float32 would keep less than half of the digits
+    with BundleReader(io.BytesIO(parts.with_arrays(poses=poses).write())) as bundle:
+        assert bundle.arrays.poses.dtype == np.float64
+        assert np.array_equal(bundle.arrays.poses, poses)
+
+
+def test_a_bundle_of_format_1_is_read_with_float64_poses_and_keeps_its_digest() -> None:
+    bundle = BundleReader(io.BytesIO(former_parts().write()))
+    assert bundle.pose_dtype == np.float32
+    assert bundle.arrays.poses.dtype == np.float64
+    assert np.array_equal(bundle.arrays.poses, former_parts().arrays.poses)
+    assert bundle.content_digest(bundle.meta.frame_digests) == bundle.meta.content_digest
+    assert bundle.meta.content_digest == "b1c2ddedc7821ac2baaf2bbe31817399"  # as the software of format 1 wrote it
+
+
 def test_same_content_gives_the_same_bytes() -> None:
     assert parts_for().write() == parts_for().write()
 
@@ -115,8 +133,8 @@ def test_members_in_another_order_are_refused() -> None:
 
 
 def test_newer_format_is_refused_by_number() -> None:
-    text = refused(edited(lambda meta: meta.update(format=2, novelty=True)))
-    assert "bundle format 2, this software reads up to 1: upgrade minivla-factory" in text
+    text = refused(edited(lambda meta: meta.update(format=3, novelty=True)))
+    assert "bundle format 3, this software reads up to 2: upgrade minivla-factory" in text
 
 
 @pytest.mark.parametrize(
@@ -143,8 +161,8 @@ def test_metadata_that_is_not_json_is_refused(text: bytes) -> None:
 @pytest.mark.parametrize(
     ("name", "array", "text"),
     [
-        ("poses", np.zeros((11, 7), np.float32), "shape (11, 7)"),
-        ("poses", np.full((12, 7), np.nan, np.float32), "poses: contains NaN"),
+        ("poses", np.zeros((11, 7)), "shape (11, 7)"),
+        ("poses", np.full((12, 7), np.nan), "poses: contains NaN"),
         ("actions_tokens", np.full((12, 2), 7, np.int16), "maximum 7 is above 6"),
         ("actions_continuous", np.full((12, 2), 1.2, np.float32), "maximum 1.2"),
         ("actions_continuous", np.zeros((12, 2), np.float64), "dtype float64"),

@@ -191,25 +191,6 @@ def test_the_planner_may_start_at_poses_excluded_for_straight_experts():
     assert pools == [(), (target,)]
 
 
-def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():
-    plan = Plan(name="old", scenes=(ScenePlan(name="office", episodes=4),), task=BY_SURFACE)
-    bare = [make_target("chair", 1, 1).model_copy(update={"footprint_m": (), "surface_straight_tiers": ()})]
-    (line,) = find_impossible(plan, {"office": make_entry("office", bare)})
-    assert line.startswith("scenes[0] office: its package is of an older version and has no footprints")
-    assert "factory scene build" in line
-    assert 'task.success = "centroid"' in line
-
-
-def test_a_target_that_is_too_large_for_a_metre_to_its_centre_is_drawn_by_surface_only():
-    large = make_target("table", 1, 2).model_copy(update={"straight_tiers": (), "connected_tiers": ()})
-    entry = make_entry("office", [make_target("chair", 1, 1), large])
-    scene = ScenePlan(name="office", episodes=8, seen=("chair", "table"))
-    by_surface = Plan(name="large", scenes=(scene,), splits={Split.TRAIN_ID: 1.0}, task=BY_SURFACE)
-    assert {job.episode.category for job in expand(by_surface, {"office": entry})} == {"chair", "table"}
-    by_centroid = by_surface.model_copy(update={"task": TaskConfig()})
-    assert "no reachable 'table' (seen)" in find_impossible(by_centroid, {"office": entry})[0]
-
-
 def test_blind_straight_experts_start_where_the_planner_may() -> None:
     target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
     entry = make_entry("hospital", [target])
@@ -232,6 +213,25 @@ def test_jobs_and_plans_record_the_screening() -> None:
 def test_the_first_screening_is_omitted_so_that_old_digests_stay_valid() -> None:
     assert not {"screening", "far_floor_m"} & SpawnConfig().model_dump().keys()
     assert SpawnConfig.model_validate_json(SpawnConfig().model_dump_json()).screening is Screening.FORESEEN
+
+
+def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():
+    plan = Plan(name="old", scenes=(ScenePlan(name="office", episodes=4),), task=BY_SURFACE)
+    bare = [make_target("chair", 1, 1).model_copy(update={"footprint_m": (), "surface_straight_tiers": ()})]
+    (line,) = find_impossible(plan, {"office": make_entry("office", bare)})
+    assert line.startswith("scenes[0] office: its package is of an older version and has no footprints")
+    assert "factory scene build" in line
+    assert 'task.success = "centroid"' in line
+
+
+def test_a_target_that_is_too_large_for_a_metre_to_its_centre_is_drawn_by_surface_only():
+    large = make_target("table", 1, 2).model_copy(update={"straight_tiers": (), "connected_tiers": ()})
+    entry = make_entry("office", [make_target("chair", 1, 1), large])
+    scene = ScenePlan(name="office", episodes=8, seen=("chair", "table"))
+    by_surface = Plan(name="large", scenes=(scene,), splits={Split.TRAIN_ID: 1.0}, task=BY_SURFACE)
+    assert {job.episode.category for job in expand(by_surface, {"office": entry})} == {"chair", "table"}
+    by_centroid = by_surface.model_copy(update={"task": TaskConfig()})
+    assert "no reachable 'table' (seen)" in find_impossible(by_centroid, {"office": entry})[0]
 
 
 def test_an_attempts_generator_depends_on_seed_index_and_attempt():

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
 from coordinator.expansion.file import load_plan, shrink
+from coordinator.expansion.plan_toml import plan_to_toml
 from schemas.config import DemonstrationConfig
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import Split, SuccessMeasure, Tier
+from schemas.terms import Recording, Split, SuccessMeasure, Tier
 
 GOOD = """
 name = "mine"
@@ -141,6 +142,28 @@ def test_equivalent_plans_have_one_digest():
     demo = BUILTIN_PLANS["demo"]
     assert demo.digest == shrink(demo, episodes=demo.episodes).digest
     assert demo.digest != shrink(demo, seed=1).digest
+
+
+def test_a_recording_of_frames_leaves_the_digest_as_it_was_and_states_change_it(tmp_path):
+    demo = BUILTIN_PLANS["demo"]
+    assert "record" not in demo.model_dump()
+    states = shrink(demo, record=Recording.STATES)
+    assert states.digest != demo.digest
+    assert shrink(states, record=Recording.FRAMES).digest == demo.digest
+    path = tmp_path / "mine.toml"
+    path.write_text(plan_to_toml(states))
+    assert load_plan(str(path)).record is Recording.STATES
+
+
+def test_an_unknown_recording_names_the_valid_ones(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('record = "video"\n' + GOOD)
+    with pytest.raises(InvalidPlan, match="record: Input should be 'frames' or 'states'"):
+        load_plan(str(path))
+
+
+def test_a_paper_plan_that_records_states_is_a_paper_plan():
+    assert is_paper_plan(shrink(BUILTIN_PLANS["paper"], record=Recording.STATES))
 
 
 def test_paths_of_rules_and_targets_are_relative_to_the_file(tmp_path):

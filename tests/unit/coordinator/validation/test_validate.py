@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import json
 import math
+import zipfile
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +15,17 @@ import pytest
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
+from schemas.encoding.container import ContainerWriter
 from schemas.job import Job
 from schemas.start_view import StartView
-from schemas.terms import EndReason, Split, SuccessMeasure, Tier
+from schemas.terms import EndReason, ExpertName, Recording, Split, SuccessMeasure, Tier
 from tests.builders.bundle import (
     FLOOR_ID,
     TARGET_ID,
     WALL_ID,
     BundleParts,
     bundle_bytes,
+    former_parts,
     job_for,
     parts_for,
     short_task,
@@ -212,6 +217,86 @@ def test_false_claims_about_surface_contact_and_view_are_found(breaker: Breaker,
 
 def test_smallest_bundle_has_no_findings() -> None:
     assert findings_of(parts_for(), job_for()) == ""
+
+
+def test_bundle_of_format_1_with_float32_poses_has_no_findings() -> None:
+    assert findings_of(former_parts()) == ""
+
+
+def test_rounded_poses_are_refused_in_the_present_format() -> None:
+    assert "poses.npy has float32; bundles of format 2 have float64" in findings_of(former_parts().with_meta(format=2))
+
+
+def states(expert: ExpertName = ExpertName.PROPORTIONAL) -> BundleParts:
+    return parts_for(job_for(record=Recording.STATES, expert=expert))
+
+
+STATES = {
+    "frames in a states recording": (
+        lambda: with_members_of(parts_for(), states()),
+        "the bundle has frames; its job records states",
+    ),
+    "no frames": (
+        lambda: with_members_of(states(), parts_for()),
+        "the bundle lacks frames; its job records frames",
+    ),
+    "instance table": (
+        lambda: states().with_meta(instances=parts_for().meta.instances).write(),
+        "a states recording has an instance table",
+    ),
+    "uncounted visibility": (
+        lambda: states().with_rollout(steps_visible=None).write(),
+        "steps_visible None in a recording of states by the proportional expert",
+    ),
+    "too much visibility": (lambda: states().with_rollout(steps_visible=13).write(), "steps_visible 13 in 12 steps"),
+    "missing digest": (
+        lambda: edited(states(), lambda meta: meta.update(frame_digests=meta["frame_digests"][1:])),
+        "2 frame digests for 3 frames",
+    ),
+    "other digest": (
+        lambda: edited(states(), lambda meta: meta["frame_digests"].__setitem__(0, "0" * 32)),
+        "content digest",
+    ),
+    "impossible motion": (lambda: with_pose(states(), 6, 2, 0.3).write(), "height above the first frame: 0.3 m"),
+}
+
+
+def members_of(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as found:
+        return {name: found.read(name) for name in found.namelist()}
+
+
+def pack(members: dict[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with ContainerWriter(buffer) as out:
+        for name, data in members.items():
+            out.add(name, data)
+    return buffer.getvalue()
+
+
+def with_members_of(parts: BundleParts, other: BundleParts) -> bytes:
+    """Returns the bundle of `parts` with the metadata of `other`."""
+    return pack(members_of(parts.write()) | {"meta.json": members_of(other.write())["meta.json"]})
+
+
+def edited(parts: BundleParts, edit: Callable[[dict[str, Any]], object]) -> bytes:
+    members = members_of(parts.write())
+    meta = json.loads(members["meta.json"])
+    edit(meta)
+    return pack(members | {"meta.json": json.dumps(meta).encode()})
+
+
+def test_smallest_states_recording_has_no_findings_and_no_frames() -> None:
+    data = states().write()
+    assert validate(BundleReader(io.BytesIO(data)), job_for(record=Recording.STATES), chair()) == []
+    assert not BundleReader(io.BytesIO(data)).has_frames
+    assert len(data) < 10_000
+
+
+@pytest.mark.parametrize(("made", "text"), STATES.values(), ids=STATES)
+def test_contradiction_of_a_states_recording_is_found(made: Callable[[], bytes], text: str) -> None:
+    found = validate(BundleReader(io.BytesIO(made())), None, chair())
+    assert any(text in finding for finding in found)
 
 
 @pytest.mark.parametrize(("breaker", "text"), JOB.values(), ids=JOB)

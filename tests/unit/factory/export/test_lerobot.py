@@ -116,7 +116,7 @@ def test_rows_contain_the_recorded_values(everything: Path) -> None:
         assert row["length"] == len(parts.frames)
         assert np.array_equal(column(part, "action"), parts.arrays.actions_continuous)
         assert np.array_equal(column(part, "tokens"), parts.arrays.actions_tokens)
-        assert np.array_equal(column(part, "pose"), parts.arrays.poses)
+        assert np.array_equal(column(part, "pose"), parts.arrays.poses.astype(np.float32))
         assert set(column(part, "episode_index")) == {number}
         assert np.array_equal(column(part, "index"), row["dataset_from_index"] + np.arange(row["length"]))
         assert np.allclose(column(part, "timestamp"), np.arange(row["length"]) / 60)
@@ -281,7 +281,7 @@ def test_state_is_odometry_from_the_first_frame() -> None:
     """A quarter circle to the left of radius 1 m within one second, from (3, 2) facing +y."""
     t = np.linspace(0, 1, 61)
     yaw = np.pi / 2 + t * np.pi / 2
-    poses = np.zeros((61, 7), np.float32)
+    poses = np.zeros((61, 7))
     poses[:, 0], poses[:, 1] = 3 - 1 + np.cos(yaw - np.pi / 2), 2 + np.sin(yaw - np.pi / 2)
     poses[:, 3], poses[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
     state = frame_columns(np.zeros((61, 2), np.float32), poses, 60, 1).state
@@ -294,7 +294,7 @@ def test_state_is_odometry_from_the_first_frame() -> None:
 
 def test_the_last_window_of_commands_is_averaged_over_the_remaining_steps() -> None:
     actions = np.array([[0.0, 0], [0.3, 1], [0.6, -1], [1.0, 0.5]], np.float32)
-    poses = np.zeros((4, 7), np.float32)
+    poses = np.zeros((4, 7))
     poses[:, 3] = 1
     assert frame_columns(actions, poses, 60, 3).action == pytest.approx(np.array([[0.3, 0], [1.0, 0.5]]), abs=1e-6)
     assert np.array_equal(frame_columns(actions, poses, 60, 1).action, actions)

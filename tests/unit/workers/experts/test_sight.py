@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.config import TaskConfig
-from workers.experts.sight import is_obstacle_near, see
+from workers.experts.sight import foreground_window, is_obstacle_near, see
 
 DEPTH = np.full((640, 640), 3.0, np.float32)
 
@@ -35,10 +35,23 @@ def test_the_percentile_by_counting_agrees_with_numpy():
     rng = np.random.default_rng(0)
     task = TaskConfig()
     for low in (0.1, 0.2, 0.24, 0.26, 0.4):
-        depth = rng.uniform(low, 3.0, (640, 640)).astype(np.float32)
-        crop = depth[352:608, 160:480]
-        assert is_obstacle_near(depth, task) == (np.percentile(crop, 5) < 0.25)
+        crop = rng.uniform(low, 3.0, (256, 320)).astype(np.float32)
+        assert is_obstacle_near(crop, task) == (np.percentile(crop, 5) < 0.25)
+
+
+def test_the_foreground_is_the_middle_below_the_horizon():
+    assert foreground_window(TaskConfig()) == (352, 160, 608, 480)
+
+
+def test_a_window_with_the_whole_mask_gives_the_measurements_of_the_image():
+    rng = np.random.default_rng(0)
+    ids, depth = np.zeros((640, 640), np.uint16), rng.uniform(0.5, 3.0, (640, 640)).astype(np.float32)
+    ids[100:320, 211:499] = rng.integers(0, 3, (220, 288))
+    whole = see(ids, depth, 2, 32)
+    part = see(ids[90:330, 200:500], depth[90:330, 200:500], 2, 32, left=200)
+    assert part[:2] == whole[:2]
+    assert part.measure_depth() == whole.measure_depth()
 
 
 def test_pixels_without_a_surface_do_not_count_as_near():
-    assert not is_obstacle_near(np.zeros((640, 640), np.float32), TaskConfig())
+    assert not is_obstacle_near(np.zeros((256, 320), np.float32), TaskConfig())

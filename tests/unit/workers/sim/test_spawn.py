@@ -143,45 +143,6 @@ def test_without_a_wide_path_the_widest_one_is_chosen() -> None:
     assert np.abs([y for _, y, _ in found]).mean() < 0.05  # along the middle of the lane
 
 
-@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
-@pytest.mark.parametrize("tier", Tier)
-def test_a_further_condition_selects_among_the_same_candidates(expert: ExpertName, tier: Tier) -> None:
-    place = lane_room(8.5)
-    job = crate_job(place, tier=tier, expert=expert)
-    target = place.scene.info.target(job.target_id)
-    seen: list[Pose] = []
-
-    def is_on_the_left(pose: Pose) -> bool:
-        seen.append(pose)
-        return pose.y > 0.1
-
-    found = next(draw_poses(job, target, place, job.rng(), is_on_the_left))
-    assert found.y > 0.1
-    assert found in seen
-    again = next(draw_poses(job, target, place, job.rng(), lambda pose: pose == found))
-    assert again == found
-
-
-def test_a_draw_ends_when_too_many_starts_are_rejected() -> None:
-    place = lane_room(8.5)
-    job = crate_job(place, expert=ExpertName.PLANNER)
-    rejected: list[Pose] = []
-    target = place.scene.info.target(job.target_id)
-    assert list(draw_poses(job, target, place, job.rng(), lambda pose: bool(rejected.append(pose)))) == []
-    assert 256 <= len(rejected) < 256 + 32
-
-
-@pytest.mark.parametrize(("view", "limit_deg"), [(StartView(within_rad=0.5), 28.65), (StartView(rivals=(99,)), 45.0)])
-def test_far_starts_that_must_show_the_target_head_towards_it(view: StartView, limit_deg: float) -> None:
-    place = lane_room(8.5)
-    for attempt in range(1, 30):
-        job = crate_job(place, attempt, Tier.FAR, start_view=view)
-        start = first_start(place, job)
-        assert start is not None
-        off = math.remainder(math.atan2(-start.y, -start.x) - start.yaw, 2 * math.pi)
-        assert abs(math.degrees(off)) <= limit_deg + 0.01
-
-
 def screened(screening: Screening, **changes: Any) -> dict[str, Any]:
     return {"spawn": SpawnConfig(screening=screening, **changes)}
 
@@ -262,3 +223,42 @@ def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
     assert all(max(found) - min(found) < 1e-9 for found in blind)
     assert all(max(found) - min(found) > 1e-3 for found in foreseen)
     assert np.std([found[0] for found in blind]) > 0.6  # uniform over the tier, from episode to episode
+
+
+@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
+@pytest.mark.parametrize("tier", Tier)
+def test_a_further_condition_selects_among_the_same_candidates(expert: ExpertName, tier: Tier) -> None:
+    place = lane_room(8.5)
+    job = crate_job(place, tier=tier, expert=expert)
+    target = place.scene.info.target(job.target_id)
+    seen: list[Pose] = []
+
+    def is_on_the_left(pose: Pose) -> bool:
+        seen.append(pose)
+        return pose.y > 0.1
+
+    found = next(draw_poses(job, target, place, job.rng(), is_on_the_left))
+    assert found.y > 0.1
+    assert found in seen
+    again = next(draw_poses(job, target, place, job.rng(), lambda pose: pose == found))
+    assert again == found
+
+
+def test_a_draw_ends_when_too_many_starts_are_rejected() -> None:
+    place = lane_room(8.5)
+    job = crate_job(place, expert=ExpertName.PLANNER)
+    rejected: list[Pose] = []
+    target = place.scene.info.target(job.target_id)
+    assert list(draw_poses(job, target, place, job.rng(), lambda pose: bool(rejected.append(pose)))) == []
+    assert 256 <= len(rejected) < 256 + 32
+
+
+@pytest.mark.parametrize(("view", "limit_deg"), [(StartView(within_rad=0.5), 28.65), (StartView(rivals=(99,)), 45.0)])
+def test_far_starts_that_must_show_the_target_head_towards_it(view: StartView, limit_deg: float) -> None:
+    place = lane_room(8.5)
+    for attempt in range(1, 30):
+        job = crate_job(place, attempt, Tier.FAR, start_view=view)
+        start = first_start(place, job)
+        assert start is not None
+        off = math.remainder(math.atan2(-start.y, -start.x) - start.yaw, 2 * math.pi)
+        assert abs(math.degrees(off)) <= limit_deg + 0.01

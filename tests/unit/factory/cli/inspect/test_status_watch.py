@@ -10,7 +10,7 @@ import pytest
 from coordinator.expansion.file import load_plan
 from factory.cli.common.output import stdout
 from factory.cli.inspect.status import draw_progress, watch_progress
-from factory.cli.run.run import _RunBar
+from factory.cli.run.run import RunBar
 from schemas.errors import TransientError
 from schemas.wire import Progress, WorkerStatus
 
@@ -73,7 +73,7 @@ def test_status_shows_the_validator_sandbox(
 
 
 def test_the_progress_bar_of_a_run_does_not_count_returned_jobs() -> None:
-    bar = _RunBar(load_plan("demo"))
+    bar = RunBar(load_plan("demo"))
     bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
     assert bar.tasks[0].fields["note"].endswith("0 failed attempts")
 

@@ -18,7 +18,7 @@ def arc(v: float, w: float, steps: int, hz: int, yaw: float = 0.0) -> np.ndarray
     """Poses of a robot; exact for straight drives and turns on the spot."""
     times = np.arange(steps) / hz
     heading = yaw + w * times
-    poses = np.zeros((steps, 7), np.float32)
+    poses = np.zeros((steps, 7))
     poses[:, 0], poses[:, 1] = v * times * math.cos(yaw), v * times * math.sin(yaw)
     poses[:, 3], poses[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
     return poses

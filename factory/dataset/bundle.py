@@ -1,0 +1,93 @@
+"""Reads the bundle of an archived episode and renders the frames that it does not store. Writes nothing."""
+
+from __future__ import annotations
+
+import re
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.dataset.packages import ScenePackage
+from factory.dataset.shared_renderer import View, shared_renderer
+from schemas.bundle import BundleReader, encode_depth
+from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.png import encode_png
+from schemas.scene import Instance
+from schemas.storage.place import Place
+from workers.geometry.pose import Pose
+from workers.render import RenderedFrame
+
+_FRAME_MEMBER = re.compile(r"(rgb_front|depth_front|seg_front)/(\d{6})\.\w+(\.zst)?")
+
+
+class EpisodeBundle(BundleReader):
+    """Bundle of a dataset; the frames of a states recording are rendered when they are read.
+
+    Args:
+        file: seekable file, opened for reading.
+        root: location of the dataset, which contains the scenes.
+        steps: number of steps of the episode, see `BundleReader`.
+    """
+
+    def __init__(self, file: BinaryIO, root: Place, steps: int | None = None) -> None:
+        super().__init__(file, steps)
+        self._root = root
+
+    @property
+    def package(self) -> ScenePackage:
+        """Scene of the episode."""
+        job = self.meta.job
+        return ScenePackage(self._root, job.scene, job.scene_sha256)
+
+    @property
+    def instances(self) -> tuple[Instance, ...]:
+        """Instances that the ids refer to, from the metadata or the scene."""
+        return self.meta.instances if self.has_frames else self.package.info().instances
+
+    def render(self, t: int, size: int = FRAME_SIZE_PX) -> RenderedFrame:
+        """Renders frame t from its pose; equal to the recorded frame if renderer and size are equal.
+
+        Args:
+            t: step.
+            size: width and height, pixels.
+
+        Raises:
+            ArchiveCorrupt: the scene package is missing or was changed.
+            WorldError: this machine cannot render.
+        """
+        return shared_renderer().render(*self._view(t, size))
+
+    def _view(self, t: int, size: int = FRAME_SIZE_PX) -> tuple[View, str]:
+        view = View(self.package, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size)
+        return view, self.meta.provenance.fingerprint.renderer
+
+    def _rendered(self, t: int) -> RenderedFrame:
+        return shared_renderer().render_once(*self._view(t))
+
+    def rgb(self, t: int) -> NDArray[np.uint8]:
+        """Returns frame t as (640, 640, 3) sRGB."""
+        return super().rgb(t) if self.has_frames else self._rendered(t).rgb.copy()
+
+    def depth(self, t: int) -> NDArray[np.float32]:
+        """Returns frame t as (640, 640) metres along the optical axis, 0 where nothing was hit."""
+        return super().depth(t) if self.has_frames else self._rendered(t).depth.copy()
+
+    def ids(self, t: int) -> NDArray[np.uint16]:
+        """Returns frame t as (640, 640) instance ids."""
+        return super().ids(t) if self.has_frames else self._rendered(t).ids.copy()
+
+    def stored(self, name: str) -> bytes:
+        """Returns the bytes of a member as a recording of frames stores it.
+
+        For a states recording, frames are rendered and encoded, and `meta.json` has the instance table.
+        """
+        if not self.has_frames and name == "meta.json":
+            return self.meta.model_copy(update={"instances": self.instances}).model_dump_json(indent=1).encode()
+        of_frame = None if self.has_frames else _FRAME_MEMBER.fullmatch(name)
+        if of_frame is None:
+            return super().stored(name)
+        frame = self._rendered(int(of_frame[2]))
+        if of_frame[1] == "depth_front":
+            return encode_depth(frame.depth)
+        return encode_png(frame.rgb if of_frame[1] == "rgb_front" else frame.ids)

@@ -1,0 +1,72 @@
+"""Builds a dataset of real drives in a small room, recorded as frames or as states, without a coordinator."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from itertools import count
+from pathlib import Path
+
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
+from coordinator.expansion.catalog import Catalog, read_entry
+from coordinator.expansion.draw import PlannedJob, expand, to_job
+from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.write import write_tables
+from schemas.config import TaskConfig
+from schemas.dataset import EpisodeSummary, summary_of
+from schemas.plan import Plan, ScenePlan
+from schemas.scene import encode_scene
+from schemas.terms import ExpertName, Recording, Split, Tier
+from tests.builders.dataset import NOW
+from tests.builders.scene import box_room
+from workers.sim.attempt import Success, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
+
+__all__ = ["SCENE", "driven_plan", "make_driven"]
+
+SCENE = "box_room"
+
+
+def driven_plan(record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:
+    """Returns a plan of near episodes with short drives."""
+    return Plan(
+        name="driven",
+        scenes=(ScenePlan(name=SCENE, episodes=episodes, usd="room.usda", seen=("crate", "barrel")),),
+        tiers={Tier.NEAR: 1.0},
+        splits={Split.TRAIN_ID: 1.0},
+        task=TaskConfig(success_radius_m=1.4),
+        expert=expert,
+        record=record,
+    )
+
+
+def make_driven(root: Path, record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:
+    """Drives and archives all episodes of `driven_plan`; returns the plan. Needs an EGL driver."""
+    plan = driven_plan(record, episodes, expert)
+    source = root.with_name(f"{root.name}.scene")
+    source.write_bytes(encode_scene(box_room()))
+    catalog = {SCENE: read_entry(source)}
+    with open_archive(root) as archive, SceneRenderer("gl", apart=True) as stage:
+        stage.load(source, catalog[SCENE].sha256)
+        archive.add_scene(source, SCENE, catalog[SCENE].sha256)
+        rows = [_archive(archive, stage, plan, catalog, planned) for planned in expand(plan, catalog)]
+        write_tables(archive, plan, {SCENE: catalog[SCENE].sha256}, rows, [], NOW)
+        write_split_tables(archive)
+    return plan
+
+
+def _archive(
+    archive: Archive, stage: SceneRenderer, plan: Plan, catalog: Catalog, planned: PlannedJob
+) -> EpisodeSummary:
+    for attempt in count(1):
+        job = to_job(plan, catalog, planned, attempt)
+        file = io.BytesIO()
+        outcome = run_attempt(job, stage, file, "host-1", lambda _step: None)
+        if isinstance(outcome, Success):
+            data = file.getvalue()
+            with archive.stage(job.index) as staged:
+                staged.write(data)
+                archive.publish(staged, job.index)
+            return summary_of(outcome.meta, hashlib.sha256(data).hexdigest(), len(data))
+    raise AssertionError("unreachable")

@@ -1,0 +1,53 @@
+"""`factory coordinator start --states`: workers of any host render a states dataset."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from factory.dataset.reader import Dataset
+from schemas.terms import Recording
+from tests.builders.ports import free_endpoint
+
+pytestmark = pytest.mark.gl
+FACTORY = (sys.executable, "-m", "factory")
+
+
+def test_workers_render_the_states_of_a_coordinator(recordings: dict[Recording, Path], tmp_path: Path) -> None:
+    endpoint, out = free_endpoint(), tmp_path / "frames"
+    start = ("coordinator", "start", "--states", str(recordings[Recording.STATES]), "--out", str(out))
+    with subprocess.Popen([*FACTORY, *start, "--listen", endpoint], stdout=subprocess.PIPE) as coordinator:
+        worker = (
+            "worker",
+            "--cores",
+            "1",
+            "--connect",
+            endpoint,
+            "--renderer",
+            "gl",
+            "--spool",
+            str(tmp_path / "spool"),
+        )
+        subprocess.run([*FACTORY, *worker], check=True, capture_output=True)
+        coordinator.communicate()
+    assert coordinator.returncode == 0
+    assert Dataset(out).digest == Dataset(recordings[Recording.FRAMES]).digest
+
+
+def test_a_plan_beside_states_is_refused(recordings: dict[Recording, Path], tmp_path: Path) -> None:
+    start = (
+        "coordinator",
+        "start",
+        "demo",
+        "--states",
+        str(recordings[Recording.STATES]),
+        "--out",
+        str(tmp_path / "o"),
+    )
+    done = subprocess.run([*FACTORY, *start], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "the plan is that of the dataset; omit PLAN demo" in done.stderr
+    assert not (tmp_path / "o").exists()

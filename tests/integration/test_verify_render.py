@@ -1,0 +1,139 @@
+"""`factory verify --render`: renders recorded frames again and compares them with their digests."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factory.verify.dataset import verify
+from factory.verify.report import Kind, VerifyReport
+from schemas.bundle import BundleReader, BundleWriter
+from schemas.dataset_files import EPISODES, SCENES
+from schemas.errors import UsageError
+from schemas.plan import MAX_EPISODES
+from schemas.start_view import StartView
+from schemas.terms import Recording
+from tests.builders.dataset import make_dataset
+
+pytestmark = pytest.mark.gl
+Recordings = dict[Recording, Path]
+
+
+def texts(report: VerifyReport, kind: Kind) -> list[str]:
+    return [finding.text for finding in report.findings if finding.kind is kind]
+
+
+@pytest.fixture
+def copy(recordings: Recordings, tmp_path: Path) -> Callable[[Recording], Path]:
+    return lambda record: Path(shutil.copytree(recordings[record], tmp_path / str(record)))
+
+
+def rewrite(path: Path, brighter: int) -> None:
+    """Writes an episode again with one frame brighter by 1, or with a wrong digest of that frame."""
+    file = io.BytesIO()
+    bundle, writer = BundleReader(io.BytesIO(path.read_bytes())), BundleWriter(file)
+    if bundle.has_frames:
+        for t in range(bundle.length):
+            rgb = bundle.rgb(t)
+            writer.add_frame(np.where(rgb < 255, rgb + (t == brighter), rgb), bundle.depth(t), bundle.ids(t))
+        writer.finish(bundle.arrays, bundle.meta)
+    else:
+        frame = np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), np.zeros((4, 4), np.uint16)
+        for _ in bundle.meta.frame_digests:
+            writer.add_digest(*frame)
+        writer.finish(bundle.arrays, bundle.meta)
+    path.write_bytes(file.getvalue())
+
+
+@pytest.mark.parametrize("record", Recording)
+def test_rendered_frames_of_a_whole_dataset_have_their_digests(recordings: Recordings, record: Recording) -> None:
+    report = verify(recordings[record], deep=True, render=MAX_EPISODES)
+    assert (report.ok, report.rendered) == (True, 2)
+
+
+def test_a_number_of_episodes_is_rendered(recordings: Recordings) -> None:
+    assert verify(recordings[Recording.STATES], render=1).rendered == 1
+    assert verify(recordings[Recording.STATES]).rendered == 0
+
+
+def test_a_false_digest_of_a_states_recording_is_found(copy: Callable[[Recording], Path]) -> None:
+    root = copy(Recording.STATES)
+    rewrite(root / EPISODES / "ep_000002.zip", 0)
+    (text,) = texts(verify(root, render=MAX_EPISODES), Kind.RENDERED)
+    assert text.startswith("3 of 3 frames differ when they are rendered again, first frame 0; recorded with ")
+    assert "rendered with " in text
+
+
+def test_a_false_visibility_and_a_forbidden_start_view_of_a_states_recording_are_found(
+    copy: Callable[[Recording], Path],
+) -> None:
+    root = copy(Recording.STATES)
+    path = root / EPISODES / "ep_000001.zip"
+    bundle, file = BundleReader(io.BytesIO(path.read_bytes())), io.BytesIO()
+    writer = BundleWriter(file)
+    for _ in bundle.meta.frame_digests:
+        writer.add_digest(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.uint16))
+    unseen = bundle.meta.rollout.model_copy(update={"steps_visible": 0})
+    job = bundle.meta.job.model_copy(update={"start_view": StartView(within_rad=0.0)})
+    writer.finish(bundle.arrays, bundle.meta.model_copy(update={"rollout": unseen, "job": job}))
+    path.write_bytes(file.getvalue())
+    found = texts(verify(root, render=MAX_EPISODES), Kind.RENDERED)
+    assert any(text.startswith("steps_visible 0, but ") for text in found)
+    assert any(text.startswith("start: the target is ") for text in found)
+
+
+def test_the_distance_of_stored_frames_is_reported(copy: Callable[[Recording], Path]) -> None:
+    root = copy(Recording.FRAMES)
+    rewrite(root / EPISODES / "ep_000001.zip", 2)
+    (text,) = texts(verify(root, render=MAX_EPISODES), Kind.RENDERED)
+    assert text.startswith("1 of ")
+    assert "first frame 2" in text
+    assert "rgb: largest difference 1, " in text
+    assert "depth: largest difference 0, 0 % of the values" in text
+
+
+def test_an_episode_whose_scene_is_missing_is_a_finding(copy: Callable[[Recording], Path]) -> None:
+    root = copy(Recording.STATES)
+    shutil.rmtree(root / SCENES)
+    report = verify(root, render=MAX_EPISODES)
+    assert texts(report, Kind.MISSING) == ["is missing"]
+
+
+def test_rounded_poses_are_refused(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "old")
+    rows = tmp_path / "old" / "metadata.parquet"
+    edit_format(rows, 1)
+    with pytest.raises(UsageError, match="ep_000001 has bundle format 1, whose poses are rounded"):
+        verify(tmp_path / "old", render=1)
+
+
+def edit_format(table: Path, number: int) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rows = pq.read_table(table)
+    place = rows.column_names.index("format")
+    pq.write_table(rows.set_column(place, "format", pa.array([number] * rows.num_rows, pa.int64())), table)
+
+
+def test_the_command_prints_how_many_episodes_were_rendered(recordings: Recordings) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "factory",
+        "verify",
+        str(recordings[Recording.STATES]),
+        "--render",
+        "all",
+        "--json",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["rendered"] == 2
