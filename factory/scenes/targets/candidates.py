@@ -53,10 +53,8 @@ class _Tree:
         if rule.thickest_m is None and not rule.colours:
             return True
         own = [part for part in self.parts if part.path == path or part.path.startswith(f"{path}/")]
-        if (
-            rule.thickest_m is not None
-            and footprint_width(np.concatenate([part.triangles for part in own])) > rule.thickest_m
-        ):
+        width = footprint_width(np.concatenate([part.triangles for part in own]))
+        if rule.thickest_m is not None and width > rule.thickest_m:
             return False
         return not rule.colours or self.colour_of(own) in rule.colours
 
