@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from factory.scenes.importer.extract import Extraction, Part
 from factory.scenes.rules import CategoryRule, RuleBook
+from factory.scenes.targets.footprint import footprint_of
 
 __all__ = ["Candidate", "find_candidates", "footprint_width"]
 
@@ -53,8 +53,8 @@ class _Tree:
         if rule.thickest_m is None and not rule.colours:
             return True
         own = [part for part in self.parts if part.path == path or part.path.startswith(f"{path}/")]
-        corners = np.concatenate([part.triangles.reshape(-1, 3) for part in own])
-        if rule.thickest_m is not None and footprint_width(corners[:, :2]) > rule.thickest_m:
+        width = footprint_width(np.concatenate([part.triangles for part in own]))
+        if rule.thickest_m is not None and width > rule.thickest_m:
             return False
         return not rule.colours or self.colour_of(own) in rule.colours
 
@@ -78,14 +78,13 @@ def find_candidates(
     return tuple(sorted(_search(tree, ""), key=lambda candidate: candidate.path))
 
 
-def footprint_width(points: NDArray[np.float64]) -> float:
-    """Returns the width of the narrowest strip that contains points (N, 2), metres: the thickness of a panel."""
-    gaps = np.ptp(points, axis=0)
-    if gaps.min() < 1e-6:
-        return float(gaps.min())
-    hull = ConvexHull(points, qhull_options="QJ")
-    normals = hull.equations[:, :2]
-    return float(np.ptp(normals @ points[hull.vertices].T, axis=1).min())
+def footprint_width(triangles: NDArray[np.float64]) -> float:
+    """Returns the width of the narrowest strip of floor below triangles (T, 3, 3), metres: the thickness of a panel."""
+    hull = np.array(footprint_of(triangles))
+    sides = np.roll(hull, -1, axis=0) - hull
+    lengths = np.maximum(np.linalg.norm(sides, axis=1), 1e-9)
+    across = sides[:, :1] / lengths[:, None] * hull[:, 1] - sides[:, 1:] / lengths[:, None] * hull[:, 0]
+    return float(np.ptp(across, axis=1).min())
 
 
 def _grow(tree: _Tree) -> None:

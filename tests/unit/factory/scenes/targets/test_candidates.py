@@ -104,10 +104,11 @@ def test_a_board_is_a_whiteboard_only_as_a_pale_upright_panel(
 @pytest.mark.parametrize("degrees", [0, 30, 45, 123])
 def test_the_width_of_a_footprint_does_not_depend_on_its_rotation(degrees: float) -> None:
     turn = np.radians(degrees)
-    corners = np.array([(0, 0), (2, 0), (2, 0.1), (0, 0.1), (1, 0.05)])
+    corners = np.array([(0, 0), (2, 0), (2, 0.1), (0, 0.1), (1, 0.05), (1, 0)])
     turned = corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    assert footprint_width(turned) == pytest.approx(0.1, abs=1e-6)
-    assert footprint_width(np.vstack((turned[:2], turned[:2].mean(axis=0)))) == pytest.approx(0.0, abs=1e-6)
+    upright = np.column_stack((turned, np.arange(6))).reshape(2, 3, 3)
+    assert footprint_width(upright) == pytest.approx(0.1, abs=3e-4)
+    assert footprint_width(upright[:1] * (1, 0, 1)) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_bed_is_no_bed_without_its_size_and_its_name_may_be_a_synonym(tmp_path: Path) -> None:
