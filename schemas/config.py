@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
-from schemas.terms import SuccessMeasure
+from schemas.terms import FAR_FLOOR_M, Screening, SuccessMeasure
 
 
 class TaskConfig(Model):
@@ -122,6 +122,19 @@ class SpawnConfig(Model):
     approach_clearance_m: NonNegative = 0.10
     """Required free space beside the body on the straight line to the success circle, for experts that drive straight,
     metres."""
+    screening: Screening = Field(default=Screening.FORESEEN, exclude_if=lambda it: it is Screening.FORESEEN)
+    """Selection of the starts of experts that drive straight; the planner ignores it. Omitted if `foreseen`, the only
+    one of the first versions."""
+    far_floor_m: tuple[Positive, Positive] = Field(default=FAR_FLOOR_M, exclude_if=lambda it: it == FAR_FLOOR_M)
+    """Smallest and largest distance along the floor from a start in the far tier to the target, metres: the shortest
+    path to the success circle plus its radius. Omitted at its default."""
+
+    @model_validator(mode="after")
+    def _far_range_is_ordered(self) -> SpawnConfig:
+        low, high = self.far_floor_m
+        if low >= high:
+            raise ValueError(f"far_floor_m: the first value, {low:g} m, must be less than the second, {high:g} m")
+        return self
 
 
 class InstructionConfig(Model):

@@ -15,7 +15,7 @@ class Tier(StrEnum):
 
     NEAR = "near"  # 1.5-3.5 m, roughly facing the target
     MID = "mid"  # 3.5-7.0 m, roughly facing the target
-    FAR = "far"  # a surveyed floor point anywhere in the scene, any heading
+    FAR = "far"  # a surveyed floor point at least 5 m away along the floor, any heading
 
 
 class SuccessMeasure(StrEnum):
@@ -26,7 +26,9 @@ class SuccessMeasure(StrEnum):
 
 
 TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
-"""Spawn distance ranges in metres, planar, by the success measure; `far` has none."""
+"""Spawn distance ranges in metres, planar, by the success measure; `far` has a range along the floor."""
+FAR_FLOOR_M = (5.0, 11.0)
+"""Default range of the distance along the floor from a start in the far tier to the target, metres."""
 
 
 class Split(StrEnum):
@@ -46,6 +48,14 @@ class ExpertName(StrEnum):
     DEPTH = "depth"  # speed from mask depth instead of centroid distance
     PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; every episode ends with a timeout
     PLANNER = "planner"  # forward-only path planning and pure pursuit
+
+
+class Screening(StrEnum):
+    """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
+
+    NONE = "none"  # any free pose of the tier, as published: drives may fail
+    FREE_LINE = "free_line"  # the straight line to the success circle is free
+    FORESEEN = "foreseen"  # the line is free, and the predicted drive touches nothing if such a start is found
 
 
 class EndReason(StrEnum):

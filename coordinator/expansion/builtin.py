@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from schemas.config import DemonstrationConfig, InstructionConfig, TaskConfig
+from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.plan import Budget, Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, SuccessMeasure, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
 
 __all__ = ["BUILTIN_PLANS", "is_paper_plan"]
 
@@ -30,8 +30,10 @@ _PAPER = Plan(
         ScenePlan(name="full_warehouse", episodes=354),
         ScenePlan(name="warehouse_multiple_shelves", episodes=68),
     ),
+    robot=RobotConfig(max_braking_mps2=7.0),
+    spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.5)),
 )
-"""1174 episodes with the paper's shares, seed and expert."""
+"""1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
 """Categories that hardly any start shows alone (docs/decisions/0138-exempt-shelves-and-racks-from-uniqueness.md)."""

@@ -56,8 +56,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
 
 def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:
     """Returns the scene reduced to feasible categories, tiers and splits; `None` if no cell is feasible."""
-    reachable = {target.category for target in entry.info.targets if target.is_reachable(plan.task.success)}
-    part = _with_categories(plan, scene, reachable & scene_cells(plan, scene, entry).present)
+    part = _with_categories(plan, scene, scene_cells(plan, scene, entry).present)
     if part is None:
         return None
     found = scene_cells(plan, part, entry)

@@ -118,8 +118,8 @@ The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
-    "The expert knows where its target is and drives straight: near and mid starts have a free straight line to it, "
-    "so nothing teaches to go around things."
+    "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
+    'screened by `spawn.screening = "{}"` of the plan.'
 )
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
@@ -153,7 +153,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         tiers=_tier_table(aggregates),
         splits=_split_part(meta, aggregates),
         categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
-        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT,
+        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
         templates=len(TEMPLATES),
     )
 

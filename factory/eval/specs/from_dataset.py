@@ -149,5 +149,7 @@ def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, fl
         is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
         return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
 
-    found = next(draw_poses(meta.job, target, place, meta.job.rng(), is_recorded), None)
+    accepts = is_recorded if meta.job.start_view else (lambda _pose: True)  # instead of rendering every view again
+    draws = draw_poses(meta.job, target, place, meta.job.rng(), accepts)
+    found = next(filter(is_recorded, draws), None)
     return None if found is None else (found.x, found.y, found.yaw)

@@ -14,7 +14,7 @@ from schemas.config import SpawnConfig, TaskConfig
 from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
-from schemas.terms import TIER_RANGE_M, Tier
+from schemas.terms import FAR_FLOOR_M, TIER_RANGE_M, Tier
 from workers.geometry.grid import Grid, are_within, body_centre
 
 __all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "sees_matrix", "tiers_of"]
@@ -65,9 +65,10 @@ def tiers_of(
     if not _is_reachable(terrain, target, goal):
         return None
     straight, connected = _ring_tiers(terrain, target, goal)
-    if _sees(terrain, spawns, target, goal).any():
+    is_far = goal.distances(spawns) >= FAR_FLOOR_M[0]  # the path along the floor is at least as long
+    if (is_far & _sees(terrain, spawns, target, goal)).any():
         straight.append(Tier.FAR)
-    if (goal.distances(spawns) >= SEE_RANGE_M[0]).any():
+    if is_far.any():
         connected.append(Tier.FAR)
     return tuple(straight), tuple(connected)
 

@@ -15,10 +15,11 @@ from coordinator.expansion.cells import cells, empty_splits
 from coordinator.expansion.draw import PlannedJob, expand, find_impossible, redraw, to_job
 from coordinator.expansion.file import shrink
 from coordinator.expansion.scene_cells import scene_cells
-from schemas.config import TaskConfig
+from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import InvalidPlan
+from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, SuccessMeasure, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
 
 PAPER = BUILTIN_PLANS["paper"]
@@ -188,6 +189,30 @@ def test_the_planner_may_start_at_poses_excluded_for_straight_experts():
     planner = plan.model_copy(update={"expert": ExpertName.PLANNER})
     pools = [scene_cells(each, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR) for each in (plan, planner)]
     assert pools == [(), (target,)]
+
+
+def test_blind_straight_experts_start_where_the_planner_may() -> None:
+    target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
+    entry = make_entry("hospital", [target])
+    pools = {}
+    for screening in Screening:
+        plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), spawn=SpawnConfig(screening=screening))
+        pools[screening] = scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.NEAR)
+    assert pools == {Screening.NONE: (target,), Screening.FREE_LINE: (), Screening.FORESEEN: ()}
+
+
+def test_jobs_and_plans_record_the_screening() -> None:
+    catalog = make_catalog(PAPER)
+    assert PAPER.spawn.screening is Screening.NONE
+    job = to_job(PAPER, catalog, expand(PAPER, catalog)[0], 1)
+    for recorded in (job.model_dump(mode="json"), PAPER.model_dump(mode="json")):
+        assert recorded["spawn"]["screening"] == "none"
+    assert Job.model_validate_json(job.model_dump_json()).spawn.screening is Screening.NONE
+
+
+def test_the_first_screening_is_omitted_so_that_old_digests_stay_valid() -> None:
+    assert not {"screening", "far_floor_m"} & SpawnConfig().model_dump().keys()
+    assert SpawnConfig.model_validate_json(SpawnConfig().model_dump_json()).screening is Screening.FORESEEN
 
 
 def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():

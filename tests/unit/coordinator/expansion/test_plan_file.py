@@ -83,6 +83,13 @@ def test_shares_that_do_not_add_up_are_each_named(tmp_path):
     assert [text.split(":")[0] for text in caught.value.findings] == ["tiers", "splits"]
 
 
+def test_an_unknown_screening_names_the_possible_ones(tmp_path):
+    path = tmp_path / "p.toml"
+    path.write_text('[spawn]\nscreening = "blind"\n[[scenes]]\nname = "office"\nepisodes = 3\n')
+    with pytest.raises(InvalidPlan, match=r"spawn\.screening.*'none', 'free_line' or 'foreseen'.*'blind'"):
+        load_plan(str(path))
+
+
 def test_an_unknown_split_is_named(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text('[splits]\ntrain = 1.0\n[[scenes]]\nname = "office"\nepisodes = 2\n')
