@@ -175,9 +175,9 @@ class Fit(Model):
 
 
 class FarRow(Model):
-    """Distances along the floor of the far starts of a scene, to the centroid of the target.
+    """Distances along the floor of the far starts of a scene, to the target by the success measure.
 
-    A distance is the shortest path to the success circle plus its radius.
+    A distance is the shortest path to the success region plus the success radius.
     """
 
     scene: str
@@ -189,7 +189,7 @@ class FarRow(Model):
     short: Share
     """Share of starts less than 5 m from the target along the floor."""
     corner: Share
-    """Share of starts without a free straight line to the success circle."""
+    """Share of starts without a free straight line to the success region; they need a corner."""
 
 
 class OverlapRow(Model):

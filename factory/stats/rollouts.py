@@ -17,7 +17,7 @@ ALL = "all"
 """Name of the group of all episodes."""
 Episodes = Sequence[EpisodeSummary]
 _FAR_M = 5.0
-"""Smallest distance along the floor of a far start from the target's centroid, metres."""
+"""Smallest distance along the floor of a far start from the target, metres."""
 _STRAIGHT_M = 0.001
 """Largest difference between the geodesic and the straight distance on a free line, metres; poses are float32."""
 

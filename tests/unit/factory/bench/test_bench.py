@@ -17,12 +17,14 @@ from factory.bench.machine import (
     resident_mib,
     stage_costs,
 )
-from factory.bench.model import Spread
+from factory.bench.model import RolloutBench, Spread
 from factory.bench.read import bench_read
 from factory.bench.render import poses_in
 from factory.bench.sample import narrow
+from factory.cli.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
+from schemas.terms import Screening
 from tests.builders.dataset import make_dataset
 from tests.builders.scene import box_room
 
@@ -58,6 +60,17 @@ def test_a_plan_is_narrowed_to_scenes_with_the_same_number_of_episodes_each() ->
     plan = narrow(load_plan("paper"), ("hospital", "office"), 4)
     assert [(scene.name, scene.episodes) for scene in plan.scenes] == [("hospital", 4), ("office", 4)]
     assert len(narrow(load_plan("demo"), (), 1).scenes) == 4
+
+
+def test_the_table_of_a_rollout_benchmark_names_the_screening_of_its_starts(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    report = RolloutBench(
+        machine=describe_machine(), renderer="none", plan="paper", screening=Screening.NONE, repeats=3, scenes={}
+    )
+    show_rollout(report)
+    assert "3 runs of the same jobs of plan paper, screening none" in " ".join(capsys.readouterr().out.split())
+    assert report.model_dump(mode="json")["screening"] == "none"
 
 
 def test_a_scene_or_number_that_the_plan_does_not_have_is_refused_by_name() -> None:

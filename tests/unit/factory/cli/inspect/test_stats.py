@@ -147,6 +147,16 @@ def test_far_starts_are_measured_along_the_floor_to_the_centroid_of_the_target()
     assert (everything.n, everything.short.count, everything.corner.share) == (4, 2, 0.5)
 
 
+def test_far_starts_need_a_corner_if_their_path_is_longer_than_the_line_of_the_success_measure() -> None:
+    by_surface = two_scenes().model_copy(update={"task": TaskConfig(success=SuccessMeasure.SURFACE)})
+    row = episode_row(spawn_tier=Tier.FAR, spawn_dist_m=6.0, spawn_surface_m=5.0, final_surface_m=0.9, geodesic_m=4.0)
+    (found, *_) = measure([row], plan=by_surface).far
+    assert (found.n, found.mean_m, found.corner.count) == (1, 5.0, 0)
+    longer = row.model_copy(update={"geodesic_m": 4.5})
+    (found, *_) = measure([longer], plan=by_surface).far
+    assert (found.mean_m, found.short.count, found.corner.count) == (5.5, 0, 1)
+
+
 def test_means_have_a_t_interval_from_two_episodes_on() -> None:
     found = measure([episode_row(n, num_steps=steps) for n, steps in enumerate((100, 200, 300), 1)])
     half = 4.302653 * 100 / 3**0.5
