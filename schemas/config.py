@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
+from schemas.terms import FAR_FLOOR_M, Screening, SuccessMeasure
 
 
 class TaskConfig(Model):
@@ -19,8 +20,13 @@ class TaskConfig(Model):
     """Steps, frames and actions per second."""
     max_steps: Annotated[int, Field(ge=1, le=1000)] = 1000
     """Timeout, steps."""
+    success: SuccessMeasure = Field(
+        default=SuccessMeasure.CENTROID, exclude_if=lambda it: it is SuccessMeasure.CENTROID
+    )
+    """Measure of the distance to the target; omitted if `centroid`, the only one of the first versions. A plan file
+    without this key has `surface`."""
     success_radius_m: Positive = 1.0
-    """Largest planar base-to-centroid distance of a success, metres."""
+    """Largest planar distance of base_link from the target in a success, by the success measure, metres."""
     hold_steps: Annotated[int, Field(ge=1, le=1000)] = 5
     """Consecutive stationary steps inside the radius that make a success."""
     stationary_speed_mps: Positive = 0.02
@@ -35,6 +41,16 @@ class TaskConfig(Model):
     """Top and bottom of the foreground crop, fractions of the image height from the top."""
     crop_columns: tuple[Fraction, Fraction] = (0.25, 0.75)
     """Left and right side of the foreground crop, fractions of the image width from the left."""
+
+
+class DemonstrationConfig(Model):
+    """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start."""
+
+    max_contact_steps: Annotated[int, Field(ge=0, le=1000)] | None = None
+    """Largest number of steps with a contact other than the floor; null only records the number."""
+    target_in_view: bool = False
+    """Whether the last frame must show the target, with at least `gains.min_mask_px` pixels; the planner then ends its
+    paths with the target ahead."""
 
 
 class RobotConfig(Model):
@@ -106,6 +122,19 @@ class SpawnConfig(Model):
     approach_clearance_m: NonNegative = 0.10
     """Required free space beside the body on the straight line to the success circle, for experts that drive straight,
     metres."""
+    screening: Screening = Field(default=Screening.FORESEEN, exclude_if=lambda it: it is Screening.FORESEEN)
+    """Selection of the starts of experts that drive straight; the planner ignores it. Omitted if `foreseen`, the only
+    one of the first versions."""
+    far_floor_m: tuple[Positive, Positive] = Field(default=FAR_FLOOR_M, exclude_if=lambda it: it == FAR_FLOOR_M)
+    """Smallest and largest distance along the floor from a start in the far tier to the target, metres: the shortest
+    path to the success circle plus its radius. Omitted at its default."""
+
+    @model_validator(mode="after")
+    def _far_range_is_ordered(self) -> SpawnConfig:
+        low, high = self.far_floor_m
+        if low >= high:
+            raise ValueError(f"far_floor_m: the first value, {low:g} m, must be less than the second, {high:g} m")
+        return self
 
 
 class InstructionConfig(Model):
@@ -137,11 +166,11 @@ class PlannerConfig(Model):
     tight_margin_m: NonNegative = 0.02
     """Free space around the footprint if no path exists with `margin_m`, metres."""
     arrival_margin_m: NonNegative = 0.10
-    """Distance from the end of the path to the edge of the success circle, inside it, metres."""
+    """Distance from the end of the path to the edge of the success region, inside it, metres."""
     tight_arrival_margin_m: NonNegative = 0.05
     """The same distance if no path exists with `arrival_margin_m`, metres."""
     stop_margin_m: NonNegative = 0.03
-    """Distance to the edge of the success circle, inside it, at which the robot brakes, metres."""
+    """Distance to the edge of the success region, inside it, at which the robot brakes, metres."""
     max_path_m: Positive = 10.0
     """Longest distance along the floor from a start in the far tier to the success circle, metres."""
     max_expansions: Annotated[int, Field(ge=1, le=10_000_000)] = 60_000

@@ -153,7 +153,13 @@ class EpisodeSummary(Model):
     software: Annotated[str, Field(max_length=_MAX_SOFTWARE_CHARS)]
     """Package versions as JSON with sorted keys."""
     geodesic_m: NonNegative | None
-    """Length of the shortest path along the floor from the spawn to the success circle, metres; null if none exists."""
+    """Length of the shortest path along the floor from the spawn to the success region, metres; null if none exists."""
+    spawn_surface_m: NonNegative | None = None
+    """Planar distance from the spawn to the target's footprint, metres; null if the scene records no footprint."""
+    final_surface_m: NonNegative | None = None
+    """Planar distance from the last pose to the target's footprint, metres; null if the scene records no footprint."""
+    target_in_view: bool | None = None
+    """Whether the last frame shows the target; null in episodes of older versions."""
 
 
 class FailedAttempt(Model):
@@ -244,4 +250,7 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
         cpu=provenance.fingerprint.cpu,
         software=json.dumps(provenance.fingerprint.software, sort_keys=True),
         geodesic_m=meta.route.geodesic_m,
+        spawn_surface_m=rollout.spawn_surface_m,
+        final_surface_m=rollout.final_surface_m,
+        target_in_view=rollout.target_in_view,
     )

@@ -11,7 +11,7 @@ from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Ordinal,
 from schemas.fingerprint import Fingerprint
 from schemas.job import Job
 from schemas.plan import canonical_json
-from schemas.scene import MAX_INSTANCES, Instance
+from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
 
 __all__ = ["BUNDLE_FORMAT", "MAX_FRAMES", "EpisodeMeta", "Provenance", "Rollout", "Route"]
@@ -52,13 +52,19 @@ class Rollout(Model):
     steps_visible: Count | None
     """Number of steps in which the target was visible to the expert; null in a states recording of an expert that uses
     no images."""
+    spawn_surface_m: NonNegative | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Planar distance from the spawn to the target's footprint, metres; null if the scene records no footprint."""
+    final_surface_m: NonNegative | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Planar distance from the last pose to the target's footprint, metres; null if the scene records no footprint."""
+    target_in_view: bool | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Whether the last frame shows the target; null in episodes of older versions."""
 
 
 class Route(Model):
     """Shortest and planned paths to the target, independent of the driven trajectory."""
 
     geodesic_m: NonNegative | None = None
-    """Length of the shortest path along the floor from the spawn to the success circle, metres; `None` if the floor
+    """Length of the shortest path along the floor from the spawn to the success region, metres; `None` if the floor
     does not connect them. The l of SPL."""
     planned: Annotated[tuple[tuple[Finite, Finite, Finite], ...], Field(max_length=_MAX_PATH_POSES)] = ()
     """Poses of the planner's path: x, y in metres and yaw in radians of base_link; empty for other experts."""
@@ -90,6 +96,9 @@ class EpisodeMeta(Model):
     """Id of the target in `seg_front`."""
     target_centroid_m: tuple[Finite, Finite, Finite]
     """Centre of the target's bounding box in the world frame, metres."""
+    target_footprint_m: Footprint = Field(default=(), exclude_if=lambda it: not it)
+    """Convex hull of the target's projection to the floor, x, y in the world frame, metres; empty if the scene records
+    none."""
     phrase_is_unique: bool
     """Whether category and colour, as the instruction names them, match exactly one target of the scene."""
     rollout: Rollout

@@ -5,10 +5,18 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
-from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import (
+    CameraConfig,
+    DemonstrationConfig,
+    ExpertConfig,
+    PlannerConfig,
+    RobotConfig,
+    SpawnConfig,
+    TaskConfig,
+)
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
 from schemas.start_view import StartView
@@ -57,15 +65,14 @@ class Job(EpisodeSpec):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    start_view: StartView | None = Field(default=None, exclude_if=lambda view: view is None)
+    """Conditions on the image at the start; omitted if there are none."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """What the episode stores; omitted for frames, so that former digests stay valid."""
-    start_view: StartView | None = None
-    """Conditions on the image at the start; `None` sets none and is left out of the JSON."""
-
-    @model_serializer(mode="wrap")
-    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
-        data: dict[str, object] = serialize(self)
-        return {key: value for key, value in data.items() if key != "start_view" or value is not None}
 
     @property
     def episode_id(self) -> str:

@@ -65,8 +65,8 @@ def needs_colour(template_id: str) -> bool:
 
 
 def says_in_front(template_id: str) -> bool:
-    """Returns whether a template says that the target is in front of the robot."""
-    return "in front of you" in TEMPLATES[template_id]
+    """Returns whether a template says that the target is in front of the robot; false for an unknown template."""
+    return "in front of you" in TEMPLATES.get(template_id, "")
 
 
 def templates_for(split: Split, colour: str) -> tuple[str, ...]:

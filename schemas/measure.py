@@ -1,19 +1,174 @@
-"""Computes the measures of a trajectory from its poses: start, trajectory length, navigation error.
+"""Distances to the target: the goal region of an episode, and the measures of a trajectory from its poses.
 
-Rollout, validation and evaluation share these formulas. Pure functions without input or output.
+Rollout, validation, statistics and evaluation share these formulas. Pure functions without input or output. They do not
+know obstacles, and do not decide when an episode ends.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from schemas.config import TaskConfig
+from schemas.episode import EpisodeMeta
+from schemas.errors import WorldError
+from schemas.scene import Target
 from schemas.support import portable
+from schemas.support.numpy_types import Floats
+from schemas.terms import SuccessMeasure
 
-__all__ = ["TrackMeasure", "measure_track", "target_in_view", "yaw_of"]
+__all__ = ["Goal", "TrackMeasure", "footprint_distances", "measure_track", "target_in_view", "yaw_of"]
+
+_HALVINGS = 36
+"""Bisection steps; they divide a line of 100 m into parts below 1e-8 m."""
+_OUTLINE_POINTS = 97
+
+
+def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, float]]) -> Floats:
+    """Returns the planar distances (...) of points (..., 2) to a convex polygon; 0 on and inside it, metres.
+
+    Args:
+        points: world x, y, metres.
+        footprint_m: vertices of the polygon, counter-clockwise; at least one.
+    """
+    gaps = _gaps(np.asarray(points, float), np.asarray(footprint_m, float))
+    return np.asarray(np.sqrt(gaps[..., 0] * gaps[..., 0] + gaps[..., 1] * gaps[..., 1]))
+
+
+def _gaps(points: Floats, vertices: Floats) -> Floats:
+    """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
+    sides = np.roll(vertices, -1, axis=0) - vertices
+    to_vertex = vertices - points[..., None, :]
+    squares = sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1]
+    along = -(to_vertex[..., 0] * sides[:, 0] + to_vertex[..., 1] * sides[:, 1]) / np.where(squares > 0, squares, 1.0)
+    to_side = to_vertex + np.clip(along, 0.0, 1.0)[..., None] * sides
+    nearest = (to_side[..., 0] * to_side[..., 0] + to_side[..., 1] * to_side[..., 1]).argmin(axis=-1)
+    shortest = np.take_along_axis(to_side, nearest[..., None, None], axis=-2)[..., 0, :]
+    is_left = sides[:, 1] * to_vertex[..., 0] - sides[:, 0] * to_vertex[..., 1] >= 0
+    inside = np.asarray(is_left.all(axis=-1)) & (len(vertices) > 2)
+    return np.where(inside[..., None], 0.0, shortest)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Points at most `radius_m` from a target's footprint or, without footprint, from its centroid."""
+
+    centre_m: tuple[float, float]
+    """x, y of the target's centroid, metres; it is inside the footprint."""
+    radius_m: float
+    """Success radius, metres."""
+    footprint_m: tuple[tuple[float, float], ...] = ()
+    """Vertices of the convex footprint, counter-clockwise, metres; empty measures from the centroid."""
+
+    @classmethod
+    def of(cls, target: Target, task: TaskConfig) -> Self:
+        """Returns the goal of a target.
+
+        Raises:
+            WorldError: the task measures to the footprint, and the scene records none.
+        """
+        return cls._of(target.centroid_m, target.footprint_m, task, target.target_id)
+
+    @classmethod
+    def of_episode(cls, meta: EpisodeMeta) -> Self:
+        """Returns the goal of a recorded episode.
+
+        Raises:
+            WorldError: the task measures to the footprint, and the episode records none.
+        """
+        return cls._of(meta.target_centroid_m, meta.target_footprint_m, meta.job.task, meta.job.target_id)
+
+    @classmethod
+    def _of(
+        cls,
+        centroid_m: tuple[float, float, float],
+        footprint_m: tuple[tuple[float, float], ...],
+        task: TaskConfig,
+        name: str,
+    ) -> Self:
+        by_surface = task.success is SuccessMeasure.SURFACE
+        if by_surface and not footprint_m:
+            raise WorldError(
+                f'target {name} has no footprint, which task.success = "surface" needs; create the scene again with '
+                '`factory scene build` or `factory scene import`, or set task.success = "centroid"'
+            )
+        return cls(centroid_m[:2], task.success_radius_m, footprint_m if by_surface else ())
+
+    def shrunk(self, margin_m: float) -> Self:
+        """Returns the part of the goal that is at least `margin_m` inside its edge."""
+        return replace(self, radius_m=self.radius_m - margin_m)
+
+    def distances(self, points: ArrayLike) -> Floats:
+        """Returns the distances (...) of points (..., 2) to the target by the success measure, metres."""
+        if self.footprint_m:
+            return footprint_distances(points, self.footprint_m)
+        return np.asarray(np.linalg.norm(np.asarray(points, float) - self._centre, axis=-1))
+
+    def distance(self, x: float, y: float) -> float:
+        """Returns the distance of one point to the target by the success measure, metres."""
+        if self.footprint_m:
+            return float(footprint_distances((x, y), self.footprint_m))
+        return math.hypot(self.centre_m[0] - x, self.centre_m[1] - y)
+
+    def approach(self, starts: ArrayLike, distance_m: float) -> Floats:
+        """Returns the points (..., 2) at which straight lines from starts to the centroid come within a distance.
+
+        Returns a start that is as near as that itself.
+        """
+        start = np.asarray(starts, float)
+        away = start - self._centre
+        if not self.footprint_m:
+            distance = np.linalg.norm(away, axis=-1, keepdims=True)
+            return np.where(
+                distance > distance_m, self._centre + away * (distance_m / np.maximum(distance, 1e-9)), start
+            )
+        low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])  # shares of the line, from the centroid
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            is_near = self.distances(self._centre + away * middle[..., None]) <= distance_m
+            low, high = np.where(is_near, middle, low), np.where(is_near, high, middle)
+        is_there = (self.distances(start) <= distance_m)[..., None]
+        return np.where(is_there, start, self._centre + away * low[..., None])
+
+    def entry(self, point: Floats) -> tuple[float, Floats]:
+        """Returns length (at most 0 inside) and end of the shortest straight way from a point (2,) into the goal."""
+        if not self.footprint_m:
+            gap = math.dist(point, self.centre_m) - self.radius_m
+            return gap, point + (self._centre - point) * (gap / (gap + self.radius_m))
+        distance = self.distance(point[0], point[1])
+        gap = distance - self.radius_m
+        return gap, point + _gaps(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
+
+    def ring(self, directions: Floats, distance_m: float) -> Floats:
+        """Returns the points (N, 2) at a distance from the target, on rays from its centroid.
+
+        Args:
+            directions: (N, 2) unit vectors.
+            distance_m: distance by the success measure, metres.
+        """
+        if not self.footprint_m:
+            return np.asarray(self._centre + distance_m * directions)
+        return self.approach(self._centre + (self.extent_m + distance_m) * directions, distance_m)
+
+    def outline(self) -> Floats:
+        """Returns the edge of the goal as a closed line (N, 2), for drawing."""
+        angle = np.linspace(0.0, 2 * math.pi, _OUTLINE_POINTS)
+        return self.ring(np.stack([np.cos(angle), np.sin(angle)], axis=1), self.radius_m)
+
+    @cached_property
+    def extent_m(self) -> float:
+        """Largest distance of a point of the footprint from the centroid, metres; 0 without footprint."""
+        return max((math.dist(vertex, self.centre_m) for vertex in self.footprint_m), default=0.0)
+
+    @cached_property
+    def _centre(self) -> Floats:
+        return np.asarray(self.centre_m, float)
 
 
 class TrackMeasure(NamedTuple):
@@ -31,6 +186,10 @@ class TrackMeasure(NamedTuple):
     """Navigation error with the height of the centroid, metres."""
     min_ne_m: float
     """Smallest distance to the target's centroid, metres."""
+    spawn_surface_m: float | None
+    """Distance from the first pose to the target's footprint, metres; `None` without footprint."""
+    final_surface_m: float | None
+    """Distance from the last pose to the target's footprint, metres; `None` without footprint."""
 
 
 def yaw_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -39,11 +198,22 @@ def yaw_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def measure_track(poses: NDArray[np.float64], centroid_m: tuple[float, float, float]) -> TrackMeasure:
-    """Returns the measures of a track of (T, 7) poses and a target's centroid, both in the world frame, metres."""
+def measure_track(
+    poses: NDArray[np.float64],
+    centroid_m: tuple[float, float, float],
+    footprint_m: Sequence[tuple[float, float]] = (),
+) -> TrackMeasure:
+    """Returns the measures of a track.
+
+    Args:
+        poses: (T, 7) poses of base_link in the world frame.
+        centroid_m: centroid of the target in the world frame, metres.
+        footprint_m: vertices of the target's convex footprint, counter-clockwise, metres; empty if it is unknown.
+    """
     track = poses[:, :3]
     to_goal = np.linalg.norm(track[:, :2] - np.asarray(centroid_m[:2]), axis=1)
     steps = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
+    surface = footprint_distances(track[[0, -1], :2], footprint_m).tolist() if footprint_m else (None, None)
     return TrackMeasure(
         spawn_pose=(float(track[0, 0]), float(track[0, 1]), float(yaw_of(poses[:1])[0])),
         spawn_dist_m=float(to_goal[0]),
@@ -51,6 +221,8 @@ def measure_track(poses: NDArray[np.float64], centroid_m: tuple[float, float, fl
         final_ne_m=float(to_goal[-1]),
         final_ne_3d_m=math.dist(track[-1].tolist(), centroid_m),
         min_ne_m=float(to_goal.min()),
+        spawn_surface_m=surface[0],
+        final_surface_m=surface[1],
     )
 
 

@@ -24,6 +24,7 @@ from pydantic import (
 from schemas.base import Fraction, Model, Name
 from schemas.config import (
     CameraConfig,
+    DemonstrationConfig,
     ExpertConfig,
     InstructionConfig,
     PlannerConfig,
@@ -47,7 +48,6 @@ PAPER_SPLITS = MappingProxyType(
     }
 )
 _LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous"})
-_LATER_PLAN_KEYS = frozenset({"disjoint_instances", "instructions"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -113,6 +113,13 @@ class ScenePlan(Model):
             )
         return categories
 
+    @field_validator("ceiling_m")
+    @classmethod
+    def _is_for_a_stage(cls, ceiling_m: float | None, others: ValidationInfo) -> float | None:
+        if ceiling_m is not None and others.data.get("usd") is None:
+            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a USD stage (`usd = PATH`)")
+        return ceiling_m
+
     @model_validator(mode="after")
     def _categories_make_sense(self) -> ScenePlan:
         seen, held_out = self.categories
@@ -162,8 +169,10 @@ class Plan(Model):
     categories of all scenes first."""
     disjoint_instances: bool = False
     """Whether training and the evaluation of seen categories use different instances if a scene has enough of them."""
-    instructions: InstructionConfig = InstructionConfig()
-    """Parameters of the instructions."""
+    instructions: InstructionConfig = Field(
+        default=InstructionConfig(), exclude_if=lambda wanted: wanted == InstructionConfig()
+    )
+    """Parameters of the instructions; omitted if they are the defaults."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -178,12 +187,15 @@ class Plan(Model):
     """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
     """Parameters of the planner expert."""
+    demonstration: DemonstrationConfig = Field(
+        default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
+    )
+    """Requirements on a demonstration; omitted if there are none."""
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        unused = {key for key in _LATER_PLAN_KEYS if getattr(self, key) == type(self).model_fields[key].default}
-        return {key: value for key, value in data.items() if key not in unused}
+        return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
 
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:

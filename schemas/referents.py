@@ -12,8 +12,6 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.language import TEMPLATES, needs_colour
 from schemas.scene import SceneInfo
 
-__all__ = ["ids_in_view", "named_colour", "referents", "referents_of"]
-
 
 def named_colour(template_id: str, colour: str) -> str | None:
     """Returns the colour that an instruction names, or `None` if its template has no colour slot.

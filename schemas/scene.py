@@ -18,7 +18,7 @@ from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.errors import InvalidBundle
-from schemas.terms import Tier
+from schemas.terms import SuccessMeasure, Tier
 
 __all__ = [
     "MAX_INSTANCES",
@@ -27,6 +27,7 @@ __all__ = [
     "SCENE_FORMAT",
     "TEXTURE_SIZE_PX",
     "CompiledScene",
+    "Footprint",
     "Instance",
     "SceneInfo",
     "Sky",
@@ -36,8 +37,9 @@ __all__ = [
     "read_scene_info",
 ]
 
-SCENE_FORMAT = 2
-"""Version of the compiled package; a reader rejects every other version."""
+SCENE_FORMAT = 3
+"""Version of the compiled package. A reader opens format 2, which has no footprints, and rejects every other one."""
+_READABLE = (2, SCENE_FORMAT)
 TEXTURE_SIZE_PX = 512
 """Width and height of a texture, pixels."""
 MAX_LIGHT_MAP_PX = 2048
@@ -52,6 +54,8 @@ Vector3 = tuple[Finite, Finite, Finite]
 Channel = Annotated[int, Field(ge=0, le=255)]
 Colour = tuple[Channel, Channel, Channel]
 Tiers = Annotated[tuple[Tier, ...], Field(max_length=len(Tier))]
+Footprint = Annotated[tuple[tuple[Finite, Finite], ...], Field(max_length=64)]
+"""Vertices x, y of a convex polygon in the world frame, counter-clockwise, metres."""
 
 
 class Instance(Model):
@@ -86,6 +90,27 @@ class Target(Model):
     """Tiers that have a start pose with a free straight line to the success circle."""
     connected_tiers: Tiers = ()
     """Tiers that have a start pose from which the success circle is reachable."""
+    footprint_m: Footprint = ()
+    """Convex hull of the target's projection to the floor; empty in a package of format 2."""
+    surface_straight_tiers: Tiers = ()
+    """`straight_tiers` by the distance to the footprint; empty in a package of format 2."""
+    surface_connected_tiers: Tiers = ()
+    """`connected_tiers` by the distance to the footprint; empty in a package of format 2."""
+
+    def tiers(self, success: SuccessMeasure, by_path: bool) -> tuple[Tier, ...]:
+        """Returns the tiers that have a start pose.
+
+        Args:
+            success: measure of the distance to the target.
+            by_path: whether the robot follows a path; otherwise it drives straight.
+        """
+        if success is SuccessMeasure.SURFACE:
+            return self.surface_connected_tiers if by_path else self.surface_straight_tiers
+        return self.connected_tiers if by_path else self.straight_tiers
+
+    def is_reachable(self, success: SuccessMeasure) -> bool:
+        """Returns whether the robot can reach the target from a start in any tier."""
+        return bool(self.tiers(success, by_path=True) or self.tiers(success, by_path=False))
 
     @property
     def taken_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -146,6 +171,11 @@ class SceneInfo(Model):
         if stray:
             raise ValueError(f"targets without an instance: {stray}")
         return self
+
+    @property
+    def has_footprints(self) -> bool:
+        """Whether the package records the footprints of its targets."""
+        return all(target.footprint_m for target in self.targets)
 
     def target(self, target_id: str) -> Target:
         """Returns the target of that name.
@@ -285,7 +315,7 @@ def _read_info(reader: ContainerReader) -> SceneInfo:
         info = SceneInfo.model_validate_json(reader.read("scene.json"))
     except ValidationError as error:
         raise InvalidBundle("scene refused", [f"scene.json: {item['msg']}" for item in error.errors()]) from error
-    if info.format != SCENE_FORMAT:
+    if info.format not in _READABLE:
         remedy = "create it again with `factory scene build` or `factory scene import`"
         found = f"scene format {info.format}, this software reads {SCENE_FORMAT}; {remedy}"
         raise InvalidBundle("scene refused", [found])

@@ -17,8 +17,6 @@ from schemas.base import Model, NonNegative
 from schemas.referents import ids_in_view
 from schemas.scene import MAX_INSTANCES
 
-__all__ = ["IN_FRONT_RAD", "StartView", "start_view_findings"]
-
 IN_FRONT_RAD = math.radians(30)
 """Largest angle between the heading and the direction to a target that is "in front of you", radians."""
 

@@ -15,11 +15,20 @@ class Tier(StrEnum):
 
     NEAR = "near"  # 1.5-3.5 m, roughly facing the target
     MID = "mid"  # 3.5-7.0 m, roughly facing the target
-    FAR = "far"  # a surveyed floor point anywhere in the scene, any heading
+    FAR = "far"  # a surveyed floor point at least 5 m away along the floor, any heading
+
+
+class SuccessMeasure(StrEnum):
+    """Distance from base_link to the target by which a start has its tier and an episode succeeds."""
+
+    CENTROID = "centroid"  # planar distance to the target's centroid, as in the paper
+    SURFACE = "surface"  # planar distance to the target's footprint, as in ObjectNav (docs/design/task.md#distances)
 
 
 TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
-"""Spawn distance ranges in metres, planar, from the target's centroid; `far` has none."""
+"""Spawn distance ranges in metres, planar, by the success measure; `far` has a range along the floor."""
+FAR_FLOOR_M = (5.0, 11.0)
+"""Default range of the distance along the floor from a start in the far tier to the target, metres."""
 
 
 class Split(StrEnum):
@@ -53,21 +62,33 @@ class Recording(StrEnum):
     STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read
 
 
+class Screening(StrEnum):
+    """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
+
+    NONE = "none"  # any free pose of the tier, as published: drives may fail
+    FREE_LINE = "free_line"  # the straight line to the success circle is free
+    FORESEEN = "foreseen"  # the line is free, and the predicted drive touches nothing if such a start is found
+
+
 class EndReason(StrEnum):
     """Reason for the end of a rollout."""
 
     SUCCESS = "success"  # inside the success radius and stationary for the hold steps
     COLLISION = "collision"  # commanded forward, without progress, near an obstacle
     TIMEOUT = "timeout"  # the step limit was reached
+    CONTACT = "contact"  # more steps with a contact than `demonstration.max_contact_steps`
+    NOT_IN_VIEW = "not_in_view"  # a success whose last frame does not show the target, which the plan requires
 
 
 class FailReason(StrEnum):
-    """Reason why an attempt produced no episode; the first four count against the attempt budget."""
+    """Reason why an attempt produced no episode; the first six count against the attempt budget."""
 
     SPAWN = "spawn"  # no valid start pose was found
     COLLISION = "collision"  # the expert stalled at an obstacle
     TIMEOUT = "timeout"  # the expert did not arrive within the step limit
     NO_PATH = "no_path"  # the planner found no drivable path
+    CONTACT = "contact"  # the robot touched something in more steps than the plan allows
+    NOT_IN_VIEW = "not_in_view"  # the last frame does not show the target, which the plan requires
     INVALID = "invalid"  # the coordinator's validation rejected the bundle
     CRASH = "crash"  # the simulation process crashed
     HANG = "hang"  # the simulation process made no progress
@@ -76,7 +97,7 @@ class FailReason(StrEnum):
     @property
     def is_task_failure(self) -> bool:
         """Whether seed and scene caused the failure, so that a repetition of the attempt would fail again."""
-        return self in {FailReason.SPAWN, FailReason.COLLISION, FailReason.TIMEOUT, FailReason.NO_PATH}
+        return self not in {FailReason.INVALID, FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}
 
     @property
     def is_of_the_worker(self) -> bool:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from schemas.config import InstructionConfig
-from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
+from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.plan import Budget, Plan, ScenePlan
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
 
 __all__ = ["BUILTIN_PLANS", "is_paper_plan"]
+
+_BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 _DEMO = Plan(
     name="demo",
@@ -16,6 +18,7 @@ _DEMO = Plan(
     tiers={Tier.NEAR: 1.0},
     splits=dict.fromkeys((Split.TRAIN_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD, Split.TEST_OOD_OBJ), 0.25),
     balance="categories",
+    task=_BY_SURFACE,
 )
 """16 near episodes: four per scene, one of each split except val_id. It takes minutes on two cores and under 1 GB."""
 
@@ -27,43 +30,44 @@ _PAPER = Plan(
         ScenePlan(name="full_warehouse", episodes=354),
         ScenePlan(name="warehouse_multiple_shelves", episodes=68),
     ),
+    robot=RobotConfig(max_braking_mps2=7.0),
+    spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.5)),
 )
-"""1174 episodes with the paper's shares, seed and expert."""
+"""1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law."""
 
-_BALANCED_EPISODES = {
-    "office": (70, 30),
-    "hospital": (20, 30),
-    "full_warehouse": (15, 30),
-    "warehouse_multiple_shelves": (15, 30),
-}
-"""By scene: episodes of val_id, test_id and test_paraphrase_ood each, a sixth of train_id; and of test_ood_obj."""
+_AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
+"""Categories that hardly any start shows alone (docs/decisions/0138-exempt-shelves-and-racks-from-uniqueness.md)."""
 
 
 def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
-    numbers = {
-        Split.TRAIN_ID: 6 * seen,
-        Split.VAL_ID: seen,
-        Split.TEST_ID: seen,
-        Split.TEST_PARAPHRASE_OOD: seen,
-        Split.TEST_OOD_OBJ: held_out,
-    }
+    """Returns a scene with 9 x `seen` episodes of seen and `held_out` episodes of held-out categories."""
+    numbers = dict.fromkeys((Split.VAL_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD), seen)
+    numbers |= {Split.TRAIN_ID: 6 * seen, Split.TEST_OOD_OBJ: held_out}
     episodes = sum(numbers.values())
-    shares = {split: number / episodes for split, number in numbers.items()}
-    ambiguous = tuple(category for category in BUILTIN_CATEGORIES[name].seen if category == "rack")
-    return ScenePlan(name=name, episodes=episodes, splits=shares, ambiguous=ambiguous)
+    shares = {split: numbers[split] / episodes for split in Split}
+    return ScenePlan(name=name, episodes=episodes, splits=shares, ambiguous=_AMBIGUOUS.get(name, ()))
 
 
 _BALANCED = Plan(
     name="balanced",
-    scenes=tuple(_balanced_scene(name, *numbers) for name, numbers in _BALANCED_EPISODES.items()),
+    scenes=(
+        _balanced_scene("office", 70, 30),
+        _balanced_scene("hospital", 20, 30),
+        _balanced_scene("full_warehouse", 15, 30),
+        _balanced_scene("warehouse_multiple_shelves", 15, 30),
+    ),
     expert=ExpertName.PLANNER,
     balance="categories_overall",
     disjoint_instances=True,
     instructions=InstructionConfig(unique="view"),
+    budget=Budget(attempts_per_draw=3),
+    task=_BY_SURFACE,
+    demonstration=DemonstrationConfig(max_contact_steps=0, target_in_view=True),
 )
 """1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
-training and evaluation, instructions that fit one object. The numbers of the scenes are the evenest ones with which
-the office still names all its categories (docs/decisions/0136-*.md)."""
+training and evaluation, instructions that fit one object, no contact and the target in view on arrival. The numbers of
+the scenes permit equal shares and let each scene name all its categories
+(docs/decisions/0136-give-every-category-of-balanced-an-equal-share.md)."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
 

@@ -26,7 +26,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.referents import referents, referents_of
 from schemas.scene import SceneInfo
 from schemas.start_view import IN_FRONT_RAD, StartView
-from schemas.terms import Split, Tier
+from schemas.terms import Split, SuccessMeasure, Tier
 
 __all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]
 
@@ -97,7 +97,15 @@ def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
 
 def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
     scene, entry = cells.scene, cells.entry
-    present = {target.category for target in entry.info.targets}
+    success = cells.plan.task.success
+    if success is SuccessMeasure.SURFACE and not entry.info.has_footprints:
+        yield (
+            f"scenes[{number}] {scene.name}: its package is of an older version and has no footprints of targets, "
+            'which task.success = "surface" needs; create it again with `factory scene build` or `factory scene '
+            'import`, or set task.success = "centroid"'
+        )
+        return
+    present = {target.category for target in entry.info.targets if target.is_reachable(success)}
     named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
         yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
@@ -213,6 +221,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         planner=plan.planner,
         record=plan.record,
         start_view=_start_view(plan, entry.info, planned.episode),
+        demonstration=plan.demonstration,
     )
 
 

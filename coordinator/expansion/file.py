@@ -18,15 +18,19 @@ from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
 from schemas.support.foreign import PARSER_ERRORS, path_trouble
 from schemas.support.suggest import did_you_mean
-from schemas.terms import ExpertName, Recording
+from schemas.terms import ExpertName, Recording, SuccessMeasure
 
 __all__ = ["load_plan", "parse_plan", "scene_of", "shrink"]
 
 _MOST_BYTES = 4 << 20
 
 
-def load_plan(reference: str) -> Plan:
+def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) -> Plan:
     """Returns a built-in plan by its name, or reads a TOML file.
+
+    Args:
+        reference: name of a built-in plan, or path of a file.
+        success: success measure of a file without `task.success`; plan files of the first versions mean `centroid`.
 
     Raises:
         UsageError: neither a built-in plan nor a file has that name.
@@ -50,6 +54,9 @@ def load_plan(reference: str) -> Plan:
         what = "is not valid TOML" if path.suffix == ".toml" else "is not a plan; plans are TOML files"
         raise InvalidPlan(f"{path} {what}", [str(error)]) from error
     data.setdefault("name", _name_from(path))
+    task = data.setdefault("task", {})
+    if isinstance(task, dict):
+        task.setdefault("success", success)
     return parse_plan(data, str(path), base=path.parent)
 
 

@@ -15,7 +15,7 @@ from coordinator.expansion.catalog import SceneEntry
 from coordinator.expansion.cells import Cells
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName, Screening, Split, Tier
 
 __all__ = ["Side", "Sides", "shared_categories", "side_of", "sides_of", "startable_tiers"]
 
@@ -41,7 +41,8 @@ def side_of(split: Split) -> Side:
 
 def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
     """Returns the tiers from which the plan's expert can start for a target."""
-    return target.connected_tiers if plan.expert is ExpertName.PLANNER else target.straight_tiers
+    is_any_start = plan.expert is ExpertName.PLANNER or plan.spawn.screening is Screening.NONE
+    return target.tiers(plan.task.success, is_any_start)
 
 
 def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cells) -> Sides:

@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from coordinator.expansion.cells import Cell
 from coordinator.expansion.scene_cells import SceneCells
 
-__all__ = ["category_quotas", "level"]
-
 Shares = dict[int, Counter[str]]
 """Number of episodes by place and category; a place is one cell of one scene."""
 

@@ -100,7 +100,8 @@ def _with_categories(plan: Plan, scene: ScenePlan, present: Set[str]) -> ScenePl
     seen, held_out = (tuple(name for name in names if name in present) for names in scene.categories)
     part: ScenePlan | None = scene
     if (seen, held_out) != tuple(scene.categories):
-        part = scene.model_copy(update={"seen": seen, "held_out": held_out})
+        ambiguous = tuple(name for name in scene.ambiguous if name in present)
+        part = scene.model_copy(update={"seen": seen, "held_out": held_out, "ambiguous": ambiguous})
     names_seen = [split for split in Split if split is not Split.TEST_OOD_OBJ]
     for split in [*([] if seen else names_seen), *([] if held_out else [Split.TEST_OOD_OBJ])]:
         if part is not None and plan.splits_of(part).get(split, 0) > 0:

@@ -10,10 +10,11 @@ __all__ = ["plan_to_toml"]
 
 
 def plan_to_toml(plan: Plan) -> str:
-    """Returns the plan as TOML. Values that equal their default are omitted, except the shares."""
+    """Returns the plan as TOML. Values that equal their default are omitted, except shares and success measure."""
     shares = {"tiers", "splits"}
     data = plan.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=shares)
     scenes = data.pop("scenes")
+    data["task"] = {"success": str(plan.task.success), **data.pop("task", {})}
     data |= plan.model_dump(mode="json", include=shares)
     data["scenes"] = scenes
     return tomli_w.dumps(data)

@@ -40,8 +40,9 @@ class SceneCells:
 
     @property
     def present(self) -> frozenset[str]:
-        """Categories with a target that an instruction may name."""
-        return frozenset(target.category for target in self.wording.targets)
+        """Categories with a target that an instruction may name and that the robot can reach."""
+        success = self.plan.task.success
+        return frozenset(target.category for target in self.wording.targets if target.is_reachable(success))
 
     def pool(self, split: Split, tier: Tier) -> tuple[Target, ...]:
         """Returns the permitted targets of a cell: of the split's categories and side, startable by the expert,

@@ -8,8 +8,6 @@ from schemas.referents import referents
 from schemas.scene import SceneInfo, Target
 from schemas.terms import Split
 
-__all__ = ["Wording"]
-
 
 class Wording:
     """Words that the instructions of a plan may use in a scene.

@@ -9,7 +9,7 @@ from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from coordinator.tables.card_configs import configs_to_yaml, split_configs
 from schemas.dataset_meta import DatasetMeta
 from schemas.language import TEMPLATES
-from schemas.terms import Recording, Split, Tier
+from schemas.terms import Recording, Split, SuccessMeasure, Tier
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _SPLITS = {
@@ -47,7 +47,7 @@ size_categories:
 
 {episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
 instruction in English that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
-stops within {radius:g} m of it.
+stops within {radius:g} m of {goal}.
 
 ## How it was made
 With minivla-factory {version}, simulated in PyBullet and drawn by
@@ -69,7 +69,9 @@ Categories: {categories}.
 - `metadata.parquet`: one row an episode. `episode_id`, `split`, `scene`, `instruction`, `target_category`, `target_id`,
   `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`, `template_id`, then
   colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer, `geodesic_m`
-  (the shortest way along the floor to the success circle, the l of SPL), and `instance_side` (see Splits).
+  (the shortest way along the floor to the success region, the l of SPL), `spawn_surface_m` and `final_surface_m`
+  (distance to the target's footprint at the start and at the end; `spawn_dist_m` and `final_ne_m` are to its centroid),
+  `target_in_view` (at the end), and `instance_side` (see Splits).
 - `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: {frames}`actions_continuous.npy` (v in
   m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy` (exact x, y, z, qw, qx, qy, qz of base_link in the
   world), `meta.json`. Frame t is what the robot saw before action t.{rendered}
@@ -119,9 +121,10 @@ _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
+_GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
-    "The expert knows where its target is and drives straight: near and mid starts have a free straight line to it, "
-    "so nothing teaches to go around things."
+    "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
+    'screened by `spawn.screening = "{}"` of the plan.'
 )
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
@@ -149,6 +152,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         version=meta.software.get("minivla-factory", "(not installed)"),
         renderers=" and ".join(meta.renderers) or "no renderer yet",
         radius=meta.plan.task.success_radius_m,
+        goal=_GOALS[meta.plan.task.success],
         hz=meta.plan.task.control_hz,
         failed=meta.failed_attempts,
         scenes=_scene_table(aggregates),
@@ -158,7 +162,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         frames=_FRAMES if stores_frames else "",
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else "",
-        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT,
+        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
         templates=len(TEMPLATES),
     )
 

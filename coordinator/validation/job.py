@@ -49,6 +49,7 @@ def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
         "category": (job.category, target.category),
         "target_prim_path": (meta.target_prim_path, target.prim_path),
         "target_instance_id": (meta.target_instance_id, target.instance_id),
+        "target_footprint_m": (meta.target_footprint_m, target.footprint_m),
     }
     found = [f"{name} {ours!r}, the scene says {theirs!r}" for name, (ours, theirs) in pairs.items() if ours != theirs]
     off = math.dist(meta.target_centroid_m, target.centroid_m)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
-from schemas.measure import TrackMeasure, measure_track
+from schemas.errors import WorldError
+from schemas.measure import Goal, TrackMeasure, measure_track
 from schemas.terms import TIER_RANGE_M, EndReason
 from schemas.tokens import tokens_of
 
@@ -29,17 +30,18 @@ RADIUS_SLACK_M = 1e-5
 
 def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
     """Returns the differences between recorded and recomputed statistics and violations of the success criterion."""
-    track = measure_track(arrays.poses, meta.target_centroid_m)
+    track = measure_track(arrays.poses, meta.target_centroid_m, meta.target_footprint_m)
     return [
         *_statistics_findings(meta, track, len(arrays.poses)),
-        *_spawn_findings(meta, track),
-        *_success_findings(meta, arrays.poses),
+        *_surface_findings(meta, track),
+        *_goal_findings(meta, track, arrays.poses),
+        *_contact_findings(meta),
         *_token_findings(arrays),
     ]
 
 
 def visibility_findings(meta: EpisodeMeta, target_pixels: Sequence[int]) -> list[str]:
-    """Returns a finding if the recorded visibility differs from the id images.
+    """Returns the differences between the recorded visibility and the id images, and a missed requirement on it.
 
     Args:
         meta: metadata of the episode.
@@ -47,10 +49,29 @@ def visibility_findings(meta: EpisodeMeta, target_pixels: Sequence[int]) -> list
     """
     least = meta.job.gains.min_mask_px
     visible = sum(pixels >= least for pixels in target_pixels)
-    if visible == meta.rollout.steps_visible:
-        return []
-    found = f"{visible} frames show {least} or more pixels of the target"
-    return [f"steps_visible {meta.rollout.steps_visible}, but {found}"]
+    found = []
+    if visible != meta.rollout.steps_visible:
+        shown = f"{visible} frames show {least} or more pixels of the target"
+        found.append(f"steps_visible {meta.rollout.steps_visible}, but {shown}")
+    return [*found, *arrival_findings(meta, target_pixels[-1])]
+
+
+def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:
+    """Returns the differences between the recorded view of the target at the end, the plan and the last frame.
+
+    Args:
+        meta: metadata of the episode.
+        pixels: number of pixels of the target in the last frame.
+    """
+    least = meta.job.gains.min_mask_px
+    at_end = pixels >= least
+    found = []
+    if meta.rollout.target_in_view not in (at_end, None):
+        shown = f"the last frame shows {pixels} pixels of the target, visible is {least}"
+        found.append(f"target_in_view {meta.rollout.target_in_view}, but {shown}")
+    if meta.job.demonstration.target_in_view and not at_end:
+        found.append(f"the last frame shows {pixels} pixels of the target, the plan requires {least}")
+    return found
 
 
 def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) -> list[str]:
@@ -68,7 +89,32 @@ def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) ->
     return found
 
 
-def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
+def _surface_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
+    """Compares the distances to the footprint; episodes of older versions record none."""
+    found = []
+    for name in ("spawn_surface_m", "final_surface_m"):
+        said, measured = getattr(meta.rollout, name), getattr(track, name)
+        if said is None and measured is None:
+            continue
+        if said is None or measured is None or not abs(said - measured) <= DISTANCE_SLACK_M:
+            found.append(f"{name} {said}, the poses and the footprint give {measured}")
+    return found
+
+
+def _contact_findings(meta: EpisodeMeta) -> list[str]:
+    limit, steps = meta.job.demonstration.max_contact_steps, meta.rollout.collision_count
+    return [] if limit is None or steps <= limit else [f"collision_count {steps}, the plan allows {limit}"]
+
+
+def _goal_findings(meta: EpisodeMeta, track: TrackMeasure, poses: NDArray[np.float64]) -> list[str]:
+    try:
+        goal = Goal.of_episode(meta)
+    except WorldError as error:
+        return [str(error)]
+    return [*_spawn_findings(meta, track, goal), *_success_findings(meta, goal, poses)]
+
+
+def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[str]:
     off = math.dist(meta.rollout.spawn_pose[:2], track.spawn_pose[:2])
     turned = abs(math.remainder(meta.rollout.spawn_pose[2] - track.spawn_pose[2], 2 * math.pi))
     found = []
@@ -78,12 +124,13 @@ def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
         found.append(f"spawn_draws {meta.rollout.spawn_draws}, the job allows {meta.job.spawn.physics_draws}")
     low, high = TIER_RANGE_M.get(meta.job.tier, (0.0, math.inf))
     slack = meta.job.spawn.max_displacement_m  # the warm-up may move the robot this far from the sampled pose
-    if not low - slack <= track.spawn_dist_m <= high + slack:
-        found.append(f"spawn distance {track.spawn_dist_m:.3f} m is outside tier {meta.job.tier} ({low:g}-{high:g} m)")
+    distance = goal.distance(*track.spawn_pose[:2])
+    if not low - slack <= distance <= high + slack:
+        found.append(f"spawn distance {distance:.3f} m is outside tier {meta.job.tier} ({low:g}-{high:g} m)")
     return found
 
 
-def _success_findings(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[str]:
+def _success_findings(meta: EpisodeMeta, goal: Goal, poses: NDArray[np.float64]) -> list[str]:
     task = meta.job.task
     if meta.rollout.end_reason is not EndReason.SUCCESS:
         return [f"end_reason is {meta.rollout.end_reason}; only successes are archived"]
@@ -91,7 +138,7 @@ def _success_findings(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[str
         return [f"{len(poses)} frames are too few for a success, which needs {task.hold_steps} stationary steps"]
     found = []
     hold = poses[-task.hold_steps - 1 :, :2]  # one more pose, because a speed needs two
-    farthest = float(np.linalg.norm(hold[1:] - np.asarray(meta.target_centroid_m[:2]), axis=1).max())
+    farthest = float(goal.distances(hold[1:]).max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
         found.append(f"no success: {farthest:.4f} m from the target in the hold, radius {task.success_radius_m:g} m")
     speed = float(np.linalg.norm(np.diff(hold, axis=0), axis=1).max()) * task.control_hz

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
-from schemas.measure import measure_track
+from schemas.errors import WorldError
+from schemas.measure import Goal
 from schemas.terms import ExpertName
 
 __all__ = ["route_findings"]
 
 GEODESIC_SLACK_M = 0.05
-"""Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell and not on the circle."""
+"""Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell and not on the edge."""
 START_SLACK_M = 1e-4
 """Tolerance between the path's first pose and pose 0, which is float32 in format 1, metres."""
 STRIDE_M = 0.2 + 1e-6
@@ -23,18 +24,22 @@ STRIDE_M = 0.2 + 1e-6
 
 def route_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
     """Returns the contradictions between the recorded route, the poses and the target."""
-    return [*_geodesic_findings(meta, arrays), *_path_findings(meta, arrays)]
+    try:
+        goal = Goal.of_episode(meta)
+    except WorldError:
+        return []  # `rollout_findings` reports it
+    return [*_geodesic_findings(meta, arrays, goal), *_path_findings(meta, arrays, goal)]
 
 
-def _geodesic_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> Iterator[str]:
+def _geodesic_findings(meta: EpisodeMeta, arrays: EpisodeArrays, goal: Goal) -> Iterator[str]:
     geodesic = meta.route.geodesic_m
-    least = measure_track(arrays.poses, meta.target_centroid_m).spawn_dist_m - meta.job.task.success_radius_m
+    least = goal.distance(*arrays.poses[0, :2].tolist()) - goal.radius_m
     if geodesic is not None and geodesic < least - GEODESIC_SLACK_M:
-        yield f"geodesic_m {geodesic:.3f}, but the success circle is {least:.3f} m away in a straight line"
+        yield f"geodesic_m {geodesic:.3f}, but the success region is {least:.3f} m away in a straight line"
 
 
-def _path_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> Iterator[str]:
-    path, radius = meta.route.planned, meta.job.task.success_radius_m
+def _path_findings(meta: EpisodeMeta, arrays: EpisodeArrays, goal: Goal) -> Iterator[str]:
+    path = meta.route.planned
     has_planner = meta.job.expert is ExpertName.PLANNER
     if bool(path) != has_planner:
         yield f"a path of {len(path)} poses in an episode of the {meta.job.expert} expert"
@@ -46,6 +51,6 @@ def _path_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> Iterator[str]:
     stride = max((math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(path)), default=0.0)
     if not stride <= STRIDE_M:
         yield f"the path has a step of {stride:.3f} m, limit {STRIDE_M:.1f} m"
-    left = math.dist(path[-1][:2], meta.target_centroid_m[:2])
-    if not left <= radius:
-        yield f"the path ends {left:.3f} m from the target, success radius {radius:g} m"
+    left = goal.distance(*path[-1][:2])
+    if not left <= goal.radius_m:
+        yield f"the path ends {left:.3f} m from the target, success radius {goal.radius_m:g} m"

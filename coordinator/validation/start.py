@@ -12,8 +12,6 @@ from schemas.episode import EpisodeMeta
 from schemas.measure import yaw_of
 from schemas.start_view import start_view_findings
 
-__all__ = ["start_findings"]
-
 BEARING_SLACK_RAD = 1e-5
 """Tolerance between directions of float64 and float32 poses, radians."""
 

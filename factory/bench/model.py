@@ -10,6 +10,7 @@ from statistics import median
 from typing import Self
 
 from schemas.base import Model
+from schemas.terms import Screening
 
 
 class Spread(Model):
@@ -128,6 +129,7 @@ class RolloutBench(Model):
     machine: Machine
     renderer: str
     plan: str
+    screening: Screening
     repeats: int
     scenes: dict[str, SceneRollout]
 

@@ -36,6 +36,9 @@ _FILTERS = {
     "episode": "episode_id",
 }
 _COLUMNS = list(EpisodeSummary.model_fields)
+_LATER = pa.schema(
+    [("spawn_surface_m", pa.float64()), ("final_surface_m", pa.float64()), ("target_in_view", pa.bool_())]
+)
 
 
 class Dataset:
@@ -127,7 +130,7 @@ def _as_strings(values: str | Iterable[str]) -> pa.Array:
 
 def _read_table(path: Place) -> pa.Table:
     try:
-        return read_table(path, _COLUMNS)
+        return read_table(path, _COLUMNS, _LATER)
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{path} is missing: resume the run to rewrite it") from error
     except (pa.ArrowException, *PARSER_ERRORS) as error:

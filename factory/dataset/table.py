@@ -19,8 +19,10 @@ _TICKS_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _MIN, _MAX = -(2**63), 2**63 - 1
 
 
-def read_table(path: Place, columns: Sequence[str]) -> pa.Table:
+def read_table(path: Place, columns: Sequence[str], later: pa.Schema | None = None) -> pa.Table:
     """Returns the named columns of a table; other columns, which a later version added, are ignored.
+
+    Columns of `later`, which versions of this software added after the first, are null where the table lacks them.
 
     Timestamps that `datetime` cannot represent become null, so that a row with one is invalid instead of unreadable.
 
@@ -30,6 +32,9 @@ def read_table(path: Place, columns: Sequence[str]) -> pa.Table:
     """
     table = pq.read_table(table_of(path))
     table.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
+    for field in later or ():
+        if field.name not in table.column_names:
+            table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     table = table.select(list(columns))
     for position, field in enumerate(table.schema):
         if pa.types.is_timestamp(field.type):

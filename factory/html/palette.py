@@ -42,6 +42,8 @@ COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "timeout": ("#d79b1d", "#eebb4e"),
         "spawn": ("#8b6fb0", "#b59add"),
         "no_path": ("#5f8f3f", "#93c46f"),
+        "contact": ("#4f6d8f", "#84a5cb"),
+        "not_in_view": ("#7d5a45", "#b08c74"),
         "other": ("#858f9c", "#8b96a5"),
     }
 )
@@ -64,6 +66,8 @@ REASON_COLOURS = MappingProxyType(
         FailReason.TIMEOUT: "timeout",
         FailReason.SPAWN: "spawn",
         FailReason.NO_PATH: "no_path",
+        FailReason.CONTACT: "contact",
+        FailReason.NOT_IN_VIEW: "not_in_view",
     }
 )
 DASHES = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))

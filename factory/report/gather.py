@@ -13,6 +13,7 @@ from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.floor_map import map_of
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
+from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from factory.stats.views import read_view
 from schemas.dataset import EpisodeSummary, file_name_of
@@ -60,7 +61,8 @@ def gather(
             _read_drive(root, row, row.episode_id in shown, infos, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
-    return ReportInput(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
+    episodes = by_measure(rows.episodes, rows.meta.plan.task.success)
+    return ReportInput(rows.meta, statistics, episodes, rows.failures, drives, maps)
 
 
 def _read_drive(

@@ -58,5 +58,8 @@ def describe_target(target: Target) -> dict[str, Any]:
         "size_m": list(target.size_m),
         "straight_tiers": [str(tier) for tier in target.straight_tiers],
         "connected_tiers": [str(tier) for tier in target.connected_tiers],
+        "footprint_m": [list(vertex) for vertex in target.footprint_m],
+        "surface_straight_tiers": [str(tier) for tier in target.surface_straight_tiers],
+        "surface_connected_tiers": [str(tier) for tier in target.surface_connected_tiers],
         "prim_path": target.prim_path,
     }

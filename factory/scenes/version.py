@@ -2,5 +2,5 @@
 
 __all__ = ["COMPILER_VERSION"]
 
-COMPILER_VERSION = 10
+COMPILER_VERSION = 11
 """Incremented when the same stage compiles to different bytes."""

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from coordinator.expansion.builtin import is_paper_plan
 from factory.stats import attempts, counts, rollouts
 from factory.stats.model import Statistics
 from factory.stats.rows import Rows, read_rows
 from schemas.storage.place import Place
+from schemas.terms import SuccessMeasure
 
 __all__ = ["compute_statistics", "measure_dataset"]
 
 _LARGEST = 3
+_OTHER = MappingProxyType(
+    {
+        SuccessMeasure.CENTROID: SuccessMeasure.SURFACE,
+        SuccessMeasure.SURFACE: SuccessMeasure.CENTROID,
+    }
+)
 _WITH_PAPER = ("scenes", "splits", "tiers", "categories", "templates", "attempts", "navigation_error")
 """Tables whose rows can hold values of the paper."""
 
@@ -45,7 +54,10 @@ def _without_paper(found: Statistics) -> Statistics:
 
 
 def _all_tables(name: str, rows: Rows) -> Statistics:
-    plan, episodes, failures = rows.meta.plan, rows.episodes, rows.failures
+    plan, failures = rows.meta.plan, rows.failures
+    success, other = plan.task.success, _OTHER[plan.task.success]
+    episodes = rollouts.by_measure(rows.episodes, success)
+    episodes_by_other = rollouts.by_measure(rows.episodes, other)
     scenes = [scene.name for scene in plan.scenes]
     radius_m = plan.task.success_radius_m
     categories = counts.count_categories(episodes, plan)
@@ -56,6 +68,7 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
         episodes=len(episodes),
         planned=rows.meta.planned,
         complete=rows.meta.complete,
+        success=success,
         success_radius_m=radius_m,
         remarks=tuple(rows.remarks),
         scenes=rollouts.by_scene(episodes, scenes),
@@ -68,6 +81,7 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
         attempts=None if failures is None else attempts.attempt_rows(episodes, failures, scenes),
         cells=attempts.cell_rows(episodes, failures, plan),
         navigation_error=rollouts.navigation_errors(episodes, scenes, radius_m),
+        other_error=rollouts.navigation_errors(episodes_by_other, scenes, radius_m) if episodes_by_other else (),
         correlation=rollouts.correlations(episodes, scenes),
         overlap=counts.overlaps(episodes, plan),
         far=rollouts.far_starts(episodes, scenes, radius_m),

@@ -19,7 +19,7 @@ from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Rem
 from factory.stats.rollouts import ALL
 from schemas.config import CameraConfig
 from schemas.dataset import EpisodeSummary
-from schemas.language import TEMPLATES, says_in_front
+from schemas.language import says_in_front
 from schemas.referents import ids_in_view
 from schemas.start_view import IN_FRONT_RAD
 
@@ -125,7 +125,7 @@ def summarise_language(
 
 
 def _row(group: str, views: Sequence[EpisodeView]) -> LanguageRow:
-    in_front = [view for view in views if view.row.template_id in TEMPLATES and says_in_front(view.row.template_id)]
+    in_front = [view for view in views if says_in_front(view.row.template_id)]
     return LanguageRow(
         group=group,
         n=len(views),

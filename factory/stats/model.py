@@ -10,6 +10,7 @@ from typing import Annotated
 from pydantic import Field
 
 from schemas.base import Fraction, Model, NonNegative
+from schemas.terms import SuccessMeasure
 
 __all__ = [
     "ArrivalRow",
@@ -216,6 +217,8 @@ class Statistics(Model):
     """Number of episodes that the tables are computed from."""
     planned: Count
     complete: bool
+    success: SuccessMeasure = SuccessMeasure.CENTROID
+    """Measure of start distances and navigation errors, except `other_error`."""
     success_radius_m: float
     beside_paper: bool = True
     """Whether the rows include values of the paper."""
@@ -232,6 +235,8 @@ class Statistics(Model):
     """Rows by scene, by tier, and by scene and tier; `None` when the table of attempts is unreadable."""
     cells: tuple[CellRow, ...]
     navigation_error: tuple[ErrorRow, ...]
+    other_error: tuple[ErrorRow, ...] = ()
+    """Navigation errors by the other success measure; empty if no episode records it."""
     correlation: tuple[Fit, ...]
     overlap: tuple[OverlapRow, ...]
     far: tuple[FarRow, ...] = ()

@@ -11,9 +11,7 @@ from factory.stats import paper
 from factory.stats.measures import deviation_of, fit_line, interval_of, mean_of, median_of, quantiles_of, share_of
 from factory.stats.model import ErrorRow, FarRow, Fit, Published, RolloutRow
 from schemas.dataset import EpisodeSummary
-from schemas.terms import Split, Tier
-
-__all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "far_starts", "navigation_errors"]
+from schemas.terms import Split, SuccessMeasure, Tier
 
 ALL = "all"
 """Name of the group of all episodes."""
@@ -22,6 +20,20 @@ _FAR_M = 5.0
 """Smallest distance along the floor of a far start from the target's centroid, metres."""
 _STRAIGHT_M = 0.001
 """Largest difference between the geodesic and the straight distance on a free line, metres; poses are float32."""
+
+
+def by_measure(episodes: Episodes, success: SuccessMeasure) -> list[EpisodeSummary]:
+    """Returns the episodes with `spawn_dist_m` and `final_ne_m` by a success measure.
+
+    Omits episodes that do not record the measure: those in scenes of older versions have no distance to the footprint.
+    """
+    if success is SuccessMeasure.CENTROID:
+        return list(episodes)
+    return [
+        row.model_copy(update={"spawn_dist_m": row.spawn_surface_m, "final_ne_m": row.final_surface_m})
+        for row in episodes
+        if row.spawn_surface_m is not None and row.final_surface_m is not None
+    ]
 
 
 def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:

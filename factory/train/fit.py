@@ -1,4 +1,4 @@
-"""Training loop: schedules, epochs over a cache, validation, and the state from which it resumes. Accesses no files.
+"""Training loop: epochs over a cache, validation, and the state from which a training resumes. Accesses no files.
 
 The random numbers of an epoch depend on (seed, epoch) only, so that a training that was interrupted after an epoch and
 resumed produces the same weights, bit for bit, on the same device with the same number of threads.
@@ -7,7 +7,6 @@ resumed produces the same weights, bit for bit, on the same device with the same
 from __future__ import annotations
 
 import copy
-import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -25,36 +24,16 @@ from factory.train.network import BcNetwork, NetworkOutput
 from factory.train.options import BcOptions
 from factory.train.preprocess import Batch, augment
 from factory.train.report import EpochMeasures
+from factory.train.schedule import ema_decay, learning_rate
 from factory.train.vocabulary import encode
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 
-_FINAL_SHARE = 0.02
 _STOP_CELL = 3
 """Index of the grid cell with v = 0 and w = 0: tokens 0 and 3."""
 _WARMUP_SHARE = 0.05
 _MOST_NORM = 1.0
 LossCallback = Callable[[int, int, float], None]
 _MEASURES = ("val_loss", "val_v_mps", "val_w_rps", "stop_precision", "stop_recall", "pointing")
-
-
-def learning_rate(step: int, steps: int, peak: float, warmup: int) -> float:
-    """Returns the learning rate of a step.
-
-    Args:
-        step: Step, from 0 to `steps` - 1.
-        steps: Number of steps of the training.
-        peak: Maximum learning rate.
-        warmup: Number of warm-up steps.
-    """
-    if step < warmup:
-        return peak * (step + 1) / warmup
-    share = min(1.0, (step - warmup) / max(1, steps - warmup))
-    return peak * (_FINAL_SHARE + (1 - _FINAL_SHARE) * 0.5 * (1 + math.cos(math.pi * share)))
-
-
-def ema_decay(step: int, limit: float) -> float:
-    """Returns the decay of the moving average of the weights at a step; small at first, when the average is noise."""
-    return min(limit, (1 + step) / (10 + step))
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from factory.visualize.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 from schemas.storage.disk import replacing
 from schemas.support.extras import require_package
+from schemas.terms import SuccessMeasure
 
 _TILE_PX = 320
 _CAPTION_PX = 56
@@ -129,11 +131,12 @@ def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:
 
 
 def facts_of_step(episode: BundleReader, t: int) -> str:
-    """Returns the caption of a step: episode, time, command, planar distance to the target."""
+    """Returns the caption of a step: episode, time, command, distance to the target by the success measure."""
     meta, job = episode.meta, episode.meta.job
     speed, turn = episode.arrays.actions_continuous[t]
-    distance = float(np.linalg.norm(episode.arrays.poses[t, :2] - np.array(meta.target_centroid_m[:2])))
+    distance = Goal.of_episode(meta).distance(*episode.arrays.poses[t, :2].tolist())
+    part = "footprint" if job.task.success is SuccessMeasure.SURFACE else "centre"
     return (
         f"{meta.episode_id}  {job.scene}  {job.tier}  {job.target_id}   t {t / job.task.control_hz:5.2f} s   "
-        f"v {speed:4.2f} m/s   w {turn:+5.2f} rad/s   {distance:4.2f} m from the target's centre"
+        f"v {speed:4.2f} m/s   w {turn:+5.2f} rad/s   {distance:4.2f} m from the target's {part}"
     )

@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from schemas.bundle import BundleReader
+from schemas.episode import Rollout
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 
 DEPTH_SHOWN_M = 10.0
@@ -49,6 +51,13 @@ def show_ids(ids: NDArray[np.uint16], target: int) -> Rgb:
     return colours
 
 
+def describe_error(rollout: Rollout) -> str:
+    """Returns the navigation error by both measures, if the episode records both."""
+    if rollout.final_surface_m is None:
+        return f"NE {rollout.final_ne_m:.3f} m"
+    return f"NE {rollout.final_ne_m:.3f} m to the centre, {rollout.final_surface_m:.3f} m to the footprint"
+
+
 class TrackMap:
     """Part of the scene's floor plan, +y up, on which the track of an episode is drawn.
 
@@ -66,10 +75,10 @@ class TrackMap:
         span_m = max(float(np.ptp(points, axis=0).max()) + _RIM_M, _LEAST_SPAN_M)
         self._size, self._scale = size, size / span_m
         self._floor = _window(scene, self._centre, span_m, size)
-        self._radius_m = episode.meta.job.task.success_radius_m
+        self._outline = Goal.of_episode(episode.meta).outline()
 
     def draw(self, steps: int) -> Image.Image:
-        """Returns the map with the first `steps` poses of the track, the start, the goal and its success circle."""
+        """Returns the map with the first `steps` poses of the track, the start, the goal and its success region."""
         picture = self._floor.copy()
         pen = ImageDraw.Draw(picture)
         track = [self._pixel(point) for point in self._track[: max(1, steps)]]
@@ -77,8 +86,8 @@ class TrackMap:
         if len(track) > 1:
             pen.line(track, fill=_TRACK, width=width)
         gx, gy = self._pixel(self._goal)
-        radius, dot = self._radius_m * self._scale, max(4.0, self._size / 120)
-        pen.ellipse((gx - radius, gy - radius, gx + radius, gy + radius), outline=_TARGET, width=width)
+        dot = max(4.0, self._size / 120)
+        pen.line([self._pixel(point) for point in self._outline], fill=_TARGET, width=width)
         for (x, y), colour in (((gx, gy), _TARGET), (track[0], _START), (track[-1], _TRACK)):
             pen.ellipse((x - dot, y - dot, x + dot, y + dot), fill=colour)
         return picture
@@ -132,7 +141,7 @@ def _write_head(sheet: Image.Image, episode: BundleReader) -> None:
     words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {job.instruction}"
     facts = (
         f"{job.target_id} ({job.colour})  attempt {job.attempt}  {rollout.num_steps} steps  "
-        f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  NE {rollout.final_ne_m:.3f} m"
+        f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  {describe_error(rollout)}"
     )
     _write_line(sheet, 0.28, words, _WORDS_SHARE)
     _write_line(sheet, 0.72, facts, _FACTS_SHARE)

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.visualize.panels import DEPTH_SHOWN_M, show_ids
+from factory.visualize.panels import DEPTH_SHOWN_M, describe_error, show_ids
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import WorldError
+from schemas.measure import Goal
 from schemas.scene import CompiledScene
 from schemas.storage.disk import replacing
 from schemas.support.extras import missing_package
@@ -210,8 +211,7 @@ def _log_motion(rerun: ModuleType, log: Any, episode: Episode, t: int) -> None:
     v, w = (float(value) for value in episode.actions[t])
     log.log("action/v_mps", rerun.Scalars(v))
     log.log("action/w_rps", rerun.Scalars(w))
-    goal_x, goal_y, _ = episode.meta.target_centroid_m
-    log.log("distance/planar_m", rerun.Scalars(math.hypot(goal_x - x, goal_y - y)))
+    log.log("distance/planar_m", rerun.Scalars(Goal.of_episode(episode.meta).distance(x, y)))
 
 
 def _log_frame(rerun: ModuleType, log: Any, episode: Episode, t: int) -> None:
@@ -232,5 +232,5 @@ def _describe_episode(episode: Episode) -> str:
     return (
         f"# {job.instruction}\n\n{job.episode_id}, {job.scene}, {job.split}, {job.tier}, target {job.target_id} "
         f"({job.colour}), template {job.template_id}, expert {job.expert}\n\n{rollout.num_steps} steps, start "
-        f"{rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, NE {rollout.final_ne_m:.3f} m"
+        f"{rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, {describe_error(rollout)}"
     )

@@ -18,8 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from factory.cli.verbs import VERBS
-
+from factory.cli.main import VERBS
 from tests.builders.fork_server import ForkServer
 
 TINY_PLAN = """
@@ -44,6 +43,8 @@ IMPORTED = (
     *("factory.verify.episode", "av", "trimesh"),
 )
 """Modules that the commands import."""
+_HANGS_S = 800.0
+"""Time after which a command counts as hung, seconds; it is killed."""
 
 
 def start_server() -> ForkServer:
@@ -78,19 +79,27 @@ class FactoryCli:
     def fresh(self, *words: object) -> None:
         """Runs a command in a new interpreter; fails unless it succeeds."""
         process = self.start(*words)
-        _, err = process.communicate(timeout=240)
+        try:
+            _, err = process.communicate(timeout=_HANGS_S)
+        finally:
+            if process.poll() is None:
+                kill_group(process)
         assert process.returncode == 0, f"factory {words}: exit {process.returncode}\n{err}"
 
-    def run(self, *words: object, timeout_s: float = 240) -> subprocess.CompletedProcess[str]:
+    def run(self, *words: object) -> subprocess.CompletedProcess[str]:
         """Runs a command in a forked process, whatever its exit status."""
         args = [*map(str, words)]
         with tempfile.TemporaryDirectory() as folder:
             out, err = Path(folder, "out"), Path(folder, "err")
-            status = self._server.start("factory.__main__", args, self._environment, out, err).wait(timeout_s)
+            child = self._server.start("factory.__main__", args, self._environment, out, err)
+            try:
+                status = child.wait(_HANGS_S)
+            finally:
+                child.kill()
             return subprocess.CompletedProcess(args, status, out.read_text(), err.read_text())
 
-    def __call__(self, *words: object, expect: int = 0, timeout_s: float = 240) -> subprocess.CompletedProcess[str]:
-        done = self.run(*words, timeout_s=timeout_s)
+    def __call__(self, *words: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+        done = self.run(*words)
         assert done.returncode == expect, f"factory {words}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
         return done
 

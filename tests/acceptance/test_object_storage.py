@@ -14,7 +14,7 @@ def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(server, plan,
     url = f"s3://{object_store.new_bucket()}/tiny"
     small = ("--scene", "hospital", "--episodes", 1)
     try:
-        made = json.loads(factory("run", plan, "--out", url, "--workers", 1, *small, "--json", timeout_s=600).stdout)
+        made = json.loads(factory("run", plan, "--out", url, "--workers", 1, *small, "--json").stdout)
         assert (made["dataset"], made["episodes"], made["failed"]) == (url, 1, 0)
         resumed = factory.json("run", "--out", url, "--workers", 1)
         assert resumed["digest"] == made["digest"]

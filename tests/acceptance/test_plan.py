@@ -97,3 +97,31 @@ def test_a_custom_scene_is_compiled_once_and_then_checked_against_the_plan(facto
     assert after.stderr == ""
     told = factory.json("plan", "show", plan)
     assert (len(told["mistakes"]), told["not_built"]) == (1, [])
+
+
+def test_a_plan_is_shown_with_its_categories_templates_and_expected_ambiguity(factory, tmp_path):
+    text = StageText()
+    bin_body = text.box("Body", (-2.2, -1.2, 0.0), (-1.8, -0.8, 0.5), (0.01, 0.01, 0.6))
+    second = text.group("SM_TrashCan_02", bin_body.replace("Body", "Second"), at=(0.0, 2.0, 0.0))
+    bins = text.group("SM_TrashCan_01", bin_body) + second
+    text.write(tmp_path / "room.usda", room_body(text, bins))
+    plan = tmp_path / "mine.toml"
+    plan.write_text(
+        'balance = "categories_overall"\n[instructions]\nunique = "view"\n[tiers]\nnear = 1.0\n[splits]\n'
+        'train_id = 1.0\n[[scenes]]\nname = "den"\nusd = "room.usda"\nseen = ["chair", "trash_can"]\nepisodes = 40\n'
+    )
+    factory("plan", "nearest", plan)
+    shown = factory("plan", "show", plan).stdout
+    assert "share of the three most frequent categories: 100.0%" in shown
+    assert "expected ambiguity: 50.0% of the instructions fit several objects of the scene" in shown
+    assert "50.0% get a start that shows only the target, 0.0% do not" in shown
+    content = factory.json("plan", "show", plan)["content"]
+    assert {row["category"]: (row["episodes"], row["share"]) for row in content["categories"]} == {
+        "chair": (20, 0.5),
+        "trash_can": (20, 0.5),
+    }
+    assert sum(row["episodes"] for row in content["templates"]) == 40
+    assert (content["ambiguous_share"], content["shown_alone_share"]) == (0.5, 0.5)
+    plan.write_text(plan.read_text().replace('"view"', '"scene"'))
+    refused = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
+    assert "no instruction fits only one trash_can; unique there: chair, red chair;" in refused

@@ -58,6 +58,18 @@ def test_an_imported_scene_is_found_by_name(factory, tmp_path):
     assert f"den was imported 2 times; the last import is used: {last}" in again.stderr
 
 
+def test_a_ceiling_of_the_import_is_part_of_its_plan(factory, tmp_path):
+    stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
+    made = factory("scene", "import", stage, "--name", "loft", "--ceiling", "2.8")
+    plan = tmp_path / "loft.toml"
+    plan.write_text(made.stdout[made.stdout.index('name = "loft"') :])
+    assert "ceiling_m = 2.8" in plan.read_text()
+    assert factory.json("plan", "nearest", plan)["possible"]
+    facts = factory.json("scene", "inspect", "loft")
+    assert "/AddedCeiling" in [thing["prim_path"] for thing in facts["no_target"]]
+    assert "1.0<=x<=100.0" in factory("scene", "import", stage, "--ceiling", "0.5", expect=2).stderr
+
+
 def test_a_package_in_another_folder_is_found_by_path(factory, tmp_path):
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
     made = factory.json("scene", "import", stage, "--name", "attic", "--cache", tmp_path / "a b")

@@ -102,7 +102,7 @@ class BundleParts:
 
     def measured(self) -> BundleParts:
         """Returns the parts with rollout statistics computed from the poses."""
-        track = measure_track(self.arrays.poses, self.meta.target_centroid_m)
+        track = measure_track(self.arrays.poses, self.meta.target_centroid_m, self.meta.target_footprint_m)
         return self.with_rollout(**track._asdict(), num_steps=len(self.arrays.poses))
 
     def write(self) -> bytes:

@@ -26,6 +26,9 @@ def make_target(
         colour=colour,
         straight_tiers=tuple(tiers),
         connected_tiers=tuple(tiers),
+        footprint_m=((0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.5)),
+        surface_straight_tiers=tuple(tiers),
+        surface_connected_tiers=tuple(tiers),
     )
 
 

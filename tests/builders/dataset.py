@@ -60,12 +60,13 @@ def make_dataset(
     with_split_tables: bool = True,
     package: bytes | None = None,
     change: Callable[[BundleParts], BundleParts] = lambda parts: parts,
+    plan: Plan | None = None,
 ) -> Plan:
     """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned.
 
-    `package` replaces the scene, and `change` the content of each episode.
+    `package` replaces the scene, `change` the content of each episode, and `plan` the plan.
     """
-    plan = small_plan(planned or episodes)
+    plan = plan or small_plan(planned or episodes)
     package = package or office_package()
     sha256 = hashlib.sha256(package).hexdigest()
     source = root.with_name(f"{root.name}.scene")

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from schemas.config import CameraConfig
+from schemas.config import CameraConfig, TaskConfig
 from schemas.measure import measure_track
 from schemas.support.portable import product
 from tests.builders.evaluation import room_job, room_package
@@ -49,7 +49,7 @@ def _computed(place: LoadedScene, target_id: str) -> dict[str, str]:
     return {
         "measures": _digest(str([measure_track(track, (0.3, 0.1, 0.7)) for track in tracks])),
         "views": _digest(str(np.array(views).tolist())),
-        "ways": _digest(str([geodesic_m(place.grid, xy, target, 1.0) for xy in starts])),
+        "ways": _digest(str([geodesic_m(place.grid, xy, target, TaskConfig()) for xy in starts])),
         "looks": _digest(str([look(x, y, yaw) for (x, y), yaw in zip(starts, rng.uniform(-3, 3, _MANY), strict=True)])),
     }
 

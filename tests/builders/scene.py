@@ -197,6 +197,9 @@ def _target(index: int, box: Box, grid: _Grid, spawns: NDArray[np.float32]) -> t
         size_m=tuple((high - low).tolist()),
         straight_tiers=_tiers(distances[sees > 0]),
         connected_tiers=_tiers(distances),
+        footprint_m=(tuple(low[:2]), (high[0], low[1]), tuple(high[:2]), (low[0], high[1])),
+        surface_straight_tiers=_tiers(distances[sees > 0]),
+        surface_connected_tiers=_tiers(distances),
     )
     return target, sees
 

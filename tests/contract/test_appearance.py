@@ -9,6 +9,7 @@ import pytest
 
 from schemas.config import CameraConfig
 from schemas.job import Job
+from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene
 from workers.experts.sight import see
@@ -56,7 +57,8 @@ def test_a_long_target_seen_at_an_angle_is_approached_at_its_near_end() -> None:
     job: Job = job_for()
     box = Box((3.0, -2.0, 0.0), (3.5, 2.0, 2.0), category="rack")
     start, goal = (0.0, -3.0, math.atan2(3.0, 3.25)), (3.25, 0.0)
-    straight = predict_path(start, goal, job)
-    drawn_to = predict_path(start, goal, job, Appearance(build_scene([box]), 1, CAMERA))
+    region = Goal(goal, job.task.success_radius_m)
+    straight = predict_path(start, region, job)
+    drawn_to = predict_path(start, region, job, Appearance(build_scene([box]), 1, CAMERA))
     assert straight[-1, 1] == pytest.approx(goal[1] - 3.0 / math.hypot(3.25, 3.0) * job.task.success_radius_m, abs=0.05)
     assert drawn_to[-1, 1] < straight[-1, 1] - 0.1

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from coordinator.validation.motion import motion_findings
-from schemas.config import CameraConfig, PlannerConfig, TaskConfig
+from schemas.config import CameraConfig, DemonstrationConfig, PlannerConfig, TaskConfig
 from schemas.job import Job
+from schemas.measure import footprint_distances, yaw_of
 from schemas.scene import CompiledScene
-from schemas.terms import EndReason, ExpertName, Tier
+from schemas.terms import EndReason, ExpertName, SuccessMeasure, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room
 from workers.experts import make_expert
@@ -59,13 +60,15 @@ def planner_job(scene: CompiledScene, tier: Tier = Tier.FAR, **changes: object) 
     return job_for(**values | changes)
 
 
-def drive_from(scene: CompiledScene, start: tuple[float, float, float]) -> Drive:
-    job = planner_job(scene)
+def drive_from(
+    scene: CompiledScene, start: tuple[float, float, float], known: Grid | None = None, **changes: object
+) -> Drive:
+    job = planner_job(scene, **changes)
     target = scene.info.target(job.target_id)
     with World(scene, ColliderMesh.from_scene(scene), job.robot, job.task.control_hz) as world:
         world.place(*start)
         expert = make_expert(job)
-        assert expert.begin(world.pose(), Grid.from_scene(scene), target)
+        assert expert.begin(world.pose(), known or Grid.from_scene(scene), target)
         return drive(job, target, world, EmptyRenderer(), expert, lambda _frame: None, lambda _step: None)
 
 
@@ -103,8 +106,40 @@ def test_far_starts_of_the_planner_may_be_behind_walls_within_the_distance_limit
     for attempt in range(1, 30):
         job = planner_job(scene, attempt=attempt, planner=PlannerConfig(max_path_m=4.5))
         starts += list(draw_poses(job, target, place, job.rng()))
-    ways = [geodesic_m(place.grid, (start.x, start.y), target, 1.0) for start in starts]
+    ways = [geodesic_m(place.grid, (start.x, start.y), target, TaskConfig()) for start in starts]
     assert starts
     assert max(way for way in ways if way is not None) <= 4.6
     assert None not in ways
     assert any(not place.grid.has_sight((start.x, start.y), target) for start in starts)
+
+
+def test_a_planner_that_must_show_the_target_stops_with_it_ahead():
+    scene = box_room([WALL])
+    job = planner_job(scene, demonstration=DemonstrationConfig(target_in_view=True))
+    done = drive_from(scene, (-1.0, 0.0, 2.8), demonstration=job.demonstration)
+    assert done.end_reason is EndReason.NOT_IN_VIEW, done.end  # the empty renderer shows nothing
+    x, y = done.arrays.poses[-1, :2].tolist()
+    bearing = np.arctan2(1.3 - y, 2.5 - x)
+    assert abs(np.remainder(bearing - float(yaw_of(done.arrays.poses)[-1]) + np.pi, 2 * np.pi) - np.pi) < 0.7
+
+
+def test_a_drive_by_surface_stops_a_metre_from_the_footprint():
+    scene = box_room([Box((-1.0, -2.6, 0.0), (3.0, -0.6, 0.7), category="table")])
+    table = next(target for target in scene.info.targets if target.category == "table")
+    task = TaskConfig(success=SuccessMeasure.SURFACE)
+    done = drive_from(scene, (-3.0, 1.8, 0.0), task=task, target_id=table.target_id)
+    assert done.end_reason is EndReason.SUCCESS, done.end
+    left = footprint_distances(done.arrays.poses[-1, :2], table.footprint_m)
+    assert 0.85 < left < 1.0
+
+
+def test_a_contact_beyond_the_limit_ends_the_attempt_and_is_only_counted_without_limit():
+    plank = Box((-2.6, 0.245, 0.0), (-1.0, 0.4, 0.6))  # overlaps the robot by 5 mm; the planner's map lacks it
+    scene, start, known = box_room([plank]), (-2.0, 0.0, 0.0), Grid.from_scene(box_room())
+    free = drive_from(scene, start, known)
+    assert free.contact_steps > 0
+    assert free.end_reason is not EndReason.CONTACT
+    limited = drive_from(scene, start, known, demonstration=DemonstrationConfig(max_contact_steps=0))
+    assert limited.end_reason is EndReason.CONTACT
+    assert limited.contact_steps == 1
+    assert len(limited.arrays.poses) < len(free.arrays.poses)

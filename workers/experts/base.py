@@ -27,7 +27,7 @@ class Senses(Protocol):
 
     @property
     def distance_m(self) -> float:
-        """Planar distance from base_link to the target's centroid, metres."""
+        """Planar distance from base_link to the target by the success measure, metres."""
 
     @property
     def obstacle_near(self) -> bool:

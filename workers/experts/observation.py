@@ -89,7 +89,7 @@ class Observation:
     pose: Pose
     """Pose of base_link in the world frame."""
     distance_m: float
-    """Planar distance from base_link to the target's centroid, metres."""
+    """Planar distance from base_link to the target by the success measure, metres."""
     bearing_rad: float
     """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi], radians."""
     is_touching: bool

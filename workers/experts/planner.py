@@ -7,7 +7,10 @@ Uses the map and not the image. Near the goal it applies the speed law and the s
 
 from __future__ import annotations
 
+import itertools
+
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from workers.experts.base import Senses
 from workers.geometry.grid import Grid
@@ -16,10 +19,25 @@ from workers.geometry.slew import Twist
 from workers.planning import Waypoint, plan_path
 from workers.planning.follow import Follower
 
-__all__ = ["PlannerExpert"]
+__all__ = ["STOPPED_M", "PlannerExpert", "arrival_pose"]
 
 _LAST_MARGIN_M = 0.01
-"""Distance to the edge of the success circle, inside it, at which the robot may stop at the end of a path, metres."""
+"""Distance to the edge of the success region, inside it, at which the robot may stop at the end of a path, metres."""
+STOPPED_M = 0.055
+"""Distance to the edge of the success region, inside it, at which the robot stands after braking, metres; measured."""
+_AHEAD_RAD = 0.6
+"""Largest bearing of the target's centroid at which the robot stops before the end of its path, if the target must be
+in view, radians; the edge of the image is at 0.79."""
+
+
+def arrival_pose(path: tuple[Waypoint, ...], goal: Goal, stop_m: float) -> Waypoint:
+    """Returns the pose on a path at which the robot comes within `stop_m` of its target, or else the last pose."""
+    for before, after in itertools.pairwise(path):
+        far, near = goal.distance(before.x, before.y), goal.distance(after.x, after.y)
+        if near <= stop_m < far:
+            share = (far - stop_m) / (far - near)
+            return Waypoint(before.x + share * (after.x - before.x), before.y + share * (after.y - before.y), after.yaw)
+    return path[-1]
 
 
 class PlannerExpert:
@@ -28,6 +46,7 @@ class PlannerExpert:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._stop_m = job.task.success_radius_m - job.planner.stop_margin_m
+        self._faces = job.demonstration.target_in_view
         self._follower: Follower | None = None
         self._has_stopped = False
 
@@ -35,12 +54,12 @@ class PlannerExpert:
         """Plans from a start pose; returns the path, or `None` if none exists."""
         self._grid, self._target = grid, target
         pose = Waypoint(start.x, start.y, start.yaw)
-        path = plan_path(grid, pose, target, self._job.task.success_radius_m, self._job.planner)
+        path = plan_path(grid, pose, target, self._job.task, self._job.planner, facing=self._faces)
         self._follower = None if path is None else Follower(path, self._job.robot, self._job.planner)
         return path
 
     def act(self, seen: Senses) -> Twist:
-        """Returns the desired twist; zero after arrival inside the success circle with line of sight to the target.
+        """Returns the desired twist; zero after arrival inside the success region with line of sight to the target.
 
         Raises:
             RuntimeError: `begin` was not called or found no path.
@@ -55,5 +74,7 @@ class PlannerExpert:
     def _has_arrived(self, seen: Senses) -> bool:
         """Returns whether the robot is close to the target and sees it; without sight it could stop behind a wall."""
         is_done = self._follower is not None and self._follower.is_done
+        if self._faces and not is_done and abs(seen.bearing_rad) > _AHEAD_RAD:
+            return False
         near_enough_m = self._job.task.success_radius_m - _LAST_MARGIN_M if is_done else self._stop_m
         return seen.distance_m <= near_enough_m and self._grid.has_sight((seen.pose.x, seen.pose.y), self._target)

@@ -24,7 +24,7 @@ SpeedLaw = Callable[[Senses, ExpertConfig, float], float]
 
 
 def centroid_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
-    """Returns k_v * d for the planar distance d to the centroid, and 0 inside the circle, m/s; published behaviour."""
+    """Returns k_v * d for the distance d by the success measure, and 0 inside the region, m/s; published behaviour."""
     return gains.speed_gain * seen.distance_m if seen.distance_m > radius_m else 0.0
 
 

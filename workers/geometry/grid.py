@@ -181,17 +181,6 @@ class Grid:
         return floor
 
 
-def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -> Floats:
-    """Returns the points (..., 2) at which straight lines from spawns to the centroid enter the success circle.
-
-    For a spawn inside the circle, returns the spawn.
-    """
-    spawn, centroid = np.asarray(spawn_xy, float), np.asarray(centroid_xy, float)
-    away = spawn - centroid
-    distance = np.linalg.norm(away, axis=-1, keepdims=True)
-    return np.where(distance > radius_m, centroid + away * (radius_m / np.maximum(distance, 1e-9)), spawn)
-
-
 def are_within(points: Floats, boxes: Floats) -> Bools:
     """Returns for points (N, 2) whether each is inside any of the rectangles (K, 2, 2), lower and upper corner."""
     inside: Bools = (points[:, None] > boxes[:, 0]) & (points[:, None] < boxes[:, 1])

@@ -1,4 +1,4 @@
-"""Distances along the floor: from every cell to the success circle of a target, and the geodesic distance of a start.
+"""Distances along the floor: from every cell to the success region of a target, and the geodesic distance of a start.
 
 Uses Dijkstra's algorithm on cells with 16 neighbours, then shortens the path to straight segments. Ignores headings.
 """
@@ -14,11 +14,13 @@ import numpy as np
 import scipy  # loads a submodule at its first use: commands that only read need none
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.config import TaskConfig
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid
 
-__all__ = ["FloorGraph", "arrival_cells", "geodesic_field", "geodesic_m"]
+__all__ = ["FloorGraph", "arrival_cells", "cells_within", "geodesic_field", "geodesic_m"]
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
@@ -91,22 +93,29 @@ def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Num
     return here, there
 
 
-def arrival_cells(grid: Grid, target: Target, radius_m: float) -> Bools:
-    """Returns (H, W) the cells within a planar radius of a target's centroid and with line of sight to it."""
+def cells_within(grid: Grid, goal: Goal) -> Bools:
+    """Returns (H, W) the cells whose centres are in a goal."""
     rows, columns = np.indices(grid.occupancy.shape)
     points = grid.centre_of(np.stack([rows, columns], axis=-1))
-    near = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=-1) <= radius_m
-    near[near] = grid.have_sight(points[near], target)
+    near = np.linalg.norm(points - np.asarray(goal.centre_m), axis=-1) <= goal.radius_m + goal.extent_m
+    near[near] = goal.distances(points[near]) <= goal.radius_m
     return np.asarray(near)
 
 
+def arrival_cells(grid: Grid, target: Target, goal: Goal) -> Bools:
+    """Returns (H, W) the cells in the goal of a target that have line of sight to it."""
+    near = cells_within(grid, goal)
+    near[near] = grid.have_sight(grid.centre_of(np.argwhere(near)), target)
+    return near
+
+
 @functools.lru_cache(maxsize=8)
-def geodesic_field(grid: Grid, target: Target, radius_m: float) -> DistanceField:
-    """Returns the distances along the floor to the part of the success circle with line of sight to the target.
+def geodesic_field(grid: Grid, target: Target, task: TaskConfig) -> DistanceField:
+    """Returns the distances along the floor to the part of the success region with line of sight to the target.
 
     The path is that of base_link, with a clearance of half the robot's width.
     """
-    return _wide_floor(grid).distances(arrival_cells(grid, target, radius_m))
+    return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)))
 
 
 @functools.lru_cache(maxsize=2)
@@ -114,8 +123,8 @@ def _wide_floor(grid: Grid) -> FloorGraph:
     return FloorGraph.over(grid.clearance >= HALF_WIDTH_M, grid.resolution_m)
 
 
-def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, radius_m: float) -> float | None:
-    """Returns the length of the shortest path from a start to the success circle, metres; the l of SPL.
+def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig) -> float | None:
+    """Returns the length of the shortest path from a start to the success region, metres; the l of SPL.
 
     The path of cells is shortened to straight segments, so that it is not longer than a free straight line. If the
     straight line from the start is free, no path is searched, which would take as long as two frames.
@@ -124,18 +133,19 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, radius_m: float)
         grid: occupancy grid of the scene.
         start_xy: x, y of base_link in the world frame, metres.
         target: target to reach.
-        radius_m: success radius, metres.
+        task: success measure and radius.
 
     Returns:
         The length, or `None` if no path exists.
     """
-    straight = _straight_m(grid, np.asarray(start_xy, float), target, radius_m)
+    goal = Goal.of(target, task)
+    straight = _straight_m(grid, np.asarray(start_xy, float), target, goal)
     if straight is not None:
         return straight
-    field = geodesic_field(grid, target, radius_m)
+    field = geodesic_field(grid, target, task)
     if not math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
         return None
-    return _taut_length(grid, _way(grid, field, start_xy), target, radius_m)
+    return _taut_length(grid, _way(grid, field, start_xy), target, goal)
 
 
 def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
@@ -151,11 +161,11 @@ def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
     return points
 
 
-def _taut_length(grid: Grid, way: Floats, target: Target, radius_m: float) -> float:
-    """Returns the length of the path after shortening to straight segments, up to its entry into the circle, metres."""
+def _taut_length(grid: Grid, way: Floats, target: Target, goal: Goal) -> float:
+    """Returns the length of the path after shortening to straight segments, up to its entry into the goal, metres."""
     length, at = 0.0, 0
     while at < len(way) - 1:
-        straight = _straight_m(grid, way[at], target, radius_m)
+        straight = _straight_m(grid, way[at], target, goal)
         if straight is not None:
             return length + straight
         ahead = _farthest_in_line(grid, way, at)
@@ -164,14 +174,12 @@ def _taut_length(grid: Grid, way: Floats, target: Target, radius_m: float) -> fl
     return length
 
 
-def _straight_m(grid: Grid, point: Floats, target: Target, radius_m: float) -> float | None:
-    """Returns the length of the straight line from a point to the circle, 0 inside it, metres; `None` if the line is
+def _straight_m(grid: Grid, point: Floats, target: Target, goal: Goal) -> float | None:
+    """Returns the length of the straight line from a point to the goal, 0 inside it, metres; `None` if the line is
     not free, or its end has no line of sight to the target."""
-    centre = np.asarray(target.centroid_m[:2])
-    gap = math.dist(point, centre) - radius_m
+    gap, entry = goal.entry(point)
     if gap <= 0:
         return 0.0
-    entry = point + (centre - point) * (gap / (gap + radius_m))
     return gap if _is_clear(grid, point, entry) and grid.has_sight(entry, target) else None
 
 

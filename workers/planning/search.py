@@ -1,4 +1,4 @@
-"""Hybrid A* search with forward moves only, from a start pose to the success circle of a target.
+"""Hybrid A* search with forward moves only, from a start pose to the success region of a target.
 
 Deterministic: the same grid, start, target and settings give the same path. The limit of a search is a number of
 expansions, not a time.
@@ -9,15 +9,18 @@ from __future__ import annotations
 import functools
 import heapq
 import math
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.config import PlannerConfig
+from schemas.config import PlannerConfig, TaskConfig
+from schemas.measure import Goal
 from schemas.scene import Target
+from schemas.support import portable
 from workers.geometry.grid import DISC_RADIUS_M, Grid
-from workers.planning.distance import FloorGraph, arrival_cells
-from workers.planning.lattice import MOVES, PoseTable, Waypoint, heading_of, pose_table, yaw_at
+from workers.planning.distance import FloorGraph, arrival_cells, cells_within
+from workers.planning.lattice import HEADINGS, MOVES, PoseTable, Waypoint, heading_of, pose_table, yaw_at
 
 __all__ = ["plan_path"]
 
@@ -25,14 +28,18 @@ _CELL_M = 0.1
 """Side of the cells in which two poses with one heading count as one state, metres."""
 _TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06
 """Cost of a turn by one heading, on an arc and on the spot, where the robot must stop; metres of path."""
+_AHEAD_RAD = 0.44
+"""Largest angle between the heading at the end of a path and the target's centroid, if it must be ahead, radians."""
+_MOVING_M = 0.15
+"""Distance outside the success region up to which such a path has no turn on the spot, metres."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
 
 def plan_path(
-    grid: Grid, start: Waypoint, target: Target, radius_m: float, config: PlannerConfig
+    grid: Grid, start: Waypoint, target: Target, task: TaskConfig, config: PlannerConfig, *, facing: bool = False
 ) -> tuple[Waypoint, ...] | None:
-    """Returns a path from the start to a pose inside the success circle with line of sight to the target.
+    """Returns a path from the start to a pose inside the success region with line of sight to the target.
 
     Consecutive poses are at most 0.2 m apart. A forward arc connects them or, if they have the same position, a turn on
     the spot. The search uses the wide margins first, then the tight ones.
@@ -41,8 +48,10 @@ def plan_path(
         grid: occupancy grid of the scene.
         start: pose of base_link.
         target: target to reach.
-        radius_m: success radius, metres; the path ends inside it by the arrival margin.
+        task: success measure and radius; the path ends inside the region by the arrival margin.
         config: margins and limits.
+        facing: whether the path ends with the target ahead, and has no turn on the spot inside the region, where a
+            robot that does not move ends the episode.
 
     Returns:
         The path, or `None` if none exists or the search reached its limit.
@@ -52,11 +61,13 @@ def plan_path(
         (config.tight_margin_m, config.arrival_margin_m),
         (config.tight_margin_m, config.tight_arrival_margin_m),
     )
+    goal = Goal.of(target, task)
     for margin, arrival_margin in tries:
         table = pose_table(grid, margin)
         if table.holds(*start):
-            arrival = arrival_cells(grid, target, radius_m - arrival_margin)
-            path = _search(table, margin, start, arrival, config.max_expansions)
+            arrival = arrival_cells(grid, target, goal.shrunk(arrival_margin))
+            ends = _Ends.facing(grid, arrival, goal) if facing else _Ends.any_heading(arrival)
+            path = _search(table, margin, start, ends, config.max_expansions)
             if path is not None:
                 return path
     return None
@@ -75,14 +86,39 @@ def _floor_graph(grid: Grid, margin_m: float) -> FloorGraph:
     return FloorGraph.over(pose_table(grid, margin_m).floor, grid.resolution_m, _weights(grid))
 
 
+class _Ends(NamedTuple):
+    """Poses at which a path may end, and cells on which it may not turn on the spot."""
+
+    cells: NDArray[np.bool_]
+    """(H, W) cells with at least one heading at which a path may end."""
+    poses: NDArray[np.bool_]
+    """(HEADINGS, H, W) poses at which a path may end."""
+    moving: NDArray[np.bool_]
+    """(H, W) cells without turns on the spot."""
+
+    @classmethod
+    def any_heading(cls, arrival: NDArray[np.bool_]) -> Self:
+        return cls(arrival, np.broadcast_to(arrival, (HEADINGS, *arrival.shape)), np.zeros_like(arrival))
+
+    @classmethod
+    def facing(cls, grid: Grid, arrival: NDArray[np.bool_], goal: Goal) -> Self:
+        poses = np.zeros((HEADINGS, *arrival.shape), bool)
+        ahead = np.asarray(goal.centre_m) - grid.centre_of(np.argwhere(arrival))
+        bearing = portable.arctan2(ahead[:, 1], ahead[:, 0])
+        for heading in range(HEADINGS):
+            error = np.remainder(bearing - yaw_at(heading) + math.pi, 2 * math.pi) - math.pi
+            poses[heading][arrival] = np.abs(error) <= _AHEAD_RAD
+        return cls(arrival, poses, cells_within(grid, goal.shrunk(-_MOVING_M)))
+
+
 def _search(
-    table: PoseTable, margin_m: float, start: Waypoint, arrival: NDArray[np.bool_], max_expansions: int
+    table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int
 ) -> tuple[Waypoint, ...] | None:
     grid = table.grid
-    to_go = _floor_graph(grid, margin_m).distances(arrival).metres
+    to_go = _floor_graph(grid, margin_m).distances(ends.cells).metres
     if not math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
         return None
-    nodes = _expand(table, to_go, start, arrival, max_expansions)
+    nodes = _expand(table, to_go, start, ends, max_expansions)
     return None if nodes is None else (start, *nodes)
 
 
@@ -91,10 +127,11 @@ Node = tuple[float, float, int, int]
 
 
 def _expand(
-    table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, arrival: NDArray[np.bool_], max_expansions: int
+    table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, ends: _Ends, max_expansions: int
 ) -> list[Waypoint] | None:
     """Searches a path; free poses are more than a step from the edge of the grid, so that all indices are valid."""
-    grid, flags, ahead, goal = table.grid, table.flags, to_go.ravel().tolist(), arrival.tobytes()
+    grid, flags, ahead = table.grid, table.flags, to_go.ravel().tolist()
+    goal, moving = ends.poses.tobytes(), ends.moving.tobytes()
     weights = _weights(grid).ravel().tolist()
     (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
     width, area = int(grid.occupancy.shape[1]), grid.occupancy.size
@@ -115,7 +152,8 @@ def _expand(
         if cost > cost_at[key(x, y, heading)]:
             continue
         nodes.append((x, y, heading, before))
-        if goal[cell(x, y)]:
+        here = cell(x, y)
+        if goal[heading * area + here]:
             return _trace(nodes)
         for mid_x, mid_y, end_x, end_y, turned, length, turn in MOVES[heading]:
             spot = cell(x + end_x, y + end_y)
@@ -125,6 +163,8 @@ def _expand(
                 if not flags[heading * area + cell(x + mid_x, y + mid_y)]:
                     continue
                 price = cost + length * weights[spot] + turn * _TURN_COST_M
+            elif moving[here]:
+                continue
             else:
                 price = cost + turn * _SPOT_TURN_COST_M
             place = key(x + end_x, y + end_y, turned)

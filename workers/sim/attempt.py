@@ -16,12 +16,13 @@ from typing import BinaryIO
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
 from schemas.job import Job
-from schemas.measure import measure_track
+from schemas.measure import Goal, measure_track, target_in_view
 from schemas.referents import referents_of
 from schemas.scene import SceneInfo, Target
 from schemas.start_view import start_view_findings
 from schemas.terms import EndReason, FailReason, Recording
 from workers.experts import Expert, make_expert
+from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
@@ -32,7 +33,6 @@ from workers.sim.spawn import draw_poses, is_spawn_stable
 
 __all__ = ["AttemptFailure", "Outcome", "Success", "run_attempt"]
 
-_FAIL_REASON = {EndReason.COLLISION: FailReason.COLLISION, EndReason.TIMEOUT: FailReason.TIMEOUT}
 _NO_DIGEST = "0" * 32
 
 
@@ -100,9 +100,13 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
                 return AttemptFailure(
                     FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_pose_text(start)}", 0
                 )
+            if planned and job.demonstration.target_in_view and not _shows_target(attempt, planned):
+                detail = f"the path from {_pose_text(start)} ends without {job.target_id} in view"
+                return AttemptFailure(FailReason.NOT_IN_VIEW, detail, 0)
             return _drive_and_seal(attempt, world, expert, planned, draws)
-    detail = f"no valid start pose for {job.target_id} in tier {job.tier} in {job.spawn.physics_draws} draws"
-    return AttemptFailure(FailReason.SPAWN, detail, 0)
+    conditions = "" if job.start_view is None else ", whose view meets the conditions of the instruction,"
+    tries = f"in tier {job.tier} in {job.spawn.physics_draws} draws"
+    return AttemptFailure(FailReason.SPAWN, f"no valid start pose{conditions} for {job.target_id} {tries}", 0)
 
 
 def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
@@ -113,6 +117,17 @@ def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> 
     bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
     ids = renderer.render_depth_and_ids(pose).ids
     return not start_view_findings(job.start_view, target.instance_id, bearing_rad, ids, job.gains.min_mask_px)
+
+
+def _shows_target(attempt: _Attempt, planned: tuple[Waypoint, ...]) -> bool:
+    """Returns whether the target is in view at the end of a path: a frame instead of a drive that has to fail."""
+    job, target = attempt.job, attempt.target
+    goal = Goal.of(target, job.task)
+    x, y, yaw = arrival_pose(planned, goal, goal.radius_m - STOPPED_M)
+    end = Pose.planar(x, y, yaw, z=attempt.place.scene.info.floor_height_m)
+    return target_in_view(
+        attempt.stage.renderer.render_depth_and_ids(end).ids, target.instance_id, job.gains.min_mask_px
+    )
 
 
 def _pose_text(pose: Pose) -> str:
@@ -139,10 +154,10 @@ def _drive_and_seal(
     )
     if done.end_reason is not EndReason.SUCCESS:
         writer.abandon()
-        return AttemptFailure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
+        return AttemptFailure(FailReason(done.end_reason), done.end, len(done.arrays.poses))
     if job.record is Recording.STATES:
         _add_sampled_frames(writer, job, done.arrays, stage)
-    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task.success_radius_m)
+    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
@@ -173,6 +188,7 @@ def describe_episode(
         target_prim_path=target.prim_path,
         target_instance_id=target.instance_id,
         target_centroid_m=target.centroid_m,
+        target_footprint_m=target.footprint_m,
         phrase_is_unique=len(referents_of(job, info)) == 1,
         rollout=_summarise(done.arrays, target, done, draws),
         route=route,
@@ -184,7 +200,7 @@ def describe_episode(
 
 
 def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -> Rollout:
-    track = measure_track(arrays.poses, target.centroid_m)
+    track = measure_track(arrays.poses, target.centroid_m, target.footprint_m)
     return Rollout(
         end_reason=done.end_reason,
         num_steps=len(arrays.poses),
@@ -197,4 +213,7 @@ def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -
         min_ne_m=track.min_ne_m,
         collision_count=done.contact_steps,
         steps_visible=done.steps_visible,
+        spawn_surface_m=track.spawn_surface_m,
+        final_surface_m=track.final_surface_m,
+        target_in_view=done.target_in_view,
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.terms import EndReason
 from schemas.tokens import tokens_of
@@ -41,6 +42,7 @@ class ClosedLoop:
     def __init__(self, job: Job, target: Target, world: World, renderer: Renderer) -> None:
         self._job, self._target, self._world = job, target, world
         self._renderer = _RendererHandle(renderer)
+        self._goal = Goal.of(target, job.task)
         self._termination = Termination(job.task)
         self._poses: list[tuple[float, ...]] = []
         self._actions: list[Twist] = []
@@ -104,7 +106,7 @@ class ClosedLoop:
         return Observation(
             camera=LazyFrame(self._renderer.get, pose, self._job, self._target.instance_id),
             pose=pose,
-            distance_m=math.hypot(dx, dy),
+            distance_m=self._goal.distance(pose.x, pose.y),
             bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),
             is_touching=self._world.has_obstacle_contact(),
         )

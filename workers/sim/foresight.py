@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.job import Job
+from schemas.measure import Goal
 from workers.geometry.appearance import Appearance
 from workers.geometry.slew import Twist, slew
 
@@ -25,31 +26,32 @@ _LOOK_EVERY = 3
 
 
 def predict_path(
-    start: tuple[float, float, float], goal: tuple[float, float], job: Job, appearance: Appearance | None = None
+    start: tuple[float, float, float], goal: Goal, job: Job, appearance: Appearance | None = None
 ) -> NDArray[np.float64]:
-    """Returns the predicted poses (N, 3) x, y, yaw from `start` to the success circle, metres and radians.
+    """Returns the predicted poses (N, 3) x, y, yaw from `start` to the success region, metres and radians.
 
     Args:
         start: x, y in metres and yaw in radians of base_link, at rest.
-        goal: x, y of the target's centroid, metres.
-        job: gives gains, limits, the success radius and the step limit.
+        goal: goal of the episode.
+        job: gives gains, limits and the step limit.
         appearance: appearance of the target, for steering by its mask; `None` for steering by the centroid.
     """
     gains, robot = job.gains, job.robot
     x, y, yaw = start
+    centre_x, centre_y = goal.centre_m
     twist = Twist(0.0, 0.0)
     poses = [start]
     pixels = column = 0.0
     for step in range(job.task.max_steps * _HZ // job.task.control_hz):
-        distance = math.hypot(goal[0] - x, goal[1] - y)
-        if distance <= job.task.success_radius_m:
+        distance = goal.distance(x, y)
+        if distance <= goal.radius_m:
             break
         if appearance is not None and step % _LOOK_EVERY == 0:
             pixels, column = appearance.look(x, y, yaw)
         error = (
             -column
             if pixels >= gains.min_mask_px
-            else math.remainder(math.atan2(goal[1] - y, goal[0] - x) - yaw, 2 * math.pi)
+            else math.remainder(math.atan2(centre_y - y, centre_x - x) - yaw, 2 * math.pi)
         )
         turn = min(max(gains.yaw_gain * error, -robot.max_yaw_rate_rps), robot.max_yaw_rate_rps)
         twist = slew(twist, Twist(min(gains.speed_gain * distance, robot.max_speed_mps), turn), robot, 1.0 / _HZ)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from schemas.bundle import EpisodeArrays
+from schemas.config import DemonstrationConfig
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.support.stage_timer import StageTimer, no_stage_timer
@@ -38,6 +39,8 @@ class Drive:
     """Number of steps with a contact other than the floor."""
     steps_visible: int | None
     """Number of steps in which the target was visible to the expert; `None` if no image was needed to drive."""
+    target_in_view: bool
+    """Whether the last frame shows the target; false if no success made it necessary to render the frame."""
     end: str
     """Description of the end with measured values."""
 
@@ -52,7 +55,7 @@ def drive(
     on_step: StepCallback,
     lap: StageTimer = no_stage_timer,
 ) -> Drive:
-    """Drives until success, collision or timeout.
+    """Drives until success, collision, timeout or a missed requirement on the demonstration.
 
     Args:
         job: task, robot and camera settings.
@@ -71,14 +74,28 @@ def drive(
         if sink is not None:
             _ = view.frame  # rendered first, so that the expert reads depth and ids from it
         reason = loop.decide(expert.act(view))
+        is_needed = visible is not None or reason is EndReason.SUCCESS
+        is_visible = is_needed and view.sighting.pixels >= job.gains.min_mask_px
         if visible is not None:
-            visible += view.sighting.pixels >= job.gains.min_mask_px
+            visible += is_visible
+        reason = _missed(job.demonstration, reason, loop.contact_steps, is_visible) or reason
         lap("control")
         if sink is not None:
             sink(view.frame)
         on_step(loop.steps)
         if reason is not None:
             end = f"{reason} after {loop.steps} steps, {view.distance_m:.2f} m from {target.target_id}"
-            return Drive(reason, loop.arrays(), loop.contact_steps, visible, end)
+            return Drive(reason, loop.arrays(), loop.contact_steps, visible, is_visible, end)
         loop.advance()
         lap("physics")
+
+
+def _missed(
+    wanted: DemonstrationConfig, reason: EndReason | None, contact_steps: int, is_visible: bool
+) -> EndReason | None:
+    """Returns the requirement that the demonstration misses with this frame, or `None`."""
+    if wanted.max_contact_steps is not None and contact_steps > wanted.max_contact_steps:
+        return EndReason.CONTACT
+    if reason is EndReason.SUCCESS and wanted.target_in_view and not is_visible:
+        return EndReason.NOT_IN_VIEW
+    return None

@@ -13,24 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.job import Job
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
-from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from schemas.terms import TIER_RANGE_M, ExpertName, Screening, SuccessMeasure, Tier
 from workers.geometry.appearance import Appearance
-from workers.geometry.grid import are_within, straight_end
+from workers.geometry.grid import are_within
 from workers.geometry.pose import Pose
 from workers.physics.world import World
-from workers.planning import geodesic_field, pose_table
+from workers.planning import geodesic_field, geodesic_m, pose_table
 from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97
-"""Distance from the centroid at which the robot stops inside the success circle, metres."""
-_CLOSEST_FAR_M = 1.5
-"""Smallest distance to the target's centroid of the planner's starts in the far tier, metres."""
+"""Distance from the target at which the robot stops inside the success region, by the success measure, metres."""
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
+_DISTANCE_STREAM = 1
+"""Key of the random stream of the distances of an episode with blind draws."""
 _PREDICTIONS = 32
 """Largest number of starts, in the near and mid tiers at one distance, whose view is examined and, for an expert that
 drives straight, whose path is predicted; if none has `_PREDICTION_MARGIN_M`, the one with the most free space is
@@ -59,10 +60,10 @@ def draw_poses(
 
     Near and mid tier: draws a uniform distance, then bearings at that distance until one is free, with a heading
     towards the target plus noise; draws another distance only if none of `_BEARINGS` is free. So obstacles reject
-    bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point and a
-    uniform heading. For experts that drive straight, the straight line to the success circle is free, and starts are
-    preferred whose predicted turn and path touch no obstacle. For the planner, any start on the connected floor is
-    valid, and in the far tier its path must not be too long.
+    bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point at a
+    distance along the floor within `job.spawn.far_floor_m`, and a uniform heading. For experts that drive straight,
+    `job.spawn.screening` sets further conditions. The planner starts at any such pose that sees its target (far: whose
+    path is not too long).
 
     Args:
         job: gives tier, expert and spawn settings.
@@ -103,7 +104,7 @@ def _draw_on_grid(
 ) -> Start | None:
     fitting = _draw_fitting(job, target, place, rng, accepts)
     first = next(fitting, None)
-    if first is None or job.expert is ExpertName.PLANNER:
+    if first is None or not _is_screened(job) or job.spawn.screening is not Screening.FORESEEN:
         return first
     some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
     appearance = Appearance(place.scene, target.instance_id, job.camera)
@@ -124,9 +125,12 @@ def _draw_fitting(
     surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
-    rejected = 0
+    distances, rejected = _distance_stream(job, rng), 0
     for _ in range(job.spawn.grid_draws):
-        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, job, target, rng)
+        if surveyed is None:
+            poses = _draw_around(job, target, distances, rng)
+        else:
+            poses = _draw_among(surveyed, job, target, rng)
         fits = np.flatnonzero(_can_start(job, target, place, poses))[:_PREDICTIONS]
         before = rejected
         for x, y, yaw in poses[fits].tolist():
@@ -138,15 +142,26 @@ def _draw_fitting(
             return
 
 
-def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
+def _distance_stream(job: Job, rng: np.random.Generator) -> np.random.Generator:
+    """Returns the generator of the distances: with blind draws, one that all attempts at an episode share.
+
+    Blind attempts from a large distance fail more often. Without this, the archived distances would be shorter than
+    those of the tier (docs/design/starts.md#screening).
+    """
+    if job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:
+        return rng
+    return np.random.default_rng(np.random.SeedSequence((job.root_seed, job.index), spawn_key=(_DISTANCE_STREAM,)))
+
+
+def _draw_around(job: Job, target: Target, distances: np.random.Generator, rng: np.random.Generator) -> Poses:
     """Returns poses (N, 3) at one random distance, in random order."""
-    distance = rng.uniform(*TIER_RANGE_M[job.tier])
+    distance = distances.uniform(*TIER_RANGE_M[job.tier])
     bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
     yaw = bearing + math.pi + noise
-    x = target.centroid_m[0] + distance * portable.cos(bearing)
-    y = target.centroid_m[1] + distance * portable.sin(bearing)
-    return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
+    rays = np.stack([portable.cos(bearing), portable.sin(bearing)], axis=1)
+    points = Goal.of(target, job.task).ring(rays, distance)
+    return np.column_stack([points, portable.arctan2(portable.sin(yaw), portable.cos(yaw))])
 
 
 def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
@@ -159,20 +174,30 @@ def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.r
     return np.array([[x, y, math.remainder(towards + rng.uniform(-within_rad, within_rad), 2 * math.pi)]])
 
 
+def _is_screened(job: Job) -> bool:
+    """Returns whether starts need a free straight line."""
+    return job.expert is not ExpertName.PLANNER and job.spawn.screening is not Screening.NONE
+
+
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    """Returns the surveyed points (N, 2) whose distance along the floor to the target is in the range of the tier."""
+    points = _points_on_free_lines(job, target, place) if _is_screened(job) else place.scene.spawns
+    low, high = job.spawn.far_floor_m
+    way = geodesic_field(place.grid, target, job.task).metres
+    floor_m = place.grid.values_at(way, points, np.inf).astype(np.float64)
+    longest = high - job.task.success_radius_m
     if job.expert is ExpertName.PLANNER:
-        return _points_within_reach(job, target, place)
-    column = place.scene.info.targets.index(target)
-    return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
+        longest = min(longest, job.planner.max_path_m)
+    # the field is up to 2.8 % longer than the shortest path, so the smallest distance is checked again for the start
+    return np.asarray(points[(floor_m >= low - job.task.success_radius_m) & (floor_m <= longest)])
 
 
-def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
-    """Returns the surveyed points whose path to the success circle is short enough for the step limit."""
-    points = place.scene.spawns
-    way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
-    is_short = place.grid.values_at(way, points, np.inf).astype(np.float64) <= job.planner.max_path_m
-    is_outside = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=1) >= _CLOSEST_FAR_M
-    return np.asarray(points[is_short & is_outside])
+def _points_on_free_lines(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    if job.task.success is SuccessMeasure.CENTROID:
+        column = place.scene.info.targets.index(target)
+        return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
+    points = place.scene.spawns[place.grid.have_sight(place.scene.spawns, target)]
+    return np.asarray(points[_is_way_free(job, target, place, points.astype(np.float64))])
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
@@ -185,13 +210,14 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
         lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
         lambda at: ~are_within(at[:, :2], place.taken),
     ]
-    is_planner = job.expert is ExpertName.PLANNER
-    if is_planner:
+    if job.expert is ExpertName.PLANNER:
         table = pose_table(place.grid, job.planner.tight_margin_m)
         tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
-    if job.tier is not Tier.FAR:  # far points were selected by their path
+    if job.tier is Tier.FAR:  # its points were selected by their lines
+        tests.append(lambda at: np.array([_is_far(job, target, place, pose[:2]) for pose in at], bool))
+    elif job.expert is ExpertName.PLANNER or _is_screened(job):
         tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
-        if not is_planner:
+        if _is_screened(job):
             tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))
     rest = np.arange(len(poses))
     for passes in tests:
@@ -199,13 +225,17 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
     return np.isin(np.arange(len(poses)), rest)
 
 
+def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64]) -> bool:
+    path_m = geodesic_m(place.grid, xy, target, job.task)
+    return path_m is not None and path_m + job.task.success_radius_m >= job.spawn.far_floor_m[0]
+
+
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
-    ends = straight_end(starts, target.centroid_m[:2], ARRIVAL_RADIUS_M)
+    ends = Goal.of(target, job.task).approach(starts, ARRIVAL_RADIUS_M)
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 
 
 def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
     """Returns the smallest free space around the footprint along the predicted path, metres."""
-    x, y = target.centroid_m[:2]
-    drive = predict_path(start, (x, y), job, appearance)
+    drive = predict_path(start, Goal.of(target, job.task), job, appearance)
     return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

@@ -36,7 +36,7 @@ class Termination:
         Args:
             x_m: x of base_link in the world frame, metres.
             y_m: y of base_link in the world frame, metres.
-            distance_m: planar distance to the target's centroid, metres.
+            distance_m: planar distance to the target by the success measure, metres.
             is_blocked: whether the robot has a contact or an obstacle is near.
             commanded_mps: speed of the action of this frame, m/s.
 

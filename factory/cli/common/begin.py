@@ -41,7 +41,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
         WorldError: the directory cannot be read.
     """
     begun = plan_of(site)
-    wanted = load_plan(name) if name is not None else begun or load_plan("demo")
+    wanted = _load(name, begun) if name is not None else begun or load_plan("demo")
     plan = shrunk_plan(wanted, changes)
     if begun is not None:
         require_plan(begun, plan)
@@ -51,6 +51,11 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
     with translated("look into", site.home):
         has_episodes = bool(children(site.place / EPISODES))
     return Beginning(plan, begun is None and not has_episodes)
+
+
+def _load(name: str, begun: Plan | None) -> Plan:
+    """Returns a plan; a file without success measure takes that of the dataset which it continues."""
+    return load_plan(name) if begun is None else load_plan(name, begun.task.success)
 
 
 def _look_around(out: Path) -> None:

@@ -24,7 +24,10 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
         evaluation: the evaluation.
         all_tables: also print tables by scene, tier, category and template.
     """
-    print_text(f"{evaluation.episodes} episodes: {evaluation.source}; success radius {evaluation.success_radius_m:g} m")
+    print_text(
+        f"{evaluation.episodes} episodes: {evaluation.source}; "
+        f"success radius {evaluation.success_radius_m:g} m by {evaluation.success}"
+    )
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
     print_table("\nAll episodes", ("policy", *_HEAD), rows)
     for by, title in GROUPS.items():

@@ -9,6 +9,7 @@ import click
 from coordinator.expansion.file import load_plan
 from coordinator.recovery.repair_dataset import repair
 from coordinator.recovery.report import RepairReport
+from coordinator.recovery.stray_files import count_plans
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option, site_argument
@@ -17,6 +18,8 @@ from factory.dataset.site import Site
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
+from schemas.plan import Plan
+from schemas.terms import SuccessMeasure
 
 
 @click.command("repair")
@@ -46,7 +49,7 @@ def command(
     the same content. A lost or damaged ledger is rebuilt from the plan and the episodes. The tables are rewritten.
     """
     configure_logs()
-    plan = load_plan(plan_name) if plan_name is not None else None
+    plan = _plan_of(plan_name, site) if plan_name is not None else None
     with one_bar("checking files") as tell, Validator() as validator:
         found = inspect_dataset(site.place, site.home, plan, ledger, scene_cache(), say_building)
         report = repair(
@@ -59,6 +62,12 @@ def command(
         )
     print_result(report, as_json, _print)
     return 1 if dry_run and not report.is_sound else 0
+
+
+def _plan_of(name: str, site: Site) -> Plan:
+    """Returns the plan with the success measure, if its file has none, with which the episodes were made."""
+    counts = count_plans(site.place)
+    return max((load_plan(name, success) for success in reversed(SuccessMeasure)), key=lambda plan: counts[plan.digest])
 
 
 def _print(report: RepairReport) -> None:

@@ -84,7 +84,10 @@ def print_statistics(statistics: Statistics) -> None:
     _print_counts("template", statistics.templates, beside)
     _print_attempts(statistics.attempts, beside)
     _print_cells(statistics)
-    _print_errors(statistics.navigation_error, statistics.success_radius_m, beside)
+    radius_m = statistics.success_radius_m
+    _print_errors(f"NE by scene, {statistics.success}", statistics.navigation_error, radius_m, beside)
+    if statistics.other_error:
+        _print_errors("NE by scene, other measure", statistics.other_error, radius_m, beside=False)
     _print_fits((*statistics.correlation, paper.FIT) if beside else statistics.correlation)
     _print_overlap(statistics)
     _print_far(statistics.far)
@@ -189,7 +192,7 @@ def _print_cells(statistics: Statistics) -> None:
     _table(("scene", "split", "tier", "planned", "archived", "attempts"), body)
 
 
-def _print_errors(rows: Sequence[ErrorRow], radius_m: float, beside: bool) -> None:
+def _print_errors(title: str, rows: Sequence[ErrorRow], radius_m: float, beside: bool) -> None:
     levels = next((list(row.quantiles) for row in rows if row.quantiles), [])
     body = []
     for row in rows:
@@ -200,7 +203,7 @@ def _print_errors(rows: Sequence[ErrorRow], radius_m: float, beside: bool) -> No
         body.append((row.group, str(row.n), *numbers, *(said if beside else ())))
     within_name = f"<= {radius_m:g} m"
     published = ("paper mean", "paper std") if beside else ()
-    _table(("NE by scene", "N", "mean", "std", *levels, within_name, *published), body)
+    _table((title, "N", "mean", "std", *levels, within_name, *published), body)
 
 
 def _print_fits(fits: Sequence[Fit]) -> None:

@@ -108,7 +108,14 @@ def rollout(
                 plain_frames = frames if against else 0
                 results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
                 described = stage.renderer.description
-    report = RolloutBench(machine=machine, renderer=described, plan=plan.name, repeats=repeats, scenes=results)
+    report = RolloutBench(
+        machine=machine,
+        renderer=described,
+        plan=plan.name,
+        screening=plan.spawn.screening,
+        repeats=repeats,
+        scenes=results,
+    )
     print_result(report, as_json, show_rollout)
 
 

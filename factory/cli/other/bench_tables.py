@@ -41,7 +41,8 @@ def show_rollout(report: RolloutBench) -> None:
         )
         for name, found in report.scenes.items()
     ]
-    print_table(f"Collection on one core, {report.repeats} runs of the same jobs of plan {report.plan}", columns, rows)
+    work = f"{report.repeats} runs of the same jobs of plan {report.plan}, screening {report.screening}"
+    print_table(f"Collection on one core, {work}", columns, rows)
     _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
     _print_stages("in the coordinator", {name: found.delivery for name, found in report.scenes.items()})
     kinds = list(dict.fromkeys(kind for found in report.scenes.values() for kind in found.kb_per_frame))

@@ -14,6 +14,7 @@ from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.common.output import json_option, print_json, print_table, print_text, stderr
@@ -21,6 +22,7 @@ from factory.runs.catalog import collect_scenes, find_built
 from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
+from schemas.language import TEMPLATES
 from schemas.plan import Plan
 from schemas.terms import Tier
 
@@ -37,17 +39,20 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show the number of episodes by scene, split and tier.
+    """Show the number of episodes by scene, split and tier, the categories, the templates and the expected ambiguity.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Files named in the plan must exist.
+    Categories, templates and ambiguity need scenes that are built and support the plan.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
     found = find_built(plan, scene_cache())
     unknown = [scene.name for scene in plan.scenes if scene.name not in found]
     mistakes = None if unknown else find_impossible(plan, found)
+    content = summarise(plan, found) if mistakes == [] else None
     if as_json:
-        told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
+        told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
+        told |= {"content": None if content is None else _content_data(content)}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
     facts = f"{plan.episodes} episodes of {plan.record}, seed {plan.seed}, expert {plan.expert}, run {plan.run}"
@@ -56,6 +61,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")
     _print_cells(plan)
+    if content is not None:
+        _print_content(plan, content)
     warn_of_empty_splits(plan)
     for line in mistakes or ():
         print_text(f"impossible: {line}")
@@ -124,6 +131,37 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise WorldError(f"cannot write {path} ({error.strerror}); choose another file with -o") from error
+
+
+def _content_data(content: PlanSummary) -> dict[str, Any]:
+    total = content.episodes
+    return {
+        "episodes": total,
+        "categories": [{"category": k, "episodes": n, "share": n / total} for k, n in content.categories.items()],
+        "top_three_share": content.top_three_share,
+        "templates": [
+            {"template_id": k, "text": TEMPLATES[k], "episodes": n, "share": n / total}
+            for k, n in content.templates.items()
+        ],
+        "ambiguous_share": content.ambiguous / total,
+        "shown_alone_share": content.shown_alone / total,
+    }
+
+
+def _print_content(plan: Plan, content: PlanSummary) -> None:
+    total = content.episodes
+    if total < plan.episodes:
+        print_text(f"categories, templates and ambiguity of the plan reduced to {total} episodes:")
+    rows = [(name, count, 100 * count / total) for name, count in content.categories.items()]
+    print_table("", ("category", "episodes", "share %"), rows)
+    print_text(f"share of the three most frequent categories: {content.top_three_share:.1%}")
+    texts = [(name, TEMPLATES[name], count) for name, count in content.templates.items()]
+    print_table("", ("template", "text", "episodes"), texts)
+    print_text(
+        f"expected ambiguity: {content.ambiguous / total:.1%} of the instructions fit several objects of the scene\n"
+        f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
+        f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
+    )
 
 
 def _print_cells(plan: Plan) -> None:

@@ -14,6 +14,13 @@ from factory.cli.scene.package import say_counts, say_rest
 from schemas.storage.disk import translated
 
 _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
+_TIERS = {
+    "straight": "straight_tiers",
+    "connected": "connected_tiers",
+    "surface: straight": "surface_straight_tiers",
+    "surface: connected": "surface_connected_tiers",
+}
+"""Name of a column -> key of the tiers."""
 
 
 @click.command("inspect")
@@ -45,7 +52,7 @@ def _print(facts: dict[str, Any]) -> None:
     for line in say_rest(facts["no_target"], facts["instances"]):
         print_text(line)
     click.echo("")
-    columns = ("id", "category", "colour", "centroid m", "straight from", "connected from", "prim")
+    columns = ("id", "category", "colour", "centroid m", *(f"{kind} from" for kind in _TIERS), "prim")
     print_table("", columns, [_row(target) for target in facts["targets"]])
     for note in facts["notes"]:
         click.echo(f"note: {note}", err=True)
@@ -57,5 +64,5 @@ def _words(value: Any) -> str:
 
 def _row(target: dict[str, Any]) -> tuple[str, ...]:
     centroid = ", ".join(f"{value:.2f}" for value in target["centroid_m"])
-    tiers = (" ".join(target[key]) or "-" for key in ("straight_tiers", "connected_tiers"))
+    tiers = (" ".join(target[key]) or "-" for key in _TIERS.values())
     return (target["id"], target["category"], target["colour"], centroid, *tiers, target["prim_path"])

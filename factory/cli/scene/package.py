@@ -16,8 +16,9 @@ from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from factory.cli.common.output import print_text
 from factory.cli.scene.choice import open_scene
+from schemas.config import TaskConfig
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
-from schemas.terms import Split
+from schemas.terms import Split, SuccessMeasure
 
 _IN_WORDS = ("targets", "instances", "no_target", "notes")
 _MOST_NAMES = 12
@@ -153,7 +154,9 @@ def draft_plan(entry: SceneEntry, usd: str, **files: object) -> Plan | None:
         {"name": entry.info.name, "usd": usd, "seen": seen, "held_out": held_out, "episodes": _EPISODES, **files}
     )
     splits = PAPER_SPLITS if held_out else _without_held_out()
-    return find_nearest(Plan(name=entry.info.name, scenes=(scene,), splits=dict(splits)), {entry.info.name: entry}).plan
+    task = TaskConfig(success=SuccessMeasure.SURFACE)
+    plan = Plan(name=entry.info.name, scenes=(scene,), splits=dict(splits), task=task)
+    return find_nearest(plan, {entry.info.name: entry}).plan
 
 
 def _without_held_out() -> dict[Split, float]:

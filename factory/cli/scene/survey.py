@@ -64,7 +64,7 @@ def say_survey(report: SurveyReport) -> Iterator[str]:
     )
     yield f"start points without a visible target: {report.blind}; only the planner expert uses them"
     yield f"targets visible from no start point: {', '.join(report.unseen) or 'none'}"
-    yield f"visible: at {low:g} to {high:g} m, not occluded, with a free straight path"
+    yield f"visible: at {low:g} to {high:g} m, not occluded, with a free straight path to 1 m from the centroid"
 
 
 def _row(number: int, sight: SpawnSight) -> tuple[object, ...]:

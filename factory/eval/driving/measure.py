@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from schemas.config import TaskConfig
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
@@ -39,7 +40,7 @@ def spl(success: bool, shortest_m: float, driven_m: float) -> float:
 
     Args:
         success: S.
-        shortest_m: l, length of the shortest path from the start to the success circle.
+        shortest_m: l, length of the shortest path from the start to the success region.
         driven_m: p, length of the driven path.
     """
     return _efficiency(shortest_m, driven_m) if success else 0.0
@@ -49,8 +50,8 @@ def soft_spl(start_m: float, end_m: float, driven_m: float) -> float:
     """Returns max(0, 1 - d_T / d_0) l / max(p, l) with l = d_0 (Datta et al. 2020): SPL with progress for success.
 
     Args:
-        start_m: d_0, geodesic distance to the success circle at the start.
-        end_m: d_T, geodesic distance to the success circle at the end.
+        start_m: d_0, geodesic distance to the success region at the start.
+        end_m: d_T, geodesic distance to the success region at the end.
         driven_m: p, length of the driven path.
     """
     covered = max(0.0, 1.0 - end_m / start_m) if start_m > 0 else float(end_m <= 0)
@@ -67,15 +68,15 @@ def path_length_m(track: Floats) -> float:
     return float(np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1).sum())
 
 
-def has_stopped_at(track: Floats, centre_xy: ArrayLike, task: TaskConfig) -> bool:
-    """Returns whether a track meets the success rule at a position: in the radius and stationary for the hold steps.
+def has_stopped_at(track: Floats, goal: Goal, task: TaskConfig) -> bool:
+    """Returns whether a track meets the success rule at a goal: inside it and stationary for the hold steps.
 
     Args:
         track: (frames, >= 2) positions of base_link.
-        centre_xy: Position of the goal.
-        task: Success radius, speed limit and hold steps.
+        goal: Success region.
+        task: Speed limit and hold steps.
     """
-    inside = np.linalg.norm(track[1:, :2] - np.asarray(centre_xy), axis=1) <= task.success_radius_m
+    inside = goal.distances(track[1:, :2]) <= goal.radius_m
     speed = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1) * task.control_hz
     held = inside & (speed < task.stationary_speed_mps)
     if len(held) < task.hold_steps:
@@ -85,19 +86,19 @@ def has_stopped_at(track: Floats, centre_xy: ArrayLike, task: TaskConfig) -> boo
 
 def stops_at_any(track: Floats, targets: Iterable[Target], category: str, task: TaskConfig) -> bool:
     """Returns whether a track meets the success rule at any target of a category."""
-    return any(has_stopped_at(track, target.centroid_m[:2], task) for target in targets if target.category == category)
+    return any(has_stopped_at(track, Goal.of(target, task), task) for target in targets if target.category == category)
 
 
-def floor_distance_m(grid: Grid, xy: ArrayLike, target: Target, radius_m: float) -> float | None:
-    """Returns the geodesic distance from a point to the success circle, metres; `None` without a path.
+def floor_distance_m(grid: Grid, xy: ArrayLike, target: Target, task: TaskConfig) -> float | None:
+    """Returns the geodesic distance from a point to the success region, metres; `None` without a path.
 
     A robot next to furniture can be outside of the distance field, where the floor is too narrow; then the distance is
     measured via the nearest cell of the field.
     """
-    direct = geodesic_m(grid, xy, target, radius_m)
+    direct = geodesic_m(grid, xy, target, task)
     if direct is not None:
         return direct
-    field = geodesic_field(grid, target, radius_m).metres
+    field = geodesic_field(grid, target, task).metres
     cells = np.argwhere(np.isfinite(field))
     if len(cells) == 0:
         return None

@@ -36,6 +36,7 @@ from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
+from schemas.measure import Goal, footprint_distances
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
@@ -189,7 +190,8 @@ def _measured(
     seconds: float,
 ) -> EpisodeResult:
     spec, rules, track = task.request.spec, simulator.settings.task, simulator.track
-    gaps = np.linalg.norm(track[:, :2] - np.asarray(simulator.target.centroid_m[:2]), axis=1)
+    target, last = simulator.target, track[-1, :2]
+    gaps = Goal.of(target, rules).distances(track[:, :2])
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
@@ -205,6 +207,8 @@ def _measured(
         trajectory_length_m=driven_m,
         final_ne_m=final_m,
         min_ne_m=least_m,
+        final_centroid_m=float(np.linalg.norm(last - np.asarray(target.centroid_m[:2]))),
+        final_surface_m=float(footprint_distances(last, target.footprint_m)) if target.footprint_m else None,
         spl=None if spec.geodesic_m is None else measure.spl(is_success, spec.geodesic_m, driven_m),
         soft_spl=_soft_spl(spec, simulator, track, is_success, driven_m),
         **progresses(start_m, final_m, least_m, rules),
@@ -237,7 +241,7 @@ def request_fields(task: EvalTask) -> dict[str, Any]:
 
 
 def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig) -> dict[str, Any]:
-    """Returns the three progress metrics (docs/design/task.md#measures) from distances to the target's centroid."""
+    """Returns the three progress metrics (docs/design/task.md#measures) from distances by the success measure."""
     radius_m = task.success_radius_m
     normalised = measure.progress(start_m - radius_m, max(0.0, least_m - radius_m)) if start_m > radius_m else 1.0
     return {
@@ -254,6 +258,6 @@ def _soft_spl(
         return None
     if is_success:
         return measure.soft_spl(spec.geodesic_m, 0.0, driven_m)
-    radius_m = simulator.settings.task.success_radius_m
-    left_m = measure.floor_distance_m(simulator.loaded.grid, track[-1, :2], simulator.target, radius_m)
+    rules = simulator.settings.task
+    left_m = measure.floor_distance_m(simulator.loaded.grid, track[-1, :2], simulator.target, rules)
     return 0.0 if left_m is None else measure.soft_spl(spec.geodesic_m, left_m, driven_m)

@@ -70,15 +70,19 @@ class EpisodeResult(Model):
     trajectory_length_m: NonNegative
     """Trajectory length (TL)."""
     final_ne_m: NonNegative
-    """Navigation error (NE): distance to the target's centroid at the end."""
+    """Navigation error (NE): distance to the target at the end, by the success measure like all distances to it."""
     min_ne_m: NonNegative
+    final_centroid_m: NonNegative | None = None
+    """NE by the centroid; `None` in results of older versions and of killed drivers."""
+    final_surface_m: NonNegative | None = None
+    """NE by the footprint; `None`, too, if the scene records no footprint."""
     geodesic_m: NonNegative | None
     """Geodesic distance at the start, the l of SPL."""
     spl: Fraction | None
     """SPL; `None` without a path on the floor."""
     soft_spl: Fraction | None
     progress_final: float
-    """OP from the start to the end; negative if the distance increased."""
+    """OP by the success measure, from the start to the end; negative if the distance increased."""
     progress_max: float
     """OP from the start to the closest point of the track."""
     progress_normalised: float

@@ -60,9 +60,9 @@ class EvalSpec(EpisodeSpec):
     """`job`: drawn as in the data collection, bit for bit; `frame`: frame 0 of the episode, because another version of
     the software recorded it; `drawn`: drawn for this set."""
     spawn_dist_m: NonNegative
-    """Planar distance from the start pose to the target's centroid, metres."""
+    """Planar distance from the start pose to the target by the success measure, metres."""
     geodesic_m: NonNegative | None
-    """Geodesic distance to the success circle, metres, the l of SPL; `None` without a path."""
+    """Geodesic distance to the success region, metres, the l of SPL; `None` without a path."""
     categories_in_view: tuple[Name, ...]
     """Categories with an object in view at the start, sorted by name."""
     is_target_in_view: bool

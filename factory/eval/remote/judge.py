@@ -23,6 +23,7 @@ from factory.eval.remote.driven import read_driven
 from schemas.base import Model, Sha256
 from schemas.errors import InvalidBundle
 from schemas.job import Job
+from schemas.measure import Goal, footprint_distances
 from schemas.plan import canonical_json
 from schemas.scene import Target
 
@@ -165,8 +166,17 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
         yield f"{max(gaps):.3f} m between two poses of the track, at most {most_m:.3f} m is possible"
     if sum(gaps) > result.trajectory_length_m + len(track) * _TRACK_SLACK_M:
         yield f"driven {result.trajectory_length_m:.3f} m, the track alone is {sum(gaps):.3f} m long"
-    goal = target.centroid_m[:2]
-    for name, place in (("spawn_dist_m", 0), ("final_ne_m", -1)):
-        said, seen = getattr(result, name), math.dist(track[place][:2], goal)
-        if abs(said - seen) > _TRACK_SLACK_M:
+    first, last = track[0][:2], track[-1][:2]
+    goal = Goal.of(target, settings.task)
+    distances: dict[str, float | None] = {
+        "spawn_dist_m": goal.distance(*first),
+        "final_ne_m": goal.distance(*last),
+        "final_centroid_m": math.dist(last, target.centroid_m[:2]),
+        "final_surface_m": float(footprint_distances(last, target.footprint_m)) if target.footprint_m else None,
+    }
+    for name, seen in distances.items():
+        said = getattr(result, name)
+        if said is not None and seen is None:
+            yield f"{name} is {said:.3f} m, but the scene records no footprint"
+        elif said is not None and seen is not None and abs(said - seen) > _TRACK_SLACK_M:
             yield f"{name} is {said:.3f} m, by the track {seen:.3f} m"

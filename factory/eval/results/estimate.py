@@ -31,6 +31,9 @@ class IntervalEstimate(Model):
     """Ends of the interval; `None` for fewer than two values, or where BCa is not defined."""
 
 
+NO_VALUES = IntervalEstimate(n=0, mean=None, low=None, high=None)
+
+
 def mean_of(values: Sequence[float | None]) -> IntervalEstimate:
     """Returns the mean of the values that are not `None`, with its interval; deterministic."""
     return means_of({"": values})[""]
@@ -67,7 +70,7 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
 def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
     """Returns the estimate of equal values, whose interval is a point, of a single value, or of none."""
     if len(values) == 0:
-        return IntervalEstimate(n=0, mean=None, low=None, high=None)
+        return NO_VALUES
     mean = float(values[0])
     ends = mean if len(values) > 1 else None
     return IntervalEstimate(n=len(values), mean=mean, low=ends, high=ends)

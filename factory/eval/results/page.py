@@ -19,6 +19,8 @@ _HEAD = (
     "SPL",
     "soft-SPL",
     "NE, m",
+    "NE to the centroid, m",
+    "NE to the footprint, m",
     "OP final",
     "OP closest",
     "OP normalised",
@@ -102,7 +104,7 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
 def _badges(evaluation: Evaluation) -> Iterator[str]:
     yield _count(evaluation.episodes, "episode")
     yield _count(len(evaluation.policies), "policy", "policies")
-    yield f"success radius {evaluation.success_radius_m:g} m"
+    yield f"success radius {evaluation.success_radius_m:g} m by {evaluation.success}"
     yield "complete" if evaluation.complete else "incomplete"
 
 
@@ -167,6 +169,8 @@ def _cells(score: Score) -> Sequence[_Cell]:
         _estimate(score.spl),
         _estimate(score.soft_spl),
         _estimate(score.ne_m),
+        _estimate(score.ne_centroid_m),
+        _estimate(score.ne_surface_m),
         _estimate(score.progress_final),
         _estimate(score.progress_max),
         _estimate(score.progress_normalised),

@@ -71,8 +71,7 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallb
                 film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"
                 if not (film.exists() and poster.exists()):
                     scene = places.load(row.scene, shas[row.scene]).scene
-                    radius_m = settings.task.success_radius_m
-                    pictures = list(draw_frames(row, scene, radius_m, stage.renderer, settings.camera))
+                    pictures = list(draw_frames(row, scene, settings.task, stage.renderer, settings.camera))
                     _write(poster, draw_poster(pictures[-1]))
                     write_mp4(film, pictures, FILM_RATE, FILM_CRF)
                 found[name].append(FailureExample(row, film.read_bytes(), poster.read_bytes()))
@@ -97,6 +96,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         source=campaign.specs.source,
         specs_digest=campaign.specs.digest,
         episodes=len(campaign.specs.specs),
+        success=campaign.specs.settings.task.success,
         success_radius_m=campaign.specs.settings.task.success_radius_m,
         complete=is_complete,
         policies=tuple(scores),

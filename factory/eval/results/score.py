@@ -11,13 +11,13 @@ from pydantic import Field
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
 from factory.eval.policies.note import PolicyNote
-from factory.eval.results.estimate import IntervalEstimate, mcnemar_p, means_of
+from factory.eval.results.estimate import NO_VALUES, IntervalEstimate, mcnemar_p, means_of
 from factory.eval.results.faults import FaultCount, faults_of
 from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256
 from schemas.language import TEMPLATES
-from schemas.terms import CATEGORIES, Split, Tier
+from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier
 
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
@@ -34,6 +34,8 @@ GROUPS: Mapping[str, str] = MappingProxyType(
 MEANS: Mapping[str, str] = MappingProxyType(
     {
         "ne_m": "final_ne_m",
+        "ne_centroid_m": "final_centroid_m",
+        "ne_surface_m": "final_surface_m",
         "trajectory_length_m": "trajectory_length_m",
         "spl": "spl",
         "soft_spl": "soft_spl",
@@ -67,6 +69,10 @@ class Score(Model):
     contact: Share
     """Share of episodes with a contact other than the floor."""
     ne_m: IntervalEstimate
+    """NE by the success measure."""
+    ne_centroid_m: IntervalEstimate = NO_VALUES
+    ne_surface_m: IntervalEstimate = NO_VALUES
+    """NE by the footprint, of the episodes whose scene records one."""
     trajectory_length_m: IntervalEstimate
     spl: IntervalEstimate
     soft_spl: IntervalEstimate
@@ -125,6 +131,8 @@ class Evaluation(Model):
     """Origin of the specs."""
     specs_digest: Sha256
     episodes: Annotated[int, Field(ge=0)]
+    success: SuccessMeasure = SuccessMeasure.CENTROID
+    """Measure of the distance to the target."""
     success_radius_m: float
     complete: bool
     """Whether every episode of every policy is finished."""

@@ -16,8 +16,9 @@ from PIL import Image, ImageDraw
 
 from factory.eval.models.result import EpisodeResult
 from factory.visualize.film import Rgb
-from schemas.config import CameraConfig
-from schemas.scene import CompiledScene, Target
+from schemas.config import CameraConfig, TaskConfig
+from schemas.measure import Goal
+from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 
@@ -49,21 +50,21 @@ def choose_failures(results: Sequence[EpisodeResult], count: int) -> list[Episod
 
 
 def draw_frames(
-    result: EpisodeResult, scene: CompiledScene, radius_m: float, renderer: Renderer, camera: CameraConfig
+    result: EpisodeResult, scene: CompiledScene, task: TaskConfig, renderer: Renderer, camera: CameraConfig
 ) -> Iterator[Rgb]:
     """Yields at most 36 pictures (320, 640, 3) of an episode, spread evenly over its track.
 
     Args:
         result: Result with the track.
         scene: Scene of the episode.
-        radius_m: Success radius, metres.
+        task: Success measure and radius.
         renderer: Open renderer for the camera images.
         camera: Camera of the robot.
     """
     target = scene.info.target(result.target_id)
     renderer.load(scene, camera)
     count = min(_FRAMES, len(result.track))
-    board = _Map(scene, result, target, radius_m)
+    board = _Map(scene, result, Goal.of(target, task))
     for row in np.linspace(0, len(result.track) - 1, count).round().astype(int):
         pose = result.track[int(row)]
         rgb = renderer.render(Pose.planar(*pose, z=scene.info.floor_height_m)).rgb
@@ -81,15 +82,15 @@ def draw_poster(picture: Rgb) -> bytes:
 class _Map:
     """Map of the scene around a track; x to the right, y up."""
 
-    def __init__(self, scene: CompiledScene, result: EpisodeResult, target: Target, radius_m: float) -> None:
+    def __init__(self, scene: CompiledScene, result: EpisodeResult, goal: Goal) -> None:
         self._track = np.array([pose[:2] for pose in result.track])
         self._yaws = [pose[2] for pose in result.track]
-        self._goal = np.asarray(target.centroid_m[:2])
+        self._goal = np.asarray(goal.centre_m)
         points = np.vstack((self._track, self._goal))
         self._centre = (points.min(axis=0) + points.max(axis=0)) / 2
         span_m = float(np.ptp(points, axis=0).max()) + 2 * _MARGIN_M
         self._px_per_m = _SIDE_PX / span_m
-        self._radius_px = radius_m * self._px_per_m
+        self._outline = [self._pixel(point) for point in goal.outline()]
         self._floor = self._draw_floor(scene, span_m)
 
     def draw(self, row: int) -> Image.Image:
@@ -97,8 +98,7 @@ class _Map:
         picture = self._floor.copy()
         pen = ImageDraw.Draw(picture)
         gx, gy = self._pixel(self._goal)
-        box = (gx - self._radius_px, gy - self._radius_px, gx + self._radius_px, gy + self._radius_px)
-        pen.ellipse(box, outline=_GOAL, width=2)
+        pen.line(self._outline, fill=_GOAL, width=2)
         pen.ellipse((gx - 4, gy - 4, gx + 4, gy + 4), fill=_GOAL)
         line = [self._pixel(point) for point in self._track[: row + 1]]
         if len(line) > 1:

@@ -16,6 +16,7 @@ from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
+from schemas.measure import Goal
 from schemas.referents import ids_in_view
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
@@ -111,7 +112,7 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
         seed=int(np.random.SeedSequence((job.root_seed, job.index)).generate_state(1)[0]),
         spawn_pose=drawn or meta.rollout.spawn_pose,
         spawn_source="job" if drawn else "frame",
-        spawn_dist_m=meta.rollout.spawn_dist_m,
+        spawn_dist_m=Goal.of_episode(meta).distance(*meta.rollout.spawn_pose[:2]),
         geodesic_m=meta.route.geodesic_m,
         categories_in_view=seen,
         is_target_in_view=target_pixels >= job.gains.min_mask_px,
@@ -148,5 +149,7 @@ def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, fl
         is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
         return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
 
-    found = next(draw_poses(meta.job, target, place, meta.job.rng(), is_recorded), None)
+    accepts = is_recorded if meta.job.start_view else (lambda _pose: True)  # instead of rendering every view again
+    draws = draw_poses(meta.job, target, place, meta.job.rng(), accepts)
+    found = next(filter(is_recorded, draws), None)
     return None if found is None else (found.x, found.y, found.yaw)

@@ -20,6 +20,7 @@ from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places, categories_in_view
 from factory.runs.catalog import find_package
 from schemas.errors import UsageError, WorldError
+from schemas.measure import Goal
 from schemas.plan import Plan
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Split, Tier
@@ -113,7 +114,7 @@ def _spec(plan: Plan, catalog: Catalog, job: PlannedJob, place: LoadedScene, sim
             except NoFirmStand:
                 continue
             instances, pixels = place.scene.info.instances, plan.gains.min_mask_px
-            way = geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task.success_radius_m)
+            way = geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
             return drawn.model_copy(
                 update={
                     "spawn_dist_m": view.distance_m,
@@ -166,8 +167,6 @@ def _draw(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene, rng: 
         return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
     distance, bearing = rng.uniform(*TIER_RANGE_M[job.episode.tier]), rng.uniform(-math.pi, math.pi)
     noise = rng.uniform(-plan.spawn.heading_noise_rad, plan.spawn.heading_noise_rad)
-    return (
-        target.centroid_m[0] + distance * math.cos(bearing),
-        target.centroid_m[1] + distance * math.sin(bearing),
-        math.remainder(bearing + math.pi + noise, 2 * math.pi),
-    )
+    ray = np.array([[math.cos(bearing), math.sin(bearing)]])
+    x, y = Goal.of(target, plan.task).ring(ray, distance)[0]
+    return float(x), float(y), math.remainder(bearing + math.pi + noise, 2 * math.pi)

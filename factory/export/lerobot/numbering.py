@@ -35,6 +35,7 @@ ABOUT = (
     "geodesic_m",
     "trajectory_length_m",
     "final_ne_m",
+    "final_surface_m",
     "collision_count",
     "content_digest",
 )

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from schemas.episode import EpisodeMeta
 from schemas.measure import yaw_of
+from schemas.terms import SuccessMeasure
 
 PAD, UNKNOWN = "<pad>", "<unk>"
 _WORD = re.compile(r"[a-z0-9]+|[^\sa-z0-9]")
 _SPACING_M = 0.25
 """Distance between points of the reference path, metres; equal to the step of VLN-CE agents."""
+_GOAL_SPACING_M = 0.25
+"""Largest distance between goals along the edge of a footprint, metres."""
 
 Vector = tuple[float, float, float]
 
@@ -79,6 +82,22 @@ def scene_file(scene: str) -> str:
     return f"minivla/{scene}/{scene}.glb"
 
 
+def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Returns the points from which Habitat measures success: the centroid, or points of the footprint's edge.
+
+    Habitat uses the nearest of several goals. The first is the one nearest to the end of the track.
+    """
+    if meta.job.task.success is SuccessMeasure.CENTROID:
+        return [meta.target_centroid_m[:2]]
+    points: list[tuple[float, float]] = []
+    vertices = np.array(meta.target_footprint_m)
+    for start, end in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
+        steps = max(1, math.ceil(math.dist(start, end) / _GOAL_SPACING_M))
+        points += [tuple(point) for point in (start + (end - start) * np.arange(steps)[:, None] / steps).tolist()]
+    last = poses[-1, :2].tolist()
+    return sorted(points, key=lambda point: math.dist(point, last))
+
+
 def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float) -> dict[str, Any]:
     """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
@@ -88,7 +107,6 @@ def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m:
         floor_height_m: height of the floor, metres; goals are on the floor, because a navigation mesh covers only it.
     """
     job, rollout = meta.job, meta.rollout
-    goal_x, goal_y, _ = meta.target_centroid_m
     track = thin_track(poses[:, :3])
     return {
         "episode_id": job.index,
@@ -96,7 +114,10 @@ def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m:
         "scene_id": scene_file(job.scene),
         "start_position": to_habitat(poses[0, :3].tolist()),
         "start_rotation": rotation_of(float(yaw_of(poses[:1])[0])),
-        "goals": [{"position": to_habitat((goal_x, goal_y, floor_height_m)), "radius": job.task.success_radius_m}],
+        "goals": [
+            {"position": to_habitat((x, y, floor_height_m)), "radius": job.task.success_radius_m}
+            for x, y in _goal_points(meta, poses)
+        ],
         "reference_path": [to_habitat(point) for point in track.tolist()],
         "instruction": {"instruction_text": job.instruction},
         "info": {

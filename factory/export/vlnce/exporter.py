@@ -33,8 +33,10 @@ _CARD = """
   `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/60 s), for nDTW and SDTW.
 - Positions are in Habitat's world: x right, y up, z backward. A point (x, y, z) of our world (x forward, y left, z up)
   is (x, z, -y) there. `start_rotation` is a quaternion (x, y, z, w); an agent looks along its own -z.
-- `goals` has the target's centroid, put on the floor, with the success radius. `reference_path` is the driven track, a
-  point every 0.25 m. `info.geodesic_distance` goes to the success circle, along the floor (null where it is unknown).
+- `goals` has the target's centroid, put on the floor, with the success radius; in a dataset with `task.success =
+  "surface"`, points every 0.25 m or less along the edge of the target's footprint, the one nearest to the end first.
+  `reference_path` is the driven track, a point every 0.25 m. `info.geodesic_distance` goes to the success region, along
+  the floor (null where it is unknown).
 - `instruction_tokens` are indices into `instruction_vocab.word_list`, padded with 0 to {length}; one vocabulary for all
   splits. Models with their own vocabulary use `instruction_text`.
 - `scene_id` is `minivla/<scene>/<scene>.glb` below Habitat's folder of scenes: `scene_datasets/` here. The

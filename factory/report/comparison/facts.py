@@ -31,7 +31,7 @@ class RunFacts:
     detour_m: float
     detour_std_m: float | None
     geodesic_m: float | None
-    """Mean geodesic distance to the success circle over the episodes that have one, metres."""
+    """Mean geodesic distance to the success region over the episodes that have one, metres."""
     tiers: dict[str, float]
     """Tier -> share, 0..1."""
 

@@ -10,7 +10,7 @@ from factory.stats import paper
 from factory.stats.model import AttemptRow, Published, Statistics
 from factory.stats.rollouts import ALL
 from schemas.language import needs_colour, say_category
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName, Screening, Split, Tier
 
 __all__ = [
     "explain_category_share",
@@ -125,7 +125,7 @@ def explain_category_share(material: ReportInput, category: str) -> str:
     counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
     there = sum(counted) / (paper.OVERALL.n or 1)
     text = f"Scenes with this category have {_percent(here)} of the episodes, {_percent(there)} in the paper"
-    drawn = "by category first" if material.meta.plan.balance == "categories" else "uniformly over instances"
+    drawn = "uniformly over instances" if material.meta.plan.balance == "instances" else "by category first"
     return f"{text}; targets are drawn {drawn}."
 
 
@@ -167,9 +167,11 @@ def explain_success(material: ReportInput, row: AttemptRow) -> str:
     spawn, expert = material.meta.plan.spawn, material.meta.plan.expert
     if expert is ExpertName.PLANNER:
         return f"{text} The planner avoids obstacles at which the paper's controller stalls."
+    if spawn.screening is Screening.NONE:
+        return f"{text} Starts are drawn blindly, as in the paper; walls and racks of these scenes stop other drives."
     return (
         f"{text} Starts are drawn until the straight line to the success circle is free by "
-        f"{spawn.approach_clearance_m:.2f} m, preferably with more clearance; the paper draws starts at random and "
+        f"{spawn.approach_clearance_m:.2f} m (screening {spawn.screening}); the paper draws starts at random and "
         "discards failures."
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from factory.html.palette import DASHES, colour, scene_colours
@@ -10,6 +12,7 @@ from factory.report.drawing.canvas import Axes, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, name, number, percent
 from factory.stats import paper
+from factory.stats.model import ErrorRow
 
 __all__ = ["draw"]
 
@@ -25,12 +28,16 @@ def draw(material: ReportInput) -> Figure:
     within = everything.within_radius
     said = f" The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
     caption = (
-        f"Share of {count(everything.n, 'episode')} whose planar distance to the target at the end (NE) is at most x. "
+        f"Share of {count(everything.n, 'episode')} whose planar distance to the target's "
+        f"{material.statistics.success} at the end (NE) is at most x. "
         f"The dashed line is the success radius, {material.statistics.success_radius_m:g} m: {within.count} of "
         f"{within.of} episodes end within it.{said if material.statistics.beside_paper else ''}"
     )
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
-    return Figure("errors", title, source, caption, (panel,), (_table(material),))
+    tables = [_table(material.statistics.navigation_error, "NE by scene, metres")]
+    if material.statistics.other_error:
+        tables.append(_table(material.statistics.other_error, "The same by the other success measure, metres"))
+    return Figure("errors", title, source, caption, (panel,), tuple(tables))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:
@@ -61,7 +68,7 @@ def _paint(axes: Axes, material: ReportInput) -> None:
     write_legend(axes, columns=2)
 
 
-def _table(material: ReportInput) -> Table:
+def _table(errors: Sequence[ErrorRow], title: str) -> Table:
     rows = tuple(
         (
             name(row.group),
@@ -71,8 +78,6 @@ def _table(material: ReportInput) -> Table:
             *(number(row.quantiles.get(level), 3) for level in ("p05", "p50", "p95", "p100")),
             percent(row.within_radius.share),
         )
-        for row in material.statistics.navigation_error
+        for row in errors
     )
-    return Table(
-        ("scene", "N", "mean", "std", "5 %", "50 %", "95 %", "largest", "within radius"), rows, "NE by scene, metres"
-    )
+    return Table(("scene", "N", "mean", "std", "5 %", "50 %", "95 %", "largest", "within radius"), rows, title)

@@ -180,10 +180,9 @@ def _method(material: ReportInput) -> Sequence[str]:
     return (
         "All numbers come from the dataset's own tables (metadata.parquet, attempts.parquet) and equal those of "
         "`factory stats`. Tracks, actions and frames are read from the episodes.",
-        "NE is the planar distance between base_link and the target's centroid at the end, TL the trajectory length; "
-        "the "
-        "start distance is planar too. Detour is TL minus the straight line from start to end; the shortest path is "
-        "measured along the floor to the success circle.",
+        f"NE is the planar distance between base_link and the target's {meta.plan.task.success} at the end, TL the "
+        "trajectory length; the start distance is planar too. Detour is TL minus the straight line from start to end; "
+        "the shortest path is measured along the floor to the success region.",
         *((_ABOUT_PAPER,) if material.statistics.beside_paper else ()),
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Software: {software}.",
         "The page is reproducible: the same dataset and software give the same bytes.",

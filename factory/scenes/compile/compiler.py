@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.compile.geometry import Geometry, lay_out_geometry
-from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours, with_far_tier
+from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours
 from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling
 from factory.scenes.compile.shade import target_colour, triangle_areas
@@ -66,6 +66,13 @@ class _Shown:
     def triangles(self) -> Floats:
         """Returns all triangles (T, 3, 3), world metres."""
         return np.concatenate([part.triangles for part in self.parts])
+
+    def shapes(self) -> dict[str, Floats]:
+        """Returns the triangles (T, 3, 3) of each object by its path, world metres."""
+        groups: dict[str, list[Floats]] = {}
+        for part, owner in zip(self.parts, self.owners, strict=True):
+            groups.setdefault(owner, []).append(part.triangles)
+        return {owner: np.concatenate(triangles) for owner, triangles in groups.items()}
 
 
 @dataclass(frozen=True)
@@ -232,14 +239,14 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
     spawns = survey_spawns(terrain)
     if len(spawns) < MIN_SPAWNS:
         notes.append(f"only {len(spawns)} spawn points fit on {_area(terrain)} m2 of connected floor")
-    targets = apply_target_edits(list_targets(terrain, shown.candidates, shown.ids, floor_m, notes), shown.chosen)
+    points = spawns.astype(np.float64)
+    listed = list_targets(terrain, shown.candidates, shown.shapes(), shown.ids, points, floor_m, notes)
+    targets = apply_target_edits(listed, shown.chosen)
     if not targets:
         raise WorldError(_why_no_target(file, shown, terrain, notes))
     named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)
     targets = recoloured(named, shown.chosen)
-    points = spawns.astype(np.float64)
-    sees = sees_matrix(terrain, points, targets)
-    return _Survey(with_far_tier(targets, points, sees), spawns, sees)
+    return _Survey(targets, spawns, sees_matrix(terrain, points, targets))
 
 
 def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:

@@ -14,41 +14,73 @@ from numpy.typing import NDArray
 from factory.scenes.compile.shade import target_colour
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
-from factory.scenes.navigation.reach import SEE_RANGE_M, Terrain, is_reachable, ring_tiers
+from factory.scenes.navigation.reach import Terrain, tiers_of
 from factory.scenes.targets.candidates import Candidate
+from factory.scenes.targets.footprint import footprint_of
+from schemas.config import TaskConfig
+from schemas.measure import Goal
 from schemas.scene import Target
-from schemas.terms import Tier
+from schemas.support.numpy_types import Floats
+from schemas.terms import SuccessMeasure
 
-__all__ = ["HIGHEST_BOTTOM_M", "list_targets", "with_colours", "with_far_tier"]
+__all__ = ["HIGHEST_BOTTOM_M", "list_targets", "with_colours"]
 
 HIGHEST_BOTTOM_M = 2.0
 """Maximum height of the bottom of a target above the floor, metres."""
 
 
 def list_targets(
-    terrain: Terrain, candidates: Sequence[Candidate], ids: Mapping[str, int], floor_m: float, notes: list[str]
+    terrain: Terrain,
+    candidates: Sequence[Candidate],
+    shapes: Mapping[str, Floats],
+    ids: Mapping[str, int],
+    spawns: Floats,
+    floor_m: float,
+    notes: list[str],
 ) -> tuple[Target, ...]:
-    """Returns the reachable candidates as targets without colours, in the order of their paths.
+    """Returns the candidates that are reachable by a success measure as targets without colours, in path order.
 
     Names number all candidates of a category, so that a target keeps its name when another becomes reachable.
+
+    Args:
+        terrain: floor of the scene.
+        candidates: candidates in the order of their paths.
+        shapes: triangles (T, 3, 3) of each candidate by its path, world metres.
+        ids: instance ids by path.
+        spawns: (S, 2) surveyed points, metres.
+        floor_m: height of the floor, metres.
+        notes: receives a note for each candidate that is left out.
     """
     seen: Counter[str] = Counter()
     targets = []
     for candidate in candidates:
         seen[candidate.category] += 1
-        target = _target(candidate, f"{candidate.category}_{seen[candidate.category]:03d}", ids[candidate.path])
+        name = f"{candidate.category}_{seen[candidate.category]:03d}"
+        target = _target(candidate, name, ids[candidate.path], shapes[candidate.path])
         bottom = float(candidate.box[0, 2]) - floor_m
         if not -1.0 < bottom < HIGHEST_BOTTOM_M:
             notes.append(f"{target.target_id}: left out, it hangs {bottom:.2f} m over the floor ({candidate.path})")
-        elif not is_reachable(terrain, target):
-            notes.append(f"{target.target_id}: left out, no pose within its success circle fits ({candidate.path})")
-        else:
-            straight, connected = ring_tiers(terrain, target)
-            targets.append(target.model_copy(update={"straight_tiers": straight, "connected_tiers": connected}))
+            continue
+        tiers = {
+            success: tiers_of(terrain, target, Goal.of(target, TaskConfig(success=success)), spawns)
+            for success in SuccessMeasure
+        }
+        if not any(tiers.values()):
+            notes.append(f"{target.target_id}: left out, no pose within its success region fits ({candidate.path})")
+            continue
+        straight, connected = tiers[SuccessMeasure.CENTROID] or ((), ())
+        by_surface = tiers[SuccessMeasure.SURFACE] or ((), ())
+        found = {
+            "straight_tiers": straight,
+            "connected_tiers": connected,
+            "surface_straight_tiers": by_surface[0],
+            "surface_connected_tiers": by_surface[1],
+        }
+        targets.append(target.model_copy(update=found))
     return tuple(targets)
 
 
-def _target(candidate: Candidate, name: str, instance_id: int) -> Target:
+def _target(candidate: Candidate, name: str, instance_id: int, shape: Floats) -> Target:
     centre, size = candidate.box.mean(axis=0), np.ptp(candidate.box, axis=0)
     return Target(
         target_id=name,
@@ -57,6 +89,7 @@ def _target(candidate: Candidate, name: str, instance_id: int) -> Target:
         prim_path=candidate.path,
         centroid_m=_rounded(centre),
         size_m=_rounded(size),
+        footprint_m=footprint_of(shape),
     )
 
 
@@ -84,16 +117,3 @@ def with_colours(
             continue
         named.append(target.model_copy(update={"colour": target_colour(own[target.prim_path], book)}))
     return tuple(named)
-
-
-def with_far_tier(
-    targets: Sequence[Target], spawns: NDArray[np.float64], sees: NDArray[np.uint8]
-) -> tuple[Target, ...]:
-    """Returns the targets with the far tier: straight if a spawn sees the target, connected if a spawn is far away."""
-    full = []
-    for column, target in enumerate(targets):
-        distance = np.linalg.norm(spawns - np.asarray(target.centroid_m[:2]), axis=1)
-        straight = target.straight_tiers + ((Tier.FAR,) if sees[:, column].any() else ())
-        connected = target.connected_tiers + ((Tier.FAR,) if (distance >= SEE_RANGE_M[0]).any() else ())
-        full.append(target.model_copy(update={"straight_tiers": straight, "connected_tiers": connected}))
-    return tuple(full)

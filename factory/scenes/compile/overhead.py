@@ -21,6 +21,8 @@ _PAINT = Surface(colour=(0.72, 0.72, 0.70))
 _EYE_M = 0.35
 _REACH_M = 200.0
 _DIRECTIONS = 48
+_MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
+"""Number of back faces, which are not visible, that a ray passes at most, and the step behind each, metres."""
 _OPEN_SHARE = 0.005
 """Share of the views upwards that end at no surface above which a stage is open."""
 
@@ -58,5 +60,9 @@ def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> b
     ways = np.column_stack((flat * portable.cos(turn), flat * portable.sin(turn), rise)).astype(np.float32)
     eyes = np.column_stack((spawns, np.full(len(spawns), floor_m + _EYE_M))).astype(np.float32)
     origins, directions = np.repeat(eyes, _DIRECTIONS, axis=0), np.tile(ways, (len(eyes), 1))
-    distance, is_back = Caster(triangles).first_hits(origins, directions, _REACH_M)
-    return bool(np.mean((distance >= _REACH_M) | is_back) > _OPEN_SHARE)
+    caster, total, free = Caster(triangles), len(origins), 0
+    for _ in range(_MOST_BACKS):
+        distance, is_back = caster.first_hits(origins, directions, _REACH_M)
+        free += int(np.count_nonzero(distance >= _REACH_M))
+        origins, directions = (origins + (distance + _STEP_M)[:, None] * directions)[is_back], directions[is_back]
+    return free > _OPEN_SHARE * total

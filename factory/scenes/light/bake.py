@@ -82,10 +82,8 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tu
     """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
     sky, open_spots = sky_light(caster, texels, _FINE_SKY)
     whole, free = lamp_light(caster, texels, open_spots, lamps, _FINE_LAMPS)
-    known, bent = (
-        _mask(owner.shape, texels, np.asarray(open_spots.any(axis=1))),
-        _mask(owner.shape, texels, texels.is_bent),
-    )
+    known = _mask(owner.shape, texels, np.asarray(open_spots.any(axis=1)))
+    bent = _mask(owner.shape, texels, texels.is_bent)
     cast = _maps(owner.shape, texels, sky, free, whole)
     smooth, is_near = smooth_charts(cast, known, owner)
     for step in _EVEN_STEPS:

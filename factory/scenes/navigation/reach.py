@@ -10,16 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from schemas.config import SpawnConfig
+from schemas.config import SpawnConfig, TaskConfig
+from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
-from schemas.terms import TIER_RANGE_M, Tier
-from workers.geometry.grid import Grid, are_within, body_centre, straight_end
+from schemas.terms import FAR_FLOOR_M, TIER_RANGE_M, Tier
+from workers.geometry.grid import Grid, are_within, body_centre
 
-__all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "is_reachable", "ring_tiers", "sees_matrix"]
+__all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "sees_matrix", "tiers_of"]
 
 ARRIVAL_RADIUS_M = 0.97
-"""Distance from the centroid at which the robot stops within the success circle, metres."""
+"""Distance from the target at which the robot stops within the success region, by the success measure, metres."""
 SEE_RANGE_M = (1.5, 11.0)
 """Minimum and maximum distance of a spawn that counts for a target, metres."""
 MIN_STARTS = 3
@@ -50,54 +51,79 @@ class Terrain:
         return np.asarray(fits & ~are_within(points, self.taken))
 
 
-def _rings(centre: Floats, radii: ArrayLike) -> Floats:
-    """Returns points (R * B, 2) on circles around a centre."""
-    angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray((centre + np.asarray(radii, float)[:, None, None] * circle).reshape(-1, 2))
+def tiers_of(
+    terrain: Terrain, target: Target, goal: Goal, spawns: Floats
+) -> tuple[tuple[Tier, ...], tuple[Tier, ...]] | None:
+    """Returns the tiers from which a target is reachable by straight driving, and by any path; `None` if it is not.
+
+    Args:
+        terrain: floor of the scene.
+        target: target to reach.
+        goal: its success region; its measure applies to the distances of the tiers, too.
+        spawns: (S, 2) surveyed points, metres.
+    """
+    if not _is_reachable(terrain, target, goal):
+        return None
+    straight, connected = _ring_tiers(terrain, target, goal)
+    is_far = goal.distances(spawns) >= FAR_FLOOR_M[0]  # the path along the floor is at least as long
+    if (is_far & _sees(terrain, spawns, target, goal)).any():
+        straight.append(Tier.FAR)
+    if is_far.any():
+        connected.append(Tier.FAR)
+    return tuple(straight), tuple(connected)
 
 
-def is_reachable(terrain: Terrain, target: Target) -> bool:
-    """Returns whether a pose in the success circle is free, on the connected floor and in sight of the target."""
-    centre = np.asarray(target.centroid_m[:2])
-    points = _rings(centre, np.asarray(_ARRIVAL_SHARES) * ARRIVAL_RADIUS_M)
+def _is_reachable(terrain: Terrain, target: Target, goal: Goal) -> bool:
+    """Returns whether a pose in the success region is free, on the connected floor and in sight of the target."""
+    points = _rings(goal, np.asarray(_ARRIVAL_SHARES) * ARRIVAL_RADIUS_M)
     points = points[terrain.grid.have_sight(points, target)]
     yaw = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
-    toward = np.arctan2(centre[1] - points[:, 1], centre[0] - points[:, 0])
-    fits = terrain.fits(points[:, None, 0], points[:, None, 1], toward[:, None] + yaw, 0.0)
+    fits = terrain.fits(points[:, None, 0], points[:, None, 1], _toward(goal, points)[:, None] + yaw, 0.0)
     return bool(fits.any())
 
 
-def ring_tiers(terrain: Terrain, target: Target) -> tuple[tuple[Tier, ...], tuple[Tier, ...]]:
+def _ring_tiers(terrain: Terrain, target: Target, goal: Goal) -> tuple[list[Tier], list[Tier]]:
     """Returns the tiers (near, mid) from which a target is reachable by straight driving, and by any path.
 
     Start poses face the target, fit with the spawn margin, are on the connected floor and see the target.
     """
     straight, connected = [], []
-    centre = np.asarray(target.centroid_m[:2])
     for tier, (low, high) in TIER_RANGE_M.items():
-        points = _rings(centre, np.linspace(low, high, _RINGS))
-        toward = np.arctan2(centre[1] - points[:, 1], centre[0] - points[:, 0])
-        starts = points[terrain.can_start(points, toward)]
+        points = _rings(goal, np.linspace(low, high, _RINGS))
+        starts = points[terrain.can_start(points, _toward(goal, points))]
         starts = starts[terrain.grid.have_sight(starts, target)]
         if len(starts) >= MIN_STARTS:
             connected.append(tier)
-            ends = straight_end(starts, centre, ARRIVAL_RADIUS_M)
+            ends = goal.approach(starts, ARRIVAL_RADIUS_M)
             lines = terrain.grid.are_lines_free(starts, ends, terrain.config.approach_clearance_m)
             if int(lines.sum()) >= MIN_STARTS:
                 straight.append(tier)
-    return tuple(straight), tuple(connected)
+    return straight, connected
 
 
 def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...]) -> NDArray[np.uint8]:
     """Returns (S, T): 1 where a spawn has a free straight path to the success circle of a target and sees it."""
-    sees = np.zeros((len(spawns), len(targets)), np.uint8)
-    for column, target in enumerate(targets):
-        centre = np.asarray(target.centroid_m[:2])
-        distance = np.linalg.norm(spawns - centre, axis=1)
-        rows = np.flatnonzero((distance >= SEE_RANGE_M[0]) & (distance <= SEE_RANGE_M[1]))
-        rows = rows[terrain.grid.have_sight(spawns[rows], target)]
-        ends = straight_end(spawns[rows], centre, ARRIVAL_RADIUS_M)
-        free = terrain.grid.are_lines_free(spawns[rows], ends, terrain.config.approach_clearance_m)
-        sees[rows[free], column] = 1
+    columns = [_sees(terrain, spawns, target, Goal.of(target, TaskConfig())) for target in targets]
+    return np.array(columns, np.uint8).reshape(len(targets), len(spawns)).T.copy()
+
+
+def _sees(terrain: Terrain, spawns: Floats, target: Target, goal: Goal) -> Bools:
+    distance = goal.distances(spawns)
+    rows = np.flatnonzero((distance >= SEE_RANGE_M[0]) & (distance <= SEE_RANGE_M[1]))
+    rows = rows[terrain.grid.have_sight(spawns[rows], target)]
+    ends = goal.approach(spawns[rows], ARRIVAL_RADIUS_M)
+    sees = np.zeros(len(spawns), bool)
+    sees[rows] = terrain.grid.are_lines_free(spawns[rows], ends, terrain.config.approach_clearance_m)
     return sees
+
+
+def _rings(goal: Goal, distances: Floats) -> Floats:
+    """Returns points (R * B, 2) at distances from a goal's target."""
+    angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.concatenate([goal.ring(circle, float(distance)) for distance in distances])
+
+
+def _toward(goal: Goal, points: Floats) -> Floats:
+    """Returns the headings (N,) from points to the centroid, radians."""
+    return np.asarray(np.arctan2(goal.centre_m[1] - points[:, 1], goal.centre_m[0] - points[:, 0]))

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from factory.scenes.survey.spawns import MIN_SPAWNS
 from schemas.scene import CompiledScene
+from schemas.terms import Tier
 from workers.geometry.grid import Grid
 
 __all__ = ["NEAR_M", "SpawnSight", "SurveyReport", "report_survey"]
@@ -99,6 +100,7 @@ def _shortcomings(scene: CompiledScene) -> tuple[str, ...]:
             "the robot must fit with three headings in four; widen passages beyond 0.72 m, join the floor to one "
             "piece or enlarge it"
         )
-    if len(scene.spawns) and not scene.spawn_sees.any():
+    by_surface = any(Tier.FAR in target.surface_straight_tiers for target in scene.info.targets)
+    if len(scene.spawns) and not (scene.spawn_sees.any() or by_surface):
         found.append("no start point has a free straight path to a target; clear the floor around the targets")
     return tuple(found)

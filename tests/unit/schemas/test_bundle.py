@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from schemas.bundle import BundleReader, BundleWriter, member_names
+from schemas.config import DemonstrationConfig
 from schemas.encoding.container import ContainerWriter
 from schemas.encoding.ndarray import encode_npy
 from schemas.errors import InvalidBundle
+from schemas.terms import SuccessMeasure
 from tests.builders.bundle import bundle_bytes, former_parts, parts_for
 
 Members = dict[str, bytes]
@@ -193,3 +195,20 @@ def test_an_abandoned_bundle_is_invalid() -> None:
     writer.add_frame(*parts_for().frames[0])
     writer.abandon()
     assert "meta.json is not in the container" in refused(buffer.getvalue())
+
+
+def test_an_episode_of_an_older_version_keeps_the_text_that_its_digest_covers() -> None:
+    meta = parts_for().meta
+    text = meta.canonical()
+    later = ("success", "demonstration", "target_footprint_m", "spawn_surface_m", "final_surface_m", "target_in_view")
+    assert [key for key in later if f'"{key}":' in text] == []
+    job = meta.job.model_copy(
+        update={
+            "task": meta.job.task.model_copy(update={"success": SuccessMeasure.SURFACE}),
+            "demonstration": DemonstrationConfig(max_contact_steps=0),
+        }
+    )
+    seen = {"spawn_surface_m": 1.0, "final_surface_m": 0.5, "target_in_view": False}
+    recorded = {"job": job, "target_footprint_m": ((0.0, 0.0),), "rollout": meta.rollout.model_copy(update=seen)}
+    text = meta.model_copy(update=recorded).canonical()
+    assert [key for key in later if f'"{key}":' not in text] == []

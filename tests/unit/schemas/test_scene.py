@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from schemas.errors import InvalidBundle
-from schemas.scene import MAX_LIGHT_MAP_PX, CompiledScene, Sky, decode_scene, encode_scene
+from schemas.scene import MAX_LIGHT_MAP_PX, CompiledScene, SceneInfo, Sky, decode_scene, encode_scene
+from schemas.terms import SuccessMeasure
 from tests.builders.scene import box_room
 
 
@@ -55,3 +57,22 @@ def test_a_sky_is_stored_and_a_package_without_one_does_not_name_it() -> None:
     assert again(opened).info.sky == Sky()
     assert again(closed).info.sky is None
     assert (b'"sky"' in encode_scene(opened), b'"sky"' in encode_scene(closed)) == (True, False)
+
+
+def test_a_package_of_format_2_is_read_without_footprints() -> None:
+    room = box_room()
+    bare = {"footprint_m": (), "surface_straight_tiers": (), "surface_connected_tiers": ()}
+    targets = tuple(target.model_copy(update=bare) for target in room.info.targets)
+    info = room.info.model_copy(update={"format": 2, "targets": targets})
+    written = SceneInfo.model_validate_json(_without(info.model_dump_json(), *bare))
+    found = again(replace(room, info=written)).info
+    assert (found.format, found.has_footprints, room.info.has_footprints) == (2, False, True)
+    assert found.targets[0].tiers(SuccessMeasure.SURFACE, by_path=True) == ()
+    with pytest.raises(InvalidBundle, match="scene format 1"):
+        again(replace(room, info=info.model_copy(update={"format": 1})))
+
+
+def _without(text: str, *fields: str) -> str:
+    data = json.loads(text)
+    data["targets"] = [{key: value for key, value in row.items() if key not in fields} for row in data["targets"]]
+    return json.dumps(data)

@@ -15,12 +15,15 @@ from coordinator.expansion.cells import cells, empty_splits
 from coordinator.expansion.draw import PlannedJob, expand, find_impossible, redraw, to_job
 from coordinator.expansion.file import shrink
 from coordinator.expansion.scene_cells import scene_cells
+from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import InvalidPlan
+from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
 
 PAPER = BUILTIN_PLANS["paper"]
+BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 
 @given(st.dictionaries(st.text(max_size=3), st.floats(0.01, 1.0), min_size=1, max_size=6), st.integers(0, 300))
@@ -109,8 +112,8 @@ def test_colour_templates_are_left_out_when_colours_are_off():
     assert sum(name.startswith("train") for name in drawn) == 14
 
 
-def test_balanced_plans_draw_categories_as_evenly_as_whole_numbers_allow():
-    plan = shrink(BUILTIN_PLANS["balanced"], episodes=240)
+def test_plans_balanced_by_scene_draw_categories_as_evenly_as_whole_numbers_allow():
+    plan = shrink(BUILTIN_PLANS["demo"], episodes=240)
     episodes = [job.episode for job in expand(plan, make_catalog(plan))]
     counts = Counter(e.category for e in episodes if e.scene == "office" and e.split is not Split.TEST_OOD_OBJ)
     assert max(counts.values()) - min(counts.values()) <= 1
@@ -186,6 +189,49 @@ def test_the_planner_may_start_at_poses_excluded_for_straight_experts():
     planner = plan.model_copy(update={"expert": ExpertName.PLANNER})
     pools = [scene_cells(each, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR) for each in (plan, planner)]
     assert pools == [(), (target,)]
+
+
+def test_blind_straight_experts_start_where_the_planner_may() -> None:
+    target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
+    entry = make_entry("hospital", [target])
+    pools = {}
+    for screening in Screening:
+        plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), spawn=SpawnConfig(screening=screening))
+        pools[screening] = scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.NEAR)
+    assert pools == {Screening.NONE: (target,), Screening.FREE_LINE: (), Screening.FORESEEN: ()}
+
+
+def test_jobs_and_plans_record_the_screening() -> None:
+    catalog = make_catalog(PAPER)
+    assert PAPER.spawn.screening is Screening.NONE
+    job = to_job(PAPER, catalog, expand(PAPER, catalog)[0], 1)
+    for recorded in (job.model_dump(mode="json"), PAPER.model_dump(mode="json")):
+        assert recorded["spawn"]["screening"] == "none"
+    assert Job.model_validate_json(job.model_dump_json()).spawn.screening is Screening.NONE
+
+
+def test_the_first_screening_is_omitted_so_that_old_digests_stay_valid() -> None:
+    assert not {"screening", "far_floor_m"} & SpawnConfig().model_dump().keys()
+    assert SpawnConfig.model_validate_json(SpawnConfig().model_dump_json()).screening is Screening.FORESEEN
+
+
+def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():
+    plan = Plan(name="old", scenes=(ScenePlan(name="office", episodes=4),), task=BY_SURFACE)
+    bare = [make_target("chair", 1, 1).model_copy(update={"footprint_m": (), "surface_straight_tiers": ()})]
+    (line,) = find_impossible(plan, {"office": make_entry("office", bare)})
+    assert line.startswith("scenes[0] office: its package is of an older version and has no footprints")
+    assert "factory scene build" in line
+    assert 'task.success = "centroid"' in line
+
+
+def test_a_target_that_is_too_large_for_a_metre_to_its_centre_is_drawn_by_surface_only():
+    large = make_target("table", 1, 2).model_copy(update={"straight_tiers": (), "connected_tiers": ()})
+    entry = make_entry("office", [make_target("chair", 1, 1), large])
+    scene = ScenePlan(name="office", episodes=8, seen=("chair", "table"))
+    by_surface = Plan(name="large", scenes=(scene,), splits={Split.TRAIN_ID: 1.0}, task=BY_SURFACE)
+    assert {job.episode.category for job in expand(by_surface, {"office": entry})} == {"chair", "table"}
+    by_centroid = by_surface.model_copy(update={"task": TaskConfig()})
+    assert "no reachable 'table' (seen)" in find_impossible(by_centroid, {"office": entry})[0]
 
 
 def test_an_attempts_generator_depends_on_seed_index_and_attempt():

@@ -7,8 +7,10 @@ import pytest
 from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
 from coordinator.expansion.file import load_plan, shrink
 from coordinator.expansion.plan_toml import plan_to_toml
+from schemas.config import DemonstrationConfig
 from schemas.errors import InvalidPlan, UsageError
-from schemas.terms import Recording, Split, Tier
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Recording, Split, SuccessMeasure, Tier
 
 GOOD = """
 name = "mine"
@@ -82,11 +84,28 @@ def test_shares_that_do_not_add_up_are_each_named(tmp_path):
     assert [text.split(":")[0] for text in caught.value.findings] == ["tiers", "splits"]
 
 
+def test_an_unknown_screening_names_the_possible_ones(tmp_path):
+    path = tmp_path / "p.toml"
+    path.write_text('[spawn]\nscreening = "blind"\n[[scenes]]\nname = "office"\nepisodes = 3\n')
+    with pytest.raises(InvalidPlan, match=r"spawn\.screening.*'none', 'free_line' or 'foreseen'.*'blind'"):
+        load_plan(str(path))
+
+
 def test_an_unknown_split_is_named(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text('[splits]\ntrain = 1.0\n[[scenes]]\nname = "office"\nepisodes = 2\n')
     with pytest.raises(InvalidPlan, match=r"splits\.train"):
         load_plan(str(path))
+
+
+def test_an_unknown_uniqueness_or_balance_is_refused_with_the_valid_values(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('balance = "even"\n[instructions]\nunique = "always"\n[[scenes]]\nname = "office"\nepisodes = 2\n')
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    text = "\n".join(caught.value.findings)
+    assert "instructions.unique: Input should be 'scene', 'view' or 'off' (found 'always')" in text
+    assert "balance: Input should be 'instances', 'categories' or 'categories_overall' (found 'even')" in text
 
 
 def test_invalid_toml_is_reported(tmp_path):
@@ -164,6 +183,15 @@ def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
     assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest
 
 
+def test_a_ceiling_is_for_a_stage_and_not_for_a_built_in_scene() -> None:
+    stage = ScenePlan(name="lab", usd="lab.usda", seen=("chair",), episodes=1, ceiling_m=2.6)
+    assert ScenePlan.model_validate(stage.model_dump()).ceiling_m == 2.6
+    with pytest.raises(ValueError, match="built-in scene has a ceiling"):
+        ScenePlan(name="office", episodes=1, ceiling_m=2.6)
+    with pytest.raises(ValueError, match="greater than or equal to 1"):
+        ScenePlan(name="lab", usd="lab.usda", seen=("chair",), episodes=1, ceiling_m=0.5)
+
+
 def test_a_copy_with_other_values_has_another_digest() -> None:
     plan = load_plan("demo")
     before = plan.digest
@@ -181,3 +209,41 @@ def test_shares_over_all_scenes_count_the_scenes_that_have_their_own() -> None:
     mixed = plan.model_copy(update={"scenes": (own, *rest)})
     assert mixed.tier_share(Tier.FAR) == pytest.approx((1 + plan.tiers.get(Tier.FAR, 0)) / 2)
     assert sum(map(mixed.split_share, Split)) == pytest.approx(1)
+
+
+def test_a_file_without_a_success_measure_means_the_surface_and_the_plans_of_older_datasets_the_centroid(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    assert load_plan(str(path)).task.success is SuccessMeasure.SURFACE
+    assert load_plan(str(path), SuccessMeasure.CENTROID).task.success is SuccessMeasure.CENTROID
+    path.write_text(GOOD + '[task]\nsuccess = "centroid"\n')
+    assert load_plan(str(path)).task.success is SuccessMeasure.CENTROID
+    older = load_plan(str(path))
+    assert '"success":' not in older.model_dump_json()
+    assert Plan.model_validate_json(older.model_dump_json()) == older
+
+
+def test_the_paper_measures_to_the_centroid_without_requirements_and_balanced_to_the_surface_with_them():
+    paper, balanced = load_plan("paper"), load_plan("balanced")
+    assert paper.task.success is SuccessMeasure.CENTROID
+    assert "demonstration" not in paper.model_dump_json()
+    assert balanced.task.success is load_plan("demo").task.success is SuccessMeasure.SURFACE
+    assert balanced.demonstration == DemonstrationConfig(max_contact_steps=0, target_in_view=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[task]\nsuccess = "edge"\n', "task.success: Input should be 'centroid' or 'surface'"),
+        ("[demonstration]\nmax_contact_steps = 1001\n", "demonstration.max_contact_steps"),
+        ("[demonstration]\nmax_contact_steps = -1\n", "demonstration.max_contact_steps"),
+        ("[demonstration]\ncontacts = 1\n", "demonstration.contacts: no such key"),
+        ("task = 3\n", "task: "),
+    ],
+)
+def test_wrong_measures_and_limits_are_named_with_their_key(tmp_path, text, said):
+    path = tmp_path / "mine.toml"
+    path.write_text(text + GOOD if "=" in text.splitlines()[0] else GOOD + text)
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    assert said in str(caught.value)

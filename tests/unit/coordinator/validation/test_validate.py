@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 from collections.abc import Callable
 from typing import Any
@@ -13,13 +14,27 @@ import pytest
 
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
+from schemas.config import DemonstrationConfig, TaskConfig
 from schemas.encoding.container import ContainerWriter
 from schemas.job import Job
-from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
-from tests.builders.bundle import TARGET_ID, BundleParts, bundle_bytes, former_parts, job_for, parts_for
+from schemas.start_view import StartView
+from schemas.terms import EndReason, ExpertName, Recording, Split, SuccessMeasure, Tier
+from tests.builders.bundle import (
+    FLOOR_ID,
+    TARGET_ID,
+    WALL_ID,
+    BundleParts,
+    bundle_bytes,
+    former_parts,
+    job_for,
+    parts_for,
+    short_task,
+)
 from tests.builders.dataset import chair
 
 Breaker = Callable[[BundleParts], BundleParts]
+FOOTPRINT_M = ((1.4, -0.2), (1.8, -0.2), (1.8, 0.2), (1.4, 0.2))
+SHORT_BY_SURFACE = short_task().model_copy(update={"success": SuccessMeasure.SURFACE, "success_radius_m": 1.39})
 
 
 def findings_of(parts: BundleParts, job: Job | None = None) -> str:
@@ -123,6 +138,81 @@ FRAMES = {
     "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: contains NaN"),
     "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 frames"),
 }
+START = {
+    "a second object that the instruction fits": (StartView(rivals=(WALL_ID,)), "start: objects [2] are in view"),
+    "a target beside the heading": (StartView(within_rad=0.0), ""),
+    "no other object of the category": (StartView(alike=(WALL_ID,)), ""),
+}
+
+
+@pytest.mark.parametrize(("view", "text"), START.values(), ids=START)
+def test_first_frame_is_checked_against_the_conditions_of_the_job(view: StartView, text: str) -> None:
+    found = findings_of(parts_for(job_for(start_view=view)), job_for(start_view=view))
+    assert found.startswith(text)
+    assert bool(found) == bool(text)
+
+
+def test_start_without_the_target_in_view_is_refused() -> None:
+    job = job_for(start_view=StartView(alike=(WALL_ID,), within_rad=math.radians(30)))
+    found = findings_of(with_image(parts_for(job), 0, 2, slice(280, 360), FLOOR_ID), job)
+    assert "start: the target is not in view\nstart: objects [2] of the target's category are in view" in found
+
+
+def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> None:
+    job = job_for(start_view=StartView(within_rad=math.radians(30)))
+    turned = parts_for(job)
+    poses = turned.arrays.poses.copy()
+    poses[:, 3], poses[:, 6] = math.cos(0.3), math.sin(0.3)  # a heading of 0.6 rad
+    assert "start: the target is 34.4 degrees from the heading, above 30" in findings_of(
+        turned.with_arrays(poses=poses)
+    )
+
+
+def test_worker_that_drops_the_conditions_is_refused() -> None:
+    leased = job_for(start_view=StartView(rivals=(WALL_ID,)))
+    assert "job.start_view: the bundle says None" in findings_of(parts_for(), leased)
+
+
+def by_surface(parts: BundleParts, task: TaskConfig = SHORT_BY_SURFACE, **demonstration: object) -> BundleParts:
+    """The smallest bundle with a footprint that ends 0.2 m before the centroid, judged by the distance to it."""
+    wanted = DemonstrationConfig.model_validate(demonstration)
+    job = {"task": task, "demonstration": wanted, "tier": Tier.FAR}
+    return parts.with_meta(target_footprint_m=FOOTPRINT_M).with_job(**job).measured().with_rollout(target_in_view=True)
+
+
+SURFACE = {
+    "no footprint": (lambda p: by_surface(p).with_meta(target_footprint_m=()), "chair_001 has no footprint"),
+    "false error": (lambda p: by_surface(p).with_rollout(final_surface_m=0.5), "final_surface_m 0.5, the poses"),
+    "no error": (lambda p: by_surface(p).with_rollout(spawn_surface_m=None), "spawn_surface_m None, the poses"),
+    "too far": (
+        lambda p: by_surface(p, SHORT_BY_SURFACE.model_copy(update={"success_radius_m": 0.1})),
+        "no success: 1.37",
+    ),
+    "tier": (lambda p: by_surface(p).with_job(tier=Tier.NEAR), "spawn distance 1.400 m is outside tier near"),
+    "contact": (
+        lambda p: by_surface(p, max_contact_steps=2).with_rollout(collision_count=3),
+        "collision_count 3, the plan allows 2",
+    ),
+    "target lost": (
+        lambda p: with_image(by_surface(p, target_in_view=True), 11, 2, slice(280, 360), TARGET_ID - 5),
+        "the last frame shows 0 pixels of the target, the plan requires 32",
+    ),
+    "false view": (lambda p: by_surface(p).with_rollout(target_in_view=False), "target_in_view False, but the last"),
+}
+
+
+def test_an_episode_by_surface_distance_has_no_findings_although_its_centroid_is_far() -> None:
+    parts = by_surface(parts_for(), max_contact_steps=0, target_in_view=True)
+    target = chair().model_copy(update={"footprint_m": FOOTPRINT_M})
+    assert validate(BundleReader(io.BytesIO(parts.write())), None, target) == []
+    assert any(
+        "target_footprint_m" in line for line in validate(BundleReader(io.BytesIO(parts.write())), None, chair())
+    )
+
+
+@pytest.mark.parametrize(("breaker", "text"), SURFACE.values(), ids=SURFACE)
+def test_false_claims_about_surface_contact_and_view_are_found(breaker: Breaker, text: str) -> None:
+    assert text in findings_of(breaker(parts_for()))
 
 
 def test_smallest_bundle_has_no_findings() -> None:

@@ -78,9 +78,9 @@ COCO_INDOORS = """
     clock vase bicycle
 """
 ADE20K_INDOORS = """
-    bed cabinet table plant sofa shelf mirror armchair desk wardrobe lamp bathtub chest_of_drawers counter sink fireplace
-    refrigerator bookcase toilet stove computer swivel_chair ottoman washer dishwasher fan clock radiator basket bicycle
-    painting television_receiver
+    bed cabinet table plant sofa shelf mirror armchair desk wardrobe lamp bathtub chest_of_drawers counter sink
+    fireplace refrigerator bookcase toilet stove computer swivel_chair ottoman washer dishwasher fan clock
+    radiator basket bicycle painting television_receiver
 """
 
 

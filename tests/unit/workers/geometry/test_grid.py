@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from schemas.scene import Target
-from workers.geometry.grid import Grid, body_centre, straight_end
+from workers.geometry.grid import Grid, body_centre
 
 
 def grid_of(*occupied: tuple[float, float, float, float], value: int = 1, size_m: float = 6.0) -> Grid:
@@ -97,12 +97,6 @@ def test_a_line_may_end_close_before_a_wall() -> None:
     wall = grid_of((1.0, -3.0, 1.1, 3.0))
     assert wall.is_line_free((-2, 0), (0.8, 0), clearance_m=0.10)
     assert not wall.is_line_free((-2, 0), (0.95, 0), clearance_m=0.10)
-
-
-def test_straight_end_lies_on_the_circle_on_the_spawns_side() -> None:
-    assert straight_end((3.0, 0.0), (0.0, 0.0), 1.0).tolist() == [1.0, 0.0]
-    assert straight_end((0.2, 0.0), (0.0, 0.0), 1.0).tolist() == [0.2, 0.0]
-    assert straight_end(np.array([[0.0, 4.0], [2.0, 0.0]]), (0.0, 0.0), 1.0).tolist() == [[0.0, 1.0], [1.0, 0.0]]
 
 
 def test_a_wall_hides_a_target_and_a_desk_does_not() -> None:

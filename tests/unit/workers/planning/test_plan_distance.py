@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from schemas.config import TaskConfig
 from tests.builders.scene import Box, box_room
 from tests.unit.workers.planning.test_plan_search import FENCE, WALL, crate_of
 from workers.geometry.grid import Grid
@@ -16,7 +17,7 @@ from workers.planning import geodesic_field, geodesic_m
 
 def geodesic(start: tuple[float, float], *extra: Box, radius_m: float = 1.0) -> float | None:
     scene = box_room(extra)
-    return geodesic_m(Grid.from_scene(scene), start, crate_of(scene), radius_m)
+    return geodesic_m(Grid.from_scene(scene), start, crate_of(scene), TaskConfig(success_radius_m=radius_m))
 
 
 @pytest.mark.parametrize("start", [(-1.5, 0.0), (2.5, -2.0), (0.4, -2.4), (3.4, -1.1)])
@@ -50,7 +51,7 @@ def test_a_wall_at_the_target_blocks_the_success_circle():
 def test_the_field_is_never_shorter_than_the_straight_line():
     scene = box_room([WALL])
     grid = Grid.from_scene(scene)
-    field = geodesic_field(grid, crate_of(scene), 1.0).metres
+    field = geodesic_field(grid, crate_of(scene), TaskConfig()).metres
     rows, columns = np.nonzero(np.isfinite(field))
     points = grid.centre_of(np.column_stack([rows, columns]))
     straight = np.linalg.norm(points - np.asarray(crate_of(scene).centroid_m[:2]), axis=1) - 1.0

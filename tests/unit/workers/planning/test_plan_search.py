@@ -8,11 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from schemas.config import PlannerConfig
+from schemas.config import PlannerConfig, TaskConfig
+from schemas.measure import Goal
 from schemas.scene import CompiledScene, Target
+from schemas.terms import SuccessMeasure
 from tests.builders.scene import Box, box_room
 from workers.geometry.grid import Grid
-from workers.planning import Waypoint, plan_path
+from workers.planning import Waypoint, geodesic_m, plan_path
 from workers.planning.lattice import HEADINGS, MOVES, STEP_M, heading_of, pose_table, yaw_at
 
 WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))
@@ -29,7 +31,7 @@ def crate_of(scene: CompiledScene) -> Target:
 
 def plan(*extra: Box, start: Waypoint = START, config: PlannerConfig = CONFIG) -> tuple[Waypoint, ...] | None:
     scene = box_room(extra)
-    return plan_path(Grid.from_scene(scene), start, crate_of(scene), 1.0, config)
+    return plan_path(Grid.from_scene(scene), start, crate_of(scene), TaskConfig(), config)
 
 
 def length_of(path: tuple[Waypoint, ...]) -> float:
@@ -112,3 +114,29 @@ def test_the_pose_table_agrees_with_the_exact_test_up_to_a_cell():
     held = np.array([table.holds(*pose) for pose in poses.tolist()])
     assert not (held & ~grid.are_poses_free(*poses.T, margin_m=-0.12)).any()
     assert not (~held & grid.are_poses_free(*poses.T, margin_m=0.12)).any()
+
+
+def test_a_path_to_a_footprint_ends_within_a_metre_of_the_nearest_side():
+    scene = box_room([Box((-1.0, -2.6, 0.0), (3.0, -0.6, 0.7), category="table")])
+    table = next(target for target in scene.info.targets if target.category == "table")
+    grid, start = Grid.from_scene(scene), Waypoint(-3.0, 1.5, 0.0)
+    task = TaskConfig(success=SuccessMeasure.SURFACE)
+    assert plan_path(grid, start, table, TaskConfig(), CONFIG) is None
+    path = plan_path(grid, start, table, task, CONFIG)
+    assert path is not None
+    assert 0.5 < Goal.of(table, task).distance(*path[-1][:2]) <= 0.9
+    straight = Goal.of(table, task).distance(*start[:2]) - 1.0
+    assert geodesic_m(grid, start[:2], table, task) == pytest.approx(straight, abs=0.05)
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.6, 0.0, 1.6])
+def test_a_path_that_faces_the_target_ends_with_it_ahead_and_turns_on_the_spot_outside_of_the_circle(yaw):
+    scene = box_room([WALL])
+    crate, start = crate_of(scene), START._replace(yaw=yaw)
+    path = plan_path(Grid.from_scene(scene), start, crate, TaskConfig(), CONFIG, facing=True)
+    assert path is not None
+    centre = crate.centroid_m[:2]
+    bearing = math.atan2(centre[1] - path[-1].y, centre[0] - path[-1].x)
+    assert abs(math.remainder(bearing - path[-1].yaw, 2 * math.pi)) < 0.5
+    turns = [a for a, b in itertools.pairwise(path) if math.dist(a[:2], b[:2]) < 1e-9]
+    assert all(math.dist(pose[:2], centre) > 1.1 for pose in turns)

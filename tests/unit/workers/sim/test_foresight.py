@@ -9,10 +9,11 @@ import pytest
 
 from schemas.config import TaskConfig
 from schemas.job import Job
+from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from workers.sim.foresight import predict_path
 
-GOAL = (4.0, 0.0)
+GOAL = Goal((4.0, 0.0), 1.0)
 
 
 def a_job() -> Job:
@@ -23,7 +24,7 @@ def a_job() -> Job:
 def test_the_predicted_drive_ends_on_the_success_circle(yaw: float) -> None:
     job = a_job()
     poses = predict_path((0.0, 0.0, yaw), GOAL, job)
-    away = np.hypot(poses[:, 0] - GOAL[0], poses[:, 1] - GOAL[1])
+    away = np.hypot(poses[:, 0] - 4.0, poses[:, 1])
     assert away[-1] <= job.task.success_radius_m < away[:-1].min()
 
 
@@ -52,7 +53,10 @@ def test_the_predicted_drive_respects_the_limits_of_the_robot() -> None:
 
 def test_the_prediction_ends_at_the_time_limit_of_the_episode() -> None:
     job = a_job()
-    assert len(predict_path((0.0, 0.0, 0.0), (1000.0, 0.0), job)) == job.task.max_steps * 20 // job.task.control_hz + 1
+    assert (
+        len(predict_path((0.0, 0.0, 0.0), Goal((1000.0, 0.0), 1.0), job))
+        == job.task.max_steps * 20 // job.task.control_hz + 1
+    )
 
 
 def test_a_prediction_from_inside_the_circle_has_no_motion() -> None:

@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from schemas.config import TaskConfig
+from schemas.config import SpawnConfig, TaskConfig
 from schemas.job import Job
-from schemas.terms import ExpertName, Tier
+from schemas.measure import Goal
+from schemas.start_view import StartView
+from schemas.terms import ExpertName, Screening, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.appearance import Appearance
 from workers.geometry.pose import Pose
+from workers.planning import geodesic_m
 from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
@@ -107,7 +110,9 @@ def pillared_room() -> LoadedScene:
 
 def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
     target = place.scene.info.target(job.target_id)
-    x, y, yaw = predict_path(start, (0.0, 0.0), job, Appearance(place.scene, target.instance_id, job.camera)).T
+    x, y, yaw = predict_path(
+        start, Goal.of(target, job.task), job, Appearance(place.scene, target.instance_id, job.camera)
+    ).T
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 
 
@@ -136,3 +141,124 @@ def test_without_a_wide_path_the_widest_one_is_chosen() -> None:
     assert len(found) == len(jobs)
     assert not all(is_drive_free(place, job, start) for job, start in zip(jobs, found, strict=True))
     assert np.abs([y for _, y, _ in found]).mean() < 0.05  # along the middle of the lane
+
+
+def screened(screening: Screening, **changes: Any) -> dict[str, Any]:
+    return {"spawn": SpawnConfig(screening=screening, **changes)}
+
+
+def starts_of(place: LoadedScene, attempts: int, **changes: Any) -> list[tuple[float, float, float]]:
+    jobs = [crate_job(place, attempt, **changes) for attempt in range(1, attempts + 1)]
+    starts = [first_start(place, job) for job in jobs]
+    return [(start.x, start.y, start.yaw) for start in starts if start is not None]
+
+
+def divided_room() -> LoadedScene:
+    """A wide room whose crate is close to a wall with a door, with floor behind the wall."""
+    wall = (Box((-9.0, 1.2, 0.0), (4.0, 1.4, 2.5)), Box((5.2, 1.2, 0.0), (9.0, 1.4, 2.5)))
+    return prepare_scene(build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), CRATE, *wall)))
+
+
+def is_line_free(place: LoadedScene, start: tuple[float, float, float]) -> bool:
+    x, y, _ = start
+    distance = math.hypot(x, y)
+    return place.grid.is_line_free((x, y), (0.97 * x / distance, 0.97 * y / distance), 0.10)
+
+
+@pytest.mark.parametrize("tier", [Tier.NEAR, Tier.MID])
+def test_blind_starts_are_behind_walls_as_often_as_the_free_floor_is(tier: Tier) -> None:
+    place = divided_room()
+    starts = starts_of(place, 60, tier=tier, **screened(Screening.NONE))
+    assert len(starts) == 60
+    behind = np.mean([y > 1.4 for _, y, _ in starts])
+    assert 0.1 < behind < 0.5
+    free = starts_of(place, 15, tier=tier, **screened(Screening.FREE_LINE))
+    assert len(free) == 15
+    assert all(is_line_free(place, start) for start in free)
+
+
+def test_starts_with_a_free_line_need_no_free_predicted_drive() -> None:
+    place = pillared_room()
+    starts = starts_of(place, 40, **screened(Screening.FREE_LINE))
+    assert len(starts) == 40
+    assert all(is_line_free(place, start) for start in starts)
+    assert not all(is_drive_free(place, crate_job(place), start) for start in starts)
+
+
+@pytest.mark.parametrize(
+    ("expert", "screening"),
+    [
+        (ExpertName.PROPORTIONAL, Screening.NONE),
+        (ExpertName.PROPORTIONAL, Screening.FREE_LINE),
+        (ExpertName.PROPORTIONAL, Screening.FORESEEN),
+        (ExpertName.PLANNER, Screening.FORESEEN),
+    ],
+)
+def test_far_starts_keep_to_their_range_along_the_floor(expert: ExpertName, screening: Screening) -> None:
+    place = divided_room()
+    target = place.scene.info.targets[0]
+    for low, high in ((5.0, 11.0), (5.5, 7.0)):
+        spawn = screened(screening, far_floor_m=(low, high))
+        starts = starts_of(place, 16, tier=Tier.FAR, expert=expert, **spawn)
+        assert len(starts) == 16
+        ways = [geodesic_m(place.grid, start[:2], target, TaskConfig()) for start in starts]
+        assert None not in ways
+        assert low <= min(1.0 + way for way in ways if way is not None)
+        assert max(1.0 + way for way in ways if way is not None) <= high
+        closer = [math.hypot(x, y) < low - 0.2 for x, y, _ in starts]
+        assert any(closer) == (screening is Screening.NONE or expert is ExpertName.PLANNER)  # round the wall
+
+
+def test_a_room_of_three_metres_has_no_far_start() -> None:
+    place = lane_room(3.4)
+    assert first_start(place, crate_job(place, tier=Tier.FAR, **screened(Screening.NONE))) is None
+
+
+def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
+    place = lane_room(8.5)
+    blind, foreseen = (
+        [distances(place, 3, index=index, **screened(screening)) for index in range(1, 20)]
+        for screening in (Screening.NONE, Screening.FORESEEN)
+    )
+    assert all(max(found) - min(found) < 1e-9 for found in blind)
+    assert all(max(found) - min(found) > 1e-3 for found in foreseen)
+    assert np.std([found[0] for found in blind]) > 0.6  # uniform over the tier, from episode to episode
+
+
+@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
+@pytest.mark.parametrize("tier", Tier)
+def test_a_further_condition_selects_among_the_same_candidates(expert: ExpertName, tier: Tier) -> None:
+    place = lane_room(8.5)
+    job = crate_job(place, tier=tier, expert=expert)
+    target = place.scene.info.target(job.target_id)
+    seen: list[Pose] = []
+
+    def is_on_the_left(pose: Pose) -> bool:
+        seen.append(pose)
+        return pose.y > 0.1
+
+    found = next(draw_poses(job, target, place, job.rng(), is_on_the_left))
+    assert found.y > 0.1
+    assert found in seen
+    again = next(draw_poses(job, target, place, job.rng(), lambda pose: pose == found))
+    assert again == found
+
+
+def test_a_draw_ends_when_too_many_starts_are_rejected() -> None:
+    place = lane_room(8.5)
+    job = crate_job(place, expert=ExpertName.PLANNER)
+    rejected: list[Pose] = []
+    target = place.scene.info.target(job.target_id)
+    assert list(draw_poses(job, target, place, job.rng(), lambda pose: bool(rejected.append(pose)))) == []
+    assert 256 <= len(rejected) < 256 + 32
+
+
+@pytest.mark.parametrize(("view", "limit_deg"), [(StartView(within_rad=0.5), 28.65), (StartView(rivals=(99,)), 45.0)])
+def test_far_starts_that_must_show_the_target_head_towards_it(view: StartView, limit_deg: float) -> None:
+    place = lane_room(8.5)
+    for attempt in range(1, 30):
+        job = crate_job(place, attempt, Tier.FAR, start_view=view)
+        start = first_start(place, job)
+        assert start is not None
+        off = math.remainder(math.atan2(-start.y, -start.x) - start.yaw, 2 * math.pi)
+        assert abs(math.degrees(off)) <= limit_deg + 0.01

@@ -16,11 +16,12 @@ from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
 from factory.cli.inspect.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
+from schemas.config import TaskConfig
 from schemas.dataset import FailedAttempt
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.language import TEMPLATES
 from schemas.plan import ScenePlan
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName, Split, SuccessMeasure, Tier
 from tests.builders.dataset import NOW, failure, make_dataset
 from tests.builders.plan import small_plan
 from tests.builders.statistics import episode_row, rows_of, two_scenes
@@ -347,3 +348,21 @@ def test_the_command_exits_with_1_on_damage_and_names_the_omitted_rows(own: Path
     done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
     assert done.return_value == 1
     assert "damage: episodes: 1 episodes skipped" in done.stderr
+
+
+def test_navigation_errors_are_reported_by_both_measures_and_start_distances_by_that_of_the_plan() -> None:
+    by_surface = two_scenes().model_copy(update={"task": TaskConfig(success=SuccessMeasure.SURFACE)})
+    rows = [
+        episode_row(n, final_ne_m=1.6, final_surface_m=0.9 + n / 100, spawn_surface_m=n, trajectory_length_m=0.5 * n)
+        for n in range(1, 5)
+    ]
+    found = measure(rows, plan=by_surface)
+    assert row_of(found.navigation_error, "all").mean == pytest.approx(0.925)
+    assert row_of(found.navigation_error, "all").within_radius.share == 1.0
+    assert row_of(found.other_error, "all").mean == pytest.approx(1.6)
+    assert found.correlation[0].n == 4
+    assert found.correlation[0].slope == pytest.approx(0.5)
+    paper = measure(rows)
+    assert row_of(paper.navigation_error, "all").mean == pytest.approx(1.6)
+    assert row_of(paper.other_error, "all").mean == pytest.approx(0.925)
+    assert measure([episode_row()]).other_error == ()

@@ -8,6 +8,7 @@ import pytest
 from factory.eval.driving import measure
 from factory.eval.driving.rollout import progresses
 from schemas.config import TaskConfig
+from schemas.measure import Goal
 from schemas.scene import Target
 from tests.builders.scene import box_room
 from workers.geometry.grid import Grid
@@ -58,12 +59,12 @@ def test_a_stop_counts_inside_the_radius_and_held_for_five_frames(
     stand: int, at: tuple[float, float], stopped: bool
 ) -> None:
     track = track_through((2.0, 0.0), at, stand=stand)
-    assert measure.has_stopped_at(track, (0.0, 0.0), TASK) is stopped
+    assert measure.has_stopped_at(track, Goal((0.0, 0.0), 1.0), TASK) is stopped
 
 
 def test_driving_through_the_circle_does_not_count_as_a_stop() -> None:
     track = np.column_stack((np.linspace(-2, 2, 300), np.zeros(300)))
-    assert not measure.has_stopped_at(track, (0.0, 0.0), TASK)
+    assert not measure.has_stopped_at(track, Goal((0.0, 0.0), 1.0), TASK)
 
 
 def test_any_instance_success_counts_only_objects_of_the_category() -> None:
@@ -76,13 +77,13 @@ def test_any_instance_success_counts_only_objects_of_the_category() -> None:
 
 def test_floor_distance_goes_around_and_starts_beside_furniture_at_the_nearest_floor() -> None:
     grid = Grid.from_scene(box_room())
-    open_floor = measure.floor_distance_m(grid, (0.0, 0.0), CRATE, 1.0)
+    open_floor = measure.floor_distance_m(grid, (0.0, 0.0), CRATE, TASK)
     straight = float(np.hypot(*np.array(CRATE.centroid_m[:2]))) - 1.0
     assert open_floor == pytest.approx(straight, abs=0.1)
-    beside = measure.floor_distance_m(grid, (-3.9, 0.0), CRATE, 1.0)  # 10 cm from the wall, where no field is
+    beside = measure.floor_distance_m(grid, (-3.9, 0.0), CRATE, TASK)  # 10 cm from the wall, where no field is
     assert beside is not None
     assert beside > 3.9
-    assert measure.floor_distance_m(grid, (-8.0, 0.0), CRATE, 1.0) is None
+    assert measure.floor_distance_m(grid, (-8.0, 0.0), CRATE, TASK) is None
 
 
 def test_a_target_without_connected_floor_has_no_path() -> None:
@@ -94,4 +95,4 @@ def test_a_target_without_connected_floor_has_no_path() -> None:
         centroid_m=(50.0, 50.0, 0.0),
         size_m=(1.0, 1.0, 1.0),
     )
-    assert measure.floor_distance_m(Grid.from_scene(box_room()), (0.0, 0.0), far, 1.0) is None
+    assert measure.floor_distance_m(Grid.from_scene(box_room()), (0.0, 0.0), far, TASK) is None

@@ -21,7 +21,9 @@ from factory.export.vlnce.episode import (
     vocabulary_of,
     words_of,
 )
-from tests.builders.bundle import GOAL_M, RADIUS_M, parts_for
+from schemas.measure import footprint_distances
+from schemas.terms import SuccessMeasure
+from tests.builders.bundle import GOAL_M, RADIUS_M, parts_for, short_task
 
 COORDINATES = st.floats(-1e3, 1e3, allow_nan=False).map(lambda value: value + 0.0)
 
@@ -84,3 +86,17 @@ def test_an_entry_has_the_fields_that_habitat_requires():
     assert {"episode_id", "trajectory_id", "start_rotation", "reference_path", "info"} <= entry.keys()
     end = [float(value) for value in parts.arrays.poses[-1, :3]]
     assert from_habitat(entry["reference_path"][-1]) == pytest.approx(end)
+
+
+def test_goals_by_surface_are_points_of_the_footprint_with_the_nearest_first():
+    square = ((1.0, -0.5), (2.0, -0.5), (2.0, 0.5), (1.0, 0.5))
+    task = short_task().model_copy(update={"success": SuccessMeasure.SURFACE})
+    parts = parts_for().with_meta(target_footprint_m=square).with_job(task=task)
+    goals = vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0)["goals"]
+    points = np.array([from_habitat(goal["position"])[:2] for goal in goals])
+    assert len(points) == 16
+    assert points[0].tolist() == [1.0, 0.0]
+    assert np.linalg.norm(np.diff(np.unique(points, axis=0)[:5], axis=0), axis=1).max() <= 0.25
+    seen_from = np.array([0.0, 0.3])
+    nearest = np.linalg.norm(points - seen_from, axis=1).min()
+    assert nearest == pytest.approx(float(footprint_distances(seen_from, square)), abs=0.02)

@@ -246,3 +246,12 @@ def test_a_stage_far_from_its_origin_is_refused(tmp_path: Path) -> None:
 def test_reading_the_cache_does_not_load_usd() -> None:
     code = "import sys, factory.scenes; raise SystemExit('pxr' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_table_too_wide_for_a_metre_to_its_centre_is_a_target_by_its_footprint(tmp_path: Path) -> None:
+    scene = room(tmp_path, TEXT.box("SM_KitchenTable", (-3.0, -1.4, 0.0), (-0.2, 1.2, 0.75)))
+    table = next(target for target in scene.info.targets if target.category == "table")
+    assert set(table.footprint_m) == {(-3.0, -1.4), (-0.2, -1.4), (-0.2, 1.2), (-3.0, 1.2)}
+    assert table.straight_tiers == table.connected_tiers == ()
+    assert Tier.NEAR in table.surface_straight_tiers
+    assert {Tier.NEAR, Tier.FAR} <= set(table.surface_connected_tiers)

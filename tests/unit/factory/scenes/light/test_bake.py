@@ -71,7 +71,7 @@ def test_the_light_of_a_symmetric_room_is_symmetric(lamps: tuple[tuple[float, fl
 def test_the_light_of_a_cone_has_no_wedges() -> None:
     turn = 2 * np.pi * np.arange(13) / 12
     low, high = (
-        np.column_stack((radius * np.cos(turn), radius * np.sin(turn), np.full(13, z))) + (0.9, 0.4, 0.0)
+        np.column_stack((0.9 + radius * np.cos(turn), 0.4 + radius * np.sin(turn), np.full(13, z)))
         for radius, z in ((0.28, 0.02), (0.05, 0.09))
     )
     sides = [face for k in range(12) for face in ((low[k], low[k + 1], high[k + 1]), (low[k], high[k + 1], high[k]))]

@@ -50,7 +50,10 @@ def test_a_scene_without_spawns_is_measured() -> None:
 
 
 def test_spawns_without_visible_targets_are_a_shortcoming() -> None:
-    blind = replace(ROOM, spawn_sees=np.zeros_like(ROOM.spawn_sees))
+    far_by_surface = replace(ROOM, spawn_sees=np.zeros_like(ROOM.spawn_sees))
+    assert report_survey(far_by_surface).shortcomings == report_survey(ROOM).shortcomings
+    targets = tuple(target.model_copy(update={"surface_straight_tiers": ()}) for target in ROOM.info.targets)
+    blind = replace(far_by_surface, info=ROOM.info.model_copy(update={"targets": targets}))
     assert any("straight path" in reason for reason in report_survey(blind).shortcomings)
 
 

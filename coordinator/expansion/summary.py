@@ -1,0 +1,64 @@
+"""Summarises the planned episodes: shares of categories and templates, and expected ambiguity of the instructions.
+
+Expands the plan. Does not simulate, so that draws that replace failed ones are not in the summary.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import expand
+from coordinator.expansion.file import shrink
+from schemas.plan import Plan
+from schemas.referents import referents_of
+
+MOST_SUMMARISED = 6_000
+"""Largest number of expanded episodes; a larger plan is reduced to it in the same proportions."""
+
+
+@dataclass(frozen=True)
+class PlanSummary:
+    """Content of the planned episodes."""
+
+    episodes: int
+    """Number of expanded episodes."""
+    categories: Mapping[str, int]
+    """Number of episodes by category of the target, in descending order."""
+    templates: Mapping[str, int]
+    """Number of episodes by template, in the order of the ids."""
+    ambiguous: int
+    """Number of instructions that fit several objects of their scene."""
+    shown_alone: int
+    """Number of these for which the start is drawn until only the target is in view."""
+
+    @property
+    def top_three_share(self) -> float:
+        """Share of the three most frequent categories."""
+        return sum(list(self.categories.values())[:3]) / self.episodes
+
+
+def summarise(plan: Plan, catalog: Catalog) -> PlanSummary:
+    """Returns the summary of a plan, of at most `MOST_SUMMARISED` episodes.
+
+    Raises:
+        InvalidPlan: a cell has no target that its tier can reach.
+    """
+    part = shrink(plan, episodes=min(plan.episodes, MOST_SUMMARISED))
+    specs = Counter(job.episode for job in expand(part, catalog))
+    exempt = {(scene.name, name) for scene in plan.scenes for name in scene.ambiguous}
+    categories: Counter[str] = Counter()
+    templates: Counter[str] = Counter()
+    ambiguous = shown_alone = 0
+    for spec, count in specs.items():
+        categories[spec.category] += count
+        templates[spec.template_id] += count
+        if len(referents_of(spec, catalog[spec.scene].info)) > 1:
+            ambiguous += count
+            if plan.instructions.unique == "view" and (spec.scene, spec.category) not in exempt:
+                shown_alone += count
+    return PlanSummary(
+        part.episodes, dict(categories.most_common()), dict(sorted(templates.items())), ambiguous, shown_alone
+    )

@@ -1,0 +1,86 @@
+"""Requirements on a demonstration in a real attempt: physics, renderer, expert and bundle."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+
+import pytest
+
+from coordinator.validation.validate import validate
+from schemas.bundle import BundleReader
+from schemas.config import DemonstrationConfig, TaskConfig
+from schemas.job import Job
+from schemas.language import instruction
+from schemas.scene import CompiledScene, encode_scene
+from schemas.terms import ExpertName, FailReason, SuccessMeasure, Tier
+from tests.builders.bundle import job_for
+from tests.builders.scene import Box, build_scene, room_walls
+from workers.experts.planner import STOPPED_M
+from workers.sim.attempt import AttemptFailure, Outcome, Success, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
+
+ROOM = room_walls((-4.0, -3.0), (4.0, 3.0))
+RACK = Box((2.0, -1.3, 0.0), (2.8, 1.3, 2.0), (200, 30, 30), category="rack")
+BOARD = Box((3.8, -0.3, 1.9), (4.0, 0.3, 2.4), (30, 30, 200), category="whiteboard", solid=False)
+"""Above the camera's view from a metre away."""
+
+
+def planner_job(scene: CompiledScene, **changes: object) -> Job:
+    package, target = encode_scene(scene), scene.info.targets[0]
+    values = {
+        "scene_sha256": hashlib.sha256(package).hexdigest(),
+        "scene_bytes": len(package),
+        "category": target.category,
+        "target_id": target.target_id,
+        "colour": "unknown",
+        "instruction": instruction("train_01", target.category, "unknown"),
+        "tier": Tier.NEAR,
+        "expert": ExpertName.PLANNER,
+        "task": TaskConfig(success=SuccessMeasure.SURFACE),
+        "demonstration": DemonstrationConfig(max_contact_steps=0, target_in_view=True),
+    }
+    return job_for(**values | changes)
+
+
+def attempted(scene: CompiledScene, job: Job, folder: Path) -> tuple[Outcome, io.BytesIO]:
+    out, path = io.BytesIO(), folder / "room.scene"
+    path.write_bytes(encode_scene(scene))
+    with SceneRenderer("auto") as stage:
+        stage.load(path, job.scene_sha256)
+        return run_attempt(job, stage, out, "test", lambda _step: None), out
+
+
+@pytest.mark.parametrize("attempt", [1, 2])
+def test_a_demonstration_to_a_rack_stops_before_it_with_the_rack_in_view(tmp_path: Path, attempt: int) -> None:
+    scene = build_scene((*ROOM, RACK))
+    job = planner_job(scene, attempt=attempt)
+    outcome, out = attempted(scene, job, tmp_path)
+    assert isinstance(outcome, Success), outcome
+    rollout = outcome.meta.rollout
+    assert rollout.final_surface_m == pytest.approx(1.0 - STOPPED_M, abs=0.02)
+    assert rollout.final_ne_m > 1.2
+    assert (rollout.collision_count, rollout.target_in_view) == (0, True)
+    with BundleReader(out) as bundle:
+        assert validate(bundle, job, scene.info.targets[0]) == []
+        shown = bundle.ids(bundle.length - 1) == scene.info.targets[0].instance_id
+        assert 0.1 < shown.mean() < 0.8
+
+
+def test_a_path_that_ends_without_the_target_in_view_fails_before_the_drive(tmp_path: Path) -> None:
+    scene = build_scene((*ROOM, BOARD))
+    outcome, _ = attempted(scene, planner_job(scene), tmp_path)
+    assert isinstance(outcome, AttemptFailure)
+    assert (outcome.reason, outcome.steps) == (FailReason.NOT_IN_VIEW, 0)
+    assert "without whiteboard_6 in view" in outcome.detail
+
+
+def test_an_attempt_without_the_requirement_records_that_the_target_is_out_of_view(tmp_path: Path) -> None:
+    scene = build_scene((*ROOM, BOARD))
+    job = planner_job(scene, demonstration=DemonstrationConfig())
+    outcome, out = attempted(scene, job, tmp_path)
+    assert isinstance(outcome, Success), outcome
+    assert outcome.meta.rollout.target_in_view is False
+    with BundleReader(out) as bundle:
+        assert validate(bundle, job, scene.info.targets[0]) == []

@@ -1,0 +1,96 @@
+"""Starts that show only the object that the instruction means: drawn by the worker, checked by validation."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coordinator.validation.start import start_findings
+from coordinator.validation.validate import validate
+from schemas.bundle import BundleReader
+from schemas.config import TaskConfig
+from schemas.job import Job
+from schemas.referents import ids_in_view, referents_of
+from schemas.scene import encode_scene
+from schemas.start_view import StartView
+from schemas.terms import ExpertName, Tier
+from tests.builders.bundle import job_for
+from tests.builders.scene import Box, build_scene, room_walls
+from workers.sim.attempt import AttemptFailure, Success, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
+
+LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
+RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")
+SCENE = build_scene((*room_walls((-4.0, -4.0), (4.0, 4.0)), LEFT, RIGHT))
+TARGET, RIVAL = SCENE.info.targets
+PACKAGE = encode_scene(SCENE, level=1)
+
+
+def _job(attempt: int, view: StartView | None, tier: Tier = Tier.NEAR) -> Job:
+    return job_for(
+        attempt=attempt,
+        scene=SCENE.info.name,
+        scene_sha256=hashlib.sha256(PACKAGE).hexdigest(),
+        tier=tier,
+        category="crate",
+        instruction="Go to the crate.",
+        target_id=TARGET.target_id,
+        expert=ExpertName.PLANNER,
+        task=TaskConfig(success_radius_m=1.4, hold_steps=2),
+        start_view=view,
+    )
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    path: Path = tmp_path_factory.mktemp("scene") / "room.scene"
+    path.write_bytes(PACKAGE)
+    with SceneRenderer() as stage:
+        stage.load(path, hashlib.sha256(PACKAGE).hexdigest())
+        yield stage
+
+
+def _episode(stage: SceneRenderer, view: StartView | None, tier: Tier = Tier.NEAR) -> BundleReader:
+    """Returns the first successful attempt."""
+    for attempt in range(1, 8):
+        file = io.BytesIO()
+        if isinstance(run_attempt(_job(attempt, view, tier), stage, file, "host-1", lambda _: None), Success):
+            return BundleReader(file)
+    raise AssertionError("no attempt succeeds")
+
+
+@pytest.mark.parametrize("tier", [Tier.NEAR, Tier.FAR])
+def test_the_first_frame_shows_the_target_and_no_other_object_that_the_instruction_fits(stage, tier):
+    with _episode(stage, StartView(rivals=(RIVAL.instance_id,)), tier) as bundle:
+        shown = ids_in_view(bundle.ids(0), bundle.meta.job.gains.min_mask_px)
+        assert shown & referents_of(bundle.meta.job, SCENE.info) == {TARGET.instance_id}
+        assert not bundle.meta.phrase_is_unique
+        assert validate(bundle, bundle.meta.job, TARGET) == []
+
+
+def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(stage):
+    for attempt in range(1, 8):
+        file = io.BytesIO()
+        outcome = run_attempt(_job(attempt, None), stage, file, "host-1", lambda _: None)
+        with BundleReader(file) as bundle:
+            if isinstance(outcome, Success) and np.count_nonzero(bundle.ids(0) == RIVAL.instance_id) >= 32:
+                claimed = bundle.meta.job.model_copy(update={"start_view": StartView(rivals=(RIVAL.instance_id,))})
+                assert validate(bundle, bundle.meta.job, TARGET) == []
+                found = start_findings(bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0))
+                assert found == [
+                    f"start: objects [{RIVAL.instance_id}] are in view, which the instruction fits as well"
+                ]
+                return
+    raise AssertionError("no start shows both objects")
+
+
+def test_an_attempt_without_such_a_start_fails_with_the_reason_spawn(stage):
+    walls = tuple(range(1, 1 + len(room_walls((-4.0, -4.0), (4.0, 4.0)))))
+    outcome = run_attempt(_job(1, StartView(rivals=walls)), stage, io.BytesIO(), "host-1", lambda _: None)
+    assert isinstance(outcome, AttemptFailure)
+    assert outcome.reason == "spawn"
+    assert "whose view meets the conditions" in outcome.detail

@@ -1,0 +1,68 @@
+"""The goal region: distances to a footprint, and points on straight lines at a distance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from schemas.config import TaskConfig
+from schemas.errors import WorldError
+from schemas.measure import Goal, footprint_distances
+from schemas.terms import SuccessMeasure
+from tests.builders.scene import box_room
+
+TABLE = ((-1.5, -0.5), (1.5, -0.5), (1.5, 0.5), (-1.5, 0.5))
+BY_SURFACE = Goal((0.0, 0.0), 1.0, TABLE)
+BY_CENTROID = Goal((0.0, 0.0), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [((3.0, 0.0), 1.5), ((0.0, -2.0), 1.5), ((2.5, 1.5), math.sqrt(2)), ((1.5, 0.2), 0.0), ((0.3, -0.1), 0.0)],
+)
+def test_distance_to_a_footprint_is_that_to_its_nearest_side_corner_or_zero_inside(
+    point: tuple[float, float], distance: float
+) -> None:
+    assert BY_SURFACE.distance(*point) == pytest.approx(distance)
+    assert BY_SURFACE.distances([point, point]).tolist() == pytest.approx([distance] * 2)
+
+
+@pytest.mark.parametrize("footprint", [((1.0, 2.0),), ((0.0, 0.0), (2.0, 0.0))])
+def test_a_footprint_without_area_has_distances_beyond_its_ends_too(footprint: tuple[tuple[float, float], ...]) -> None:
+    x, y = footprint[-1]
+    assert footprint_distances([(x + 3.0, y), (x, y)], footprint).tolist() == [3.0, 0.0]
+
+
+@pytest.mark.parametrize("goal", [BY_SURFACE, BY_CENTROID])
+def test_approach_ends_at_the_distance_on_the_line_to_the_centroid_and_keeps_nearer_starts(goal: Goal) -> None:
+    starts = np.array([[4.0, 0.0], [3.0, 4.0], [0.0, -3.0], [0.1, 0.2]])
+    ends = goal.approach(starts, 0.97)
+    assert goal.distances(ends[:3]) == pytest.approx(0.97, abs=1e-6)
+    turned = starts[:3, 0] * ends[:3, 1] - starts[:3, 1] * ends[:3, 0]
+    assert np.abs(turned).max() < 1e-9
+    assert ends[3].tolist() == starts[3].tolist()
+
+
+@pytest.mark.parametrize("goal", [BY_SURFACE, BY_CENTROID])
+def test_a_ring_is_at_one_distance_in_the_given_directions(goal: Goal) -> None:
+    angle = np.linspace(0, 2 * math.pi, 24)
+    rays = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = goal.ring(rays, 2.5)
+    assert goal.distances(points) == pytest.approx(2.5, abs=1e-6)
+    assert points / np.linalg.norm(points, axis=1)[:, None] == pytest.approx(rays, abs=1e-9)
+    assert goal.distances(goal.outline()) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_shortest_way_into_the_goal_leads_to_the_nearest_side() -> None:
+    gap, end = BY_SURFACE.entry(np.array([1.2, 3.5]))
+    assert gap == pytest.approx(2.0)
+    assert end.tolist() == pytest.approx([1.2, 1.5])
+
+
+def test_a_target_without_footprint_has_no_goal_by_surface_and_the_message_says_what_is_possible() -> None:
+    target = box_room().info.targets[0].model_copy(update={"footprint_m": ()})
+    assert Goal.of(target, TaskConfig()).distance(*target.centroid_m[:2]) == 0.0
+    with pytest.raises(WorldError, match=r"factory scene build.*task\.success = \"centroid\""):
+        Goal.of(target, TaskConfig(success=SuccessMeasure.SURFACE))
