@@ -114,7 +114,6 @@ for episode in Dataset(".").filter(split="train_id"):
 ## Licence
 The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
-_GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
   table in `meta.json`), """
@@ -122,6 +121,7 @@ _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
+_GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
     'screened by `spawn.screening = "{}"` of the plan.'

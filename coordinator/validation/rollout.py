@@ -49,16 +49,28 @@ def visibility_findings(meta: EpisodeMeta, target_pixels: Sequence[int]) -> list
     """
     least = meta.job.gains.min_mask_px
     visible = sum(pixels >= least for pixels in target_pixels)
-    at_end = target_pixels[-1] >= least
     found = []
     if visible != meta.rollout.steps_visible:
         shown = f"{visible} frames show {least} or more pixels of the target"
         found.append(f"steps_visible {meta.rollout.steps_visible}, but {shown}")
+    return [*found, *arrival_findings(meta, target_pixels[-1])]
+
+
+def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:
+    """Returns the differences between the recorded view of the target at the end, the plan and the last frame.
+
+    Args:
+        meta: metadata of the episode.
+        pixels: number of pixels of the target in the last frame.
+    """
+    least = meta.job.gains.min_mask_px
+    at_end = pixels >= least
+    found = []
     if meta.rollout.target_in_view not in (at_end, None):
-        shown = f"the last frame shows {target_pixels[-1]} pixels of the target, visible is {least}"
+        shown = f"the last frame shows {pixels} pixels of the target, visible is {least}"
         found.append(f"target_in_view {meta.rollout.target_in_view}, but {shown}")
     if meta.job.demonstration.target_in_view and not at_end:
-        found.append(f"the last frame shows {target_pixels[-1]} pixels of the target, the plan requires {least}")
+        found.append(f"the last frame shows {pixels} pixels of the target, the plan requires {least}")
     return found
 
 

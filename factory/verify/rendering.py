@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.validation.rollout import arrival_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.shared_renderer import shared_renderer
@@ -42,6 +43,8 @@ def compare_rendered(bundle: EpisodeBundle) -> list[str]:
             if bundle.has_frames:
                 _add_distances(distances, bundle, t, frame)
     found += _visibility_findings(bundle.meta, target_pixels)
+    if not bundle.has_frames and bundle.length - 1 in target_pixels:
+        found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
     return [*found, _digest_finding(bundle, differing, distances)] if differing else found
 
 

@@ -92,10 +92,10 @@ def test_both_recordings_have_the_same_drive_and_the_digests_of_the_same_frames(
         assert states.meta.frame_digests == tuple(frames.meta.frame_digests[t] for t in steps)
 
 
-def test_planner_renders_no_image_but_the_sampled_ones(stage: SceneRenderer, renderings: Renderings) -> None:
+def test_planner_renders_only_sampled_frames_and_the_last_one(stage: SceneRenderer, renderings: Renderings) -> None:
     before = renderings.count
     states = recorded(stage, job_in_room(Recording.STATES, 4, ExpertName.PLANNER))
-    assert renderings.count - before == len(states.meta.frame_digests) <= 3
+    assert renderings.count - before <= len(states.meta.frame_digests) + 1 <= 4
 
 
 def test_a_states_recording_is_a_few_kilobytes_per_hundred_steps(stage: SceneRenderer) -> None:

@@ -40,7 +40,7 @@ class Drive:
     steps_visible: int | None
     """Number of steps in which the target was visible to the expert; `None` if no image was needed to drive."""
     target_in_view: bool
-    """Whether the last frame shows the target."""
+    """Whether the last frame shows the target; false if no success made it necessary to render the frame."""
     end: str
     """Description of the end with measured values."""
 
@@ -74,8 +74,8 @@ def drive(
         if sink is not None:
             _ = view.frame  # rendered first, so that the expert reads depth and ids from it
         reason = loop.decide(expert.act(view))
-        needs_image = visible is not None or reason is not None
-        is_visible = needs_image and view.sighting.pixels >= job.gains.min_mask_px
+        is_needed = visible is not None or reason is EndReason.SUCCESS
+        is_visible = is_needed and view.sighting.pixels >= job.gains.min_mask_px
         if visible is not None:
             visible += is_visible
         reason = _missed(job.demonstration, reason, loop.contact_steps, is_visible) or reason
