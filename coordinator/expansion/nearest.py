@@ -128,7 +128,8 @@ def _moved(wanted: Cells, found: Cells) -> int:
 def _change_message(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
     present = scene_cells(plan, scene, entry).present
     if part is None:
-        is_there = any(name in present for names in scene.categories for name in names)
+        listed = {target.category for target in entry.info.targets}
+        is_there = any(name in listed for names in scene.categories for name in names)
         why = "no target of these categories is reachable" if is_there else "it has none of the requested categories"
         return f"{scene.name}: removed, {lost} episodes; {why}"
     words = []
