@@ -18,8 +18,8 @@ from schemas.config import (
     TaskConfig,
 )
 from schemas.episode_spec import EpisodeSpec
+from schemas.instruction.start_view import StartView
 from schemas.plan import MAX_EPISODES
-from schemas.start_view import StartView
 from schemas.terms import ExpertName, Recording
 
 EPISODE_ID_FORMAT = "ep_{:06d}"

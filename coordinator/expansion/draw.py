@@ -20,12 +20,12 @@ from coordinator.expansion.level import category_quotas
 from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene, scene_cells
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import InvalidPlan
+from schemas.instruction.language import instruction, says_in_front
+from schemas.instruction.referents import referents, referents_of
+from schemas.instruction.start_view import IN_FRONT_RAD, StartView
 from schemas.job import Job
-from schemas.language import instruction, says_in_front
 from schemas.plan import Plan, ScenePlan
-from schemas.referents import referents, referents_of
 from schemas.scene import SceneInfo
-from schemas.start_view import IN_FRONT_RAD, StartView
 from schemas.terms import Split, SuccessMeasure, Tier
 
 __all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]

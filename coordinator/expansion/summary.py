@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand
 from coordinator.expansion.file import shrink
+from schemas.instruction.referents import referents_of
 from schemas.plan import Plan
-from schemas.referents import referents_of
 
 MOST_SUMMARISED = 6_000
 """Largest number of expanded episodes; a larger plan is reduced to it in the same proportions."""

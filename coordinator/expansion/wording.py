@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from schemas.language import needs_colour, say_category, templates_for
+from schemas.instruction.language import needs_colour, say_category, templates_for
+from schemas.instruction.referents import referents
 from schemas.plan import Plan, ScenePlan
-from schemas.referents import referents
 from schemas.scene import SceneInfo, Target
 from schemas.terms import Split
 

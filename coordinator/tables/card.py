@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable
 from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from coordinator.tables.card_configs import configs_to_yaml, split_configs
 from schemas.dataset_meta import DatasetMeta
-from schemas.language import TEMPLATES
+from schemas.instruction.language import TEMPLATES
 from schemas.terms import Recording, Split, SuccessMeasure, Tier
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))

@@ -9,8 +9,8 @@ import math
 from collections import Counter
 
 from schemas.episode import EpisodeMeta
+from schemas.instruction.language import TEMPLATES, instruction, needs_colour, templates_for
 from schemas.job import Job
-from schemas.language import TEMPLATES, instruction, needs_colour, templates_for
 from schemas.scene import Target
 from schemas.terms import Recording
 

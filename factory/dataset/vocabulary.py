@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from schemas.errors import UsageError
+from schemas.instruction.language import TEMPLATES
 from schemas.job import episode_id
-from schemas.language import TEMPLATES
 from schemas.plan import Plan
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, COLOUR_NAMES, ExpertName, Split, Tier

@@ -19,9 +19,9 @@ from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Rem
 from factory.stats.rollouts import ALL
 from schemas.config import CameraConfig
 from schemas.dataset import EpisodeSummary
-from schemas.language import says_in_front
-from schemas.referents import ids_in_view
-from schemas.start_view import IN_FRONT_RAD
+from schemas.instruction.language import says_in_front
+from schemas.instruction.referents import ids_in_view
+from schemas.instruction.start_view import IN_FRONT_RAD
 
 
 @dataclass(frozen=True)

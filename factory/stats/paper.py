@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from factory.stats.model import Fit, Published
-from schemas.language import TEMPLATES, needs_colour
+from schemas.instruction.language import TEMPLATES, needs_colour
 from schemas.terms import Split, Tier
 
 __all__ = [

@@ -13,8 +13,8 @@ from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, sprea
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.instruction.referents import referents, referents_of
 from schemas.measure import target_in_view
-from schemas.referents import referents, referents_of
 from schemas.scene import SceneInfo, read_scene_info
 from schemas.storage.place import Place
 

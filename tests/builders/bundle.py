@@ -20,8 +20,8 @@ from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig,
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta, Provenance, Rollout
 from schemas.fingerprint import Fingerprint
+from schemas.instruction.language import instruction
 from schemas.job import Job
-from schemas.language import instruction
 from schemas.measure import measure_track
 from schemas.scene import Instance
 from schemas.terms import EndReason, ExpertName, Recording, Split, Tier

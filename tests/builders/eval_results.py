@@ -8,7 +8,7 @@ from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.policies.note import PolicyNote
 from factory.eval.results.score import Evaluation, score_policy
-from schemas.language import instruction
+from schemas.instruction.language import instruction
 from schemas.terms import Split, Tier
 
 __all__ = ["evaluation_of", "result_of", "spec_of", "specs_of"]

@@ -18,8 +18,8 @@ from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.config import TaskConfig
 from schemas.dataset import summary_of
 from schemas.episode import EpisodeMeta
+from schemas.instruction.language import instruction
 from schemas.job import Job
-from schemas.language import instruction
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Split, Tier

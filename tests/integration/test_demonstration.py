@@ -11,8 +11,8 @@ import pytest
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
+from schemas.instruction.language import instruction
 from schemas.job import Job
-from schemas.language import instruction
 from schemas.scene import CompiledScene, encode_scene
 from schemas.terms import ExpertName, FailReason, SuccessMeasure, Tier
 from tests.builders.bundle import job_for

@@ -12,8 +12,8 @@ import pytest
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import TaskConfig
+from schemas.instruction.language import instruction
 from schemas.job import Job
-from schemas.language import instruction
 from schemas.scene import encode_scene
 from schemas.support.stage_timer import StageTimer
 from schemas.terms import ExpertName, Recording

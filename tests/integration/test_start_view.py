@@ -13,10 +13,10 @@ from coordinator.validation.start import start_findings
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import TaskConfig
+from schemas.instruction.referents import ids_in_view, referents_of
+from schemas.instruction.start_view import StartView
 from schemas.job import Job
-from schemas.referents import ids_in_view, referents_of
 from schemas.scene import encode_scene
-from schemas.start_view import StartView
 from schemas.terms import ExpertName, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls

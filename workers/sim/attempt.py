@@ -15,11 +15,11 @@ from typing import BinaryIO
 
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
+from schemas.instruction.referents import referents_of
+from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
 from schemas.measure import Goal, measure_track, target_in_view
-from schemas.referents import referents_of
 from schemas.scene import SceneInfo, Target
-from schemas.start_view import start_view_findings
 from schemas.terms import EndReason, FailReason, Recording
 from workers.experts import Expert, make_expert
 from workers.experts.planner import STOPPED_M, arrival_pose

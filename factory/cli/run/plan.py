@@ -22,7 +22,7 @@ from factory.runs.catalog import collect_scenes, find_built
 from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
-from schemas.language import TEMPLATES
+from schemas.instruction.language import TEMPLATES
 from schemas.plan import Plan
 from schemas.terms import Tier
 

@@ -16,7 +16,7 @@ from factory.eval.results.faults import FaultCount, faults_of
 from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256
-from schemas.language import TEMPLATES
+from schemas.instruction.language import TEMPLATES
 from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier
 
 GROUPS: Mapping[str, str] = MappingProxyType(

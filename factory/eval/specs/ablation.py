@@ -13,7 +13,7 @@ import numpy as np
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import EvalSpec, SpecSet
 from schemas.errors import UsageError
-from schemas.language import TEMPLATES, instruction, needs_colour
+from schemas.instruction.language import TEMPLATES, instruction, needs_colour
 from schemas.scene import SceneInfo
 
 ABLATIONS = (Variant.SHUFFLED, Variant.WRONG, Variant.EMPTY)

@@ -16,8 +16,8 @@ from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
+from schemas.instruction.referents import ids_in_view
 from schemas.measure import Goal
-from schemas.referents import ids_in_view
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
 from schemas.terms import Split

@@ -9,7 +9,7 @@ from factory.report.data import ReportInput
 from factory.stats import paper
 from factory.stats.model import AttemptRow, Published, Statistics
 from factory.stats.rollouts import ALL
-from schemas.language import needs_colour, say_category
+from schemas.instruction.language import needs_colour, say_category
 from schemas.terms import ExpertName, Screening, Split, Tier
 
 __all__ = [

@@ -16,7 +16,7 @@ from factory.stats import paper
 from factory.stats.measures import share_of
 from factory.stats.model import Interval, Published, RolloutRow, Share
 from factory.stats.rollouts import ALL
-from schemas.language import needs_colour, say_category
+from schemas.instruction.language import needs_colour, say_category
 from schemas.terms import Split, Tier
 
 __all__ = ["compare"]

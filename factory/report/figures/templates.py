@@ -8,7 +8,7 @@ from factory.report.drawing.canvas import Axes, Panel, count_whole, draw_panel, 
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, percent
 from factory.stats.model import CountRow
-from schemas.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
+from schemas.instruction.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 
 __all__ = ["draw"]
 

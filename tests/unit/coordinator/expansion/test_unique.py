@@ -12,11 +12,11 @@ from coordinator.expansion.file import parse_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.summary import summarise
+from schemas.instruction.language import needs_colour
+from schemas.instruction.referents import referents_of
+from schemas.instruction.start_view import StartView
 from schemas.job import Job
-from schemas.language import needs_colour
 from schemas.plan import Plan, ScenePlan
-from schemas.referents import referents_of
-from schemas.start_view import StartView
 from schemas.terms import Split
 from tests.builders.catalog import make_catalog, make_entry, make_target
 

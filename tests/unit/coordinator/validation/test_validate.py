@@ -16,8 +16,8 @@ from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
 from schemas.encoding.container import ContainerWriter
+from schemas.instruction.start_view import StartView
 from schemas.job import Job
-from schemas.start_view import StartView
 from schemas.terms import EndReason, ExpertName, Recording, Split, SuccessMeasure, Tier
 from tests.builders.bundle import (
     FLOOR_ID,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from schemas.config import SpawnConfig, TaskConfig
+from schemas.instruction.start_view import StartView
 from schemas.job import Job
 from schemas.measure import Goal
-from schemas.start_view import StartView
 from schemas.terms import ExpertName, Screening, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls

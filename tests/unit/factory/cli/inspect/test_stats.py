@@ -19,7 +19,7 @@ from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.config import TaskConfig
 from schemas.dataset import FailedAttempt
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.language import TEMPLATES
+from schemas.instruction.language import TEMPLATES
 from schemas.plan import ScenePlan
 from schemas.terms import ExpertName, Split, SuccessMeasure, Tier
 from tests.builders.dataset import NOW, failure, make_dataset

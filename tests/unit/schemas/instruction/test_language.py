@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from schemas.language import (
+from schemas.instruction.language import (
     OOD_TEMPLATES,
     TEMPLATES,
     TRAIN_TEMPLATES,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from schemas.base import Model, NonNegative
-from schemas.referents import ids_in_view
+from schemas.instruction.referents import ids_in_view
 from schemas.scene import MAX_INSTANCES
 
 IN_FRONT_RAD = math.radians(30)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from schemas.start_view import IN_FRONT_RAD, StartView, start_view_findings
+from schemas.instruction.start_view import IN_FRONT_RAD, StartView, start_view_findings
 
 TARGET, RIVAL, OTHER = 3, 5, 9
 
