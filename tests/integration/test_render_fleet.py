@@ -20,20 +20,11 @@ def test_workers_render_the_states_of_a_coordinator(recordings: dict[Recording, 
     endpoint, out = free_endpoint(), tmp_path / "frames"
     start = ("coordinator", "start", "--states", str(recordings[Recording.STATES]), "--out", str(out))
     with subprocess.Popen([*FACTORY, *start, "--listen", endpoint], stdout=subprocess.PIPE) as coordinator:
-        worker = (
-            "worker",
-            "--cores",
-            "1",
-            "--connect",
-            endpoint,
-            "--renderer",
-            "gl",
-            "--spool",
-            str(tmp_path / "spool"),
-        )
-        subprocess.run([*FACTORY, *worker], check=True, capture_output=True)
+        worker = (*FACTORY, "worker", "--cores", "1", "--connect", endpoint, "--renderer", "gl")
+        spool = ("--spool", str(tmp_path / "spool"))
+        done = subprocess.run([*worker, *spool], capture_output=True, text=True, check=False)
         coordinator.communicate()
-    assert coordinator.returncode == 0
+    assert (coordinator.returncode, done.returncode) == (0, 0), done.stderr
     assert Dataset(out).digest == Dataset(recordings[Recording.FRAMES]).digest
 
 
