@@ -197,7 +197,7 @@ def test_a_policy_that_cannot_be_constructed_stops_the_evaluation_with_the_reaso
 
 def test_a_dataset_without_its_scene_is_refused(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
     other = specs.specs[0].model_copy(update={"scene_sha256": "f" * 64})
-    with pytest.raises(WorldError, match="the package of scene office with SHA-256 f{64} is missing: .* searched: "):
+    with pytest.raises(WorldError, match=r"the package of scene office with SHA-256 f{64} is missing: .* searched: "):
         drive(tmp_path, campaign_of(drives, specs.model_copy(update={"specs": (other,)}), "stop"))
 
 
