@@ -34,28 +34,28 @@ def test_inspect_refuses_a_stage_and_names_the_compile_command(factory, tmp_path
 def test_an_imported_scene_is_found_by_name(factory, tmp_path):
     plant = TEXT.box("SM_Plant_01", (-2.2, -1.2, 0), (-1.8, -0.8, 0.6))
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT, plant))
-    made = factory("scene", "import", stage, "--name", "den")
+    made = factory("scene", "import", stage, "--name", "cellar")
     assert (
         "targets: 1 chair, 1 plant\nnot targets: 5 of 7 instances\n  5 without a category: /World/Floor" in made.stdout
     )
     assert "--rules FILE" in made.stdout
-    assert "next:    factory scene inspect den" in made.stdout
-    plan = tmp_path / "den.toml"
-    plan.write_text(made.stdout[made.stdout.index('name = "den"') :])
+    assert "next:    factory scene inspect cellar" in made.stdout
+    plan = tmp_path / "cellar.toml"
+    plan.write_text(made.stdout[made.stdout.index('name = "cellar"') :])
     assert factory.json("plan", "nearest", plan)["possible"]
-    assert "not targets: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
-    assert factory.json("scene", "survey", "den")["spawns"] >= 40
-    assert factory.json("scene", "targets", "den", "-o", tmp_path / "list.yaml")["scene"] == "den"
-    assert "did you mean 'den'?" in factory("scene", "inspect", "denn", expect=2).stderr
-    (listed,) = [scene for scene in factory.json("scene", "list") if scene["name"] == "den"]
+    assert "not targets: 5 of 7 instances" in factory("scene", "inspect", "cellar").stdout
+    assert factory.json("scene", "survey", "cellar")["spawns"] >= 40
+    assert factory.json("scene", "targets", "cellar", "-o", tmp_path / "list.yaml")["scene"] == "cellar"
+    assert "did you mean 'cellar'?" in factory("scene", "inspect", "cellarr", expect=2).stderr
+    (listed,) = [scene for scene in factory.json("scene", "list") if scene["name"] == "cellar"]
     assert (listed["origin"], listed["summary"], listed["targets"]) == ("imported", "room.usda", "1 chair, 1 plant")
     assert listed["package"] in factory("scene", "list").stdout
 
     TEXT.write(stage, room_body(TEXT))
-    last = factory.json("scene", "import", stage, "--name", "den")["package"]
-    again = factory("scene", "inspect", "den")
+    last = factory.json("scene", "import", stage, "--name", "cellar")["package"]
+    again = factory("scene", "inspect", "cellar")
     assert "categories: 1 chair\n" in again.stdout
-    assert f"den was imported 2 times; the last import is used: {last}" in again.stderr
+    assert f"cellar was imported 2 times; the last import is used: {last}" in again.stderr
 
 
 def test_a_ceiling_of_the_import_is_part_of_its_plan(factory, tmp_path):

@@ -12,7 +12,7 @@ from factory.scenes.author import BUILTIN_SCENES
 from factory.scenes.rules import load_rules
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.scene import CompiledScene, decode_scene
-from schemas.terms import BUILTIN_CATEGORIES, Tier
+from schemas.terms import BUILTIN_CATEGORIES, FAR_FLOOR_M, Tier
 from tests.builders.shared import locked
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
@@ -99,7 +99,7 @@ def test_visible_targets_of_a_spawn_can_be_reached_straight(scene: CompiledScene
     assert seen.min() >= 1.5 - 1e-6
     assert seen.max() <= 11.0 + 1e-6
     far = {target.target_id for target in scene.info.targets if Tier.FAR in target.straight_tiers}
-    columns = scene.spawn_sees.any(axis=0)
+    columns = ((scene.spawn_sees == 1) & (distance >= FAR_FLOOR_M[0])).any(axis=0)
     assert far == {t.target_id for t, sees in zip(scene.info.targets, columns, strict=True) if sees}
 
 

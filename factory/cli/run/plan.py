@@ -39,7 +39,7 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show the number of episodes by scene, split and tier, the categories, the templates and the expected ambiguity.
+    """Show a plan's quotas, categories, templates and ambiguity.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Files named in the plan must exist.
     Categories, templates and ambiguity need scenes that are built and support the plan.

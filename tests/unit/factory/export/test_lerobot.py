@@ -167,7 +167,7 @@ def test_slower_export_keeps_every_third_frame_and_the_mean_of_its_commands(slow
         means = np.array([actions[t : t + 3].mean(axis=0) for t in range(0, len(actions), 3)])
         assert column(part, "action") == pytest.approx(means, abs=1e-6)
         assert np.array_equal(column(part, "tokens"), tokens_of(column(part, "action").astype(np.float32)))
-        assert np.array_equal(column(part, "pose"), parts.arrays.poses[::3])
+        assert np.array_equal(column(part, "pose"), parts.arrays.poses[::3].astype(np.float32))
         assert column(part, "timestamp") == pytest.approx(np.arange(row["length"]) / 20)
         for place, t in enumerate(range(0, len(actions), 3)):
             found = frames[row["dataset_from_index"] + place][2].astype(float)
@@ -213,7 +213,7 @@ def test_version_2_1_has_one_file_an_episode(older: Path) -> None:
         frames = list(read_video(older / info["video_path"].format(**place)))
         parts = episode_parts(int(line["episode_id"][3:]))
         assert len(frames) == table.num_rows == line["length"] == -(-len(parts.frames) // 2)
-        assert np.array_equal(column(table, "pose"), parts.arrays.poses[::2])
+        assert np.array_equal(column(table, "pose"), parts.arrays.poses[::2].astype(np.float32))
         assert {tasks[index] for index in column(table, "task_index")} == {parts.meta.job.instruction}
         assert [time for time, _, _ in frames] == pytest.approx(column(table, "timestamp").tolist())
 
