@@ -227,7 +227,7 @@ def measure_track(
 
 
 def target_in_view(ids: NDArray[np.uint16], instance_id: int, min_pixels: int) -> bool:
-    """Returns whether a frame shows the target; the last frame of an episode tells whether it is in view on arrival.
+    """Returns whether a frame shows the target; applied to the last frame for the view on arrival.
 
     Args:
         ids: (H, W) instance ids of the frame.

@@ -183,7 +183,7 @@ def write_option(
         metavar: FILE or DIR.
         text: help text.
         name: name of the parameter.
-        required: whether there is no default.
+        required: True if the option has no default.
         checks: arguments of `click.Path`.
     """
     kind = click.Path(path_type=Path, **checks)

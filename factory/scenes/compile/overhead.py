@@ -31,7 +31,7 @@ def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, .
     """Returns the parts with a flat ceiling over their extent, visible from below, or the same parts for `None`.
 
     Args:
-        parts: parts of the stage; those that are no colliders are visible.
+        parts: parts of the stage; parts without a collider are visible.
         height_m: height of the ceiling above the floor, metres.
 
     Raises:

@@ -93,7 +93,7 @@ def _map_triangles(patches: Patches, triangles: Floats, rows: Ints, charts: Ints
 
 
 def _map_pairs(patches: Patches, triangles: Floats, rows: Ints, charts: Ints) -> None:
-    """Maps pairs of triangles (N, 2) that share exactly one edge and are no rectangle."""
+    """Maps pairs of triangles (N, 2) that share exactly one edge and do not form a rectangle."""
     one, other = triangles[rows[:, 0]], triangles[rows[:, 1]]
     meets = np.linalg.norm(one[:, :, None] - other[:, None], axis=3) < _WELD_M
     area = np.linalg.norm(np.cross(one[:, 1] - one[:, 0], one[:, 2] - one[:, 0]), axis=1) / 2
