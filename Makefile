@@ -7,6 +7,7 @@ JUDGE  := .venv-judge
 TRAIN  := .venv-train
 AUDIT  := .venv-audit
 JOBS   ?= 3
+RECORD ?= frames
 DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
@@ -45,14 +46,14 @@ bench: $(READY)
 	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
-# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run
+# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
 chaos: $(READY)
-	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 $(PEERS)
+	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 --record $(RECORD) $(PEERS)
 
 # ten thousand faults with an observed effect: one hour on two cores; a stopped campaign continues
 chaos-long: $(READY)
 	mkdir -p build
-	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 $(PEERS) --tally build/chaos.json
+	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --record $(RECORD) $(PEERS) --tally build/chaos-$(RECORD).json
 
 # fifty ledgers deleted, replaced by older copies, truncated and damaged during runs; a stopped campaign continues
 ledger-accidents: $(READY)
