@@ -24,8 +24,6 @@ import pyarrow.parquet as pq
 from factory.dataset.reader import Dataset
 from factory.export.output import WORK_FOLDER
 
-__all__ = ["EXPORTS", "Difference", "compare_datasets", "compare_trees", "main"]
-
 OF_RUN = frozenset({"created_at", "updated_at", "worker", "at", "seconds", "file_sha256", "file_bytes"})
 """Values that differ between two runs of one plan: times, workers, and the files that contain them."""
 OF_RECORDING = frozenset({"run", "plan_digest", "content_digest", "dataset_digest", "steps_visible"})

@@ -25,8 +25,6 @@ from tests.builders.shared import build_once
 from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["SCENE", "driven_plan", "driven_recordings", "make_driven"]
-
 SCENE = "box_room"
 
 
