@@ -17,7 +17,17 @@ pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
 DATA, OUT = "DATA", "OUT"
 """Placeholders of the dataset and of a new file or folder."""
-OF_RECORDING = {"dataset", "run", "digest", "dataset_digest", "archived_digest", "replayed_digest", "seconds"}
+OF_RECORDING = {
+    "dataset",
+    "run",
+    "source",
+    "digest",
+    "dataset_digest",
+    "archived_digest",
+    "replayed_digest",
+    "seconds",
+    "act_ms",
+}
 """Values that name the dataset, or measure time."""
 PRINTING = {
     "stats": ("stats", DATA),
