@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from factory.dataset.episode import Episode
-from factory.dataset.packages import ScenePackage
+from factory.dataset.packages import find_package_file
 from factory.stats.language import EpisodeView, see_objects, summarise_language
 from factory.stats.model import LanguageStatistics
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
@@ -14,7 +14,7 @@ from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.instruction.referents import referents, referents_of
 from schemas.measure import target_in_view
-from schemas.scene import SceneInfo
+from schemas.scene import SceneInfo, read_scene_info
 from schemas.storage.place import Place
 
 ProgressCallback = Callable[[int, int], None]
@@ -78,7 +78,8 @@ def _read_infos(root: Place, rows: Rows) -> dict[str, SceneInfo]:
     found = {}
     for name, sha256 in rows.meta.scenes.items():
         try:
-            found[sha256] = ScenePackage(root, name, sha256).info()
+            with find_package_file(root, name, sha256).open("rb") as file:
+                found[sha256] = read_scene_info(file)
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             rows.add_damage(SCENES, f"the episodes of {name} are skipped: {format_error(error, root)}")
     return found
