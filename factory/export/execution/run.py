@@ -146,10 +146,11 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
             )
     dataset = select(whole, order.splits, order.episodes)
     order.options.check(dataset.meta)
+    digest = rows_digest(dataset.metadata)
     source = Source(
         run=whole.meta.run,
-        dataset_digest=rows_digest(whole.metadata),
-        selection_digest=rows_digest(dataset.metadata),
+        dataset_digest=digest if len(dataset) == len(whole) else rows_digest(whole.metadata),
+        selection_digest=digest,
         splits=tuple(order.splits),
         episodes=len(dataset),
     )
