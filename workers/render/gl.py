@@ -26,10 +26,9 @@ from workers.render import DepthAndIds, RenderedFrame, Window
 from workers.render.cull import window_of_corners
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
-from workers.render.shelf import SceneShelf
+from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
-_KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
@@ -41,12 +40,15 @@ _used_by: set[int] = set()
 class GlRenderer(Closing):
     """`Renderer` with a separate OpenGL 4.5 context; every call makes that context current."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
+    def __init__(
+        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+    ) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
             lap: called at the end of the stages `render` and `read-back` of every frame.
+            kept_scenes: number of scenes that stay on the device.
 
         Raises:
             UsageError: OpenGL was used before this process was forked.
@@ -60,7 +62,7 @@ class GlRenderer(Closing):
         self._pid = os.getpid()
         self._is_open = True
         self.description = _describe(self._context)
-        self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
+        self._shelf = SceneShelf(self._prepare, kept_scenes)
         self._scene: GpuScene | None = None
         self._looked: tuple[Pose, tuple[bytes, NDArray[np.intp]]] | None = None
         """Last pose and what `_look` returned for it; windows of one image have one pose."""

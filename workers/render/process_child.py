@@ -24,13 +24,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="workers.render.process_child", description="Renders frames for one process.")
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), required=True)
     parser.add_argument("--size", type=int, required=True, help="Default width and height of frames, pixels.")
+    parser.add_argument("--kept-scenes", type=int, required=True, help="Number of scenes that stay prepared.")
     parser.add_argument("--frames", type=int, required=True, help="File descriptor of the frame memory.")
     parser.add_argument("--scenes", type=int, required=True, help="File descriptor of the scene memory.")
     arguments = parser.parse_args()
     faulthandler.enable()
     out, lines = take_stdout(), listen(0)
     try:
-        with open_renderer(arguments.renderer, arguments.size) as renderer:
+        with open_renderer(arguments.renderer, arguments.size, kept_scenes=arguments.kept_scenes) as renderer:
             server = _Server(renderer, FrameMemory(arguments.frames), arguments.scenes)
             out.write(to_line(Reply(number=0, detail=renderer.description)))
             while True:

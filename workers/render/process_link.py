@@ -32,7 +32,7 @@ class RenderingProcess:
     description: str
     """Description of the renderer in the process."""
 
-    def __init__(self, kind: RendererKind, size: int) -> None:
+    def __init__(self, kind: RendererKind, size: int, kept_scenes: int) -> None:
         self._pid, self._number, self._unread = os.getpid(), 0, b""
         self._scene = os.fdopen(os.memfd_create("minivla-scene"), "wb")
         self._socket, theirs = socket.socketpair()
@@ -42,7 +42,7 @@ class RenderingProcess:
         with theirs, os.fdopen(memory), contextlib.ExitStack() as held:
             for each in (self._socket, self._scene, self.frames):
                 held.callback(each.close)
-            self._process = _start(kind, size, theirs, memory, self._scene.fileno())
+            self._process = _start(kind, size, kept_scenes, theirs, memory, self._scene.fileno())
             self._end = weakref.finalize(self, _end, self._process, held.pop_all())
         _running.add(self)
         try:
@@ -50,6 +50,11 @@ class RenderingProcess:
         except BaseException:
             self.close()
             raise
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the process serves requests: it was not closed and is not known to be dead."""
+        return self._end.alive
 
     def send_scene(self, package: bytes) -> None:
         """Replaces the content of the scene memory."""
@@ -92,7 +97,7 @@ class RenderingProcess:
                 f"this renderer was opened by process {self._pid} before a fork: open it in the process that "
                 "uses it (Gymnasium: create the environment there, as `make_vec(..., vectorization_mode='async')` does)"
             )
-        if not self._end.alive:
+        if not self.is_open:
             raise UsageError("this renderer is closed: open another one")
 
     def _receive(self, number: int) -> str:
@@ -145,8 +150,10 @@ def _disown_all() -> None:
 os.register_at_fork(after_in_child=_disown_all)
 
 
-def _start(kind: RendererKind, size: int, theirs: socket.socket, frames: int, scenes: int) -> subprocess.Popen[bytes]:
-    options = {"--renderer": kind, "--size": size, "--frames": frames, "--scenes": scenes}
+def _start(
+    kind: RendererKind, size: int, kept_scenes: int, theirs: socket.socket, frames: int, scenes: int
+) -> subprocess.Popen[bytes]:
+    options = {"--renderer": kind, "--size": size, "--kept-scenes": kept_scenes, "--frames": frames, "--scenes": scenes}
     command = (*_CHILD, *(str(word) for option in options.items() for word in option))
     try:
         return subprocess.Popen(

@@ -24,10 +24,9 @@ from workers.geometry.pose import Pose
 from workers.physics.bullet import BulletClient, CameraImage, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import DepthAndIds, RenderedFrame
-from workers.render.shelf import SceneShelf
+from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
-_KEPT_SCENES = 2
 _TEXTURE_PX = 128
 """Size to which textures are reduced, pixels: TinyRenderer samples single texels, which flicker at full resolution."""
 
@@ -35,18 +34,21 @@ _TEXTURE_PX = 128
 class TinyRenderer(Closing):
     """Software `Renderer` that runs wherever PyBullet runs."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
+    def __init__(
+        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+    ) -> None:
         """Creates the renderer.
 
         Args:
             size: width and height of the frames, pixels.
             lap: called at the end of the stages `render` and `read-back` of every frame.
+            kept_scenes: number of scenes that stay prepared.
         """
         self.description = f"PyBullet TinyRenderer {bullet_version()}"
         self._camera = CameraConfig()
         self._size = size
         self._lap = lap
-        self._shelf = SceneShelf(TinyScene, _KEPT_SCENES)
+        self._shelf = SceneShelf(TinyScene, kept_scenes)
         self._scene: TinyScene | None = None
         self._sky = SkyPainter(None, self._camera)
 
