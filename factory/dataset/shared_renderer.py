@@ -94,14 +94,14 @@ class SharedRenderer:
     def prepared_scenes(self) -> list[tuple[object, ...]]:
         """SHA-256 of the scenes that each idle rendering process keeps prepared."""
         with self._returned:
-            return [renderer.packages for renderer in self._free]
+            return [renderer.prepared for renderer in self._free]
 
     @contextmanager
     def _borrowed(self, sha256: str = "") -> Iterator[ProcessRenderer]:
         """Yields a renderer to one thread, if possible one that has prepared the scene."""
         with self._returned:
             self._returned.wait_for(lambda: self._free or self._opened < self._most)
-            places = sorted(range(len(self._free)), key=lambda place: sha256 not in self._free[place].packages)
+            places = sorted(range(len(self._free)), key=lambda place: sha256 not in self._free[place].prepared)
             renderer = self._free.pop(places[0]) if places else None
             self._opened += renderer is None
         try:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import multiprocessing
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -16,13 +19,21 @@ import pytest
 from PIL import Image
 
 from coordinator.tables.split_faults import find_faults
+from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
-from factory.dataset.torch import FrameDataset
+from factory.dataset.sampler import SceneSampler
+from factory.dataset.shared_renderer import KEPT_SCENES, SharedRenderer, View
+from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from factory.eval.specs.from_dataset import specs_of_dataset
+from schemas.config import CameraConfig
 from schemas.dataset_files import SCENES
-from schemas.errors import UsageError
+from schemas.errors import UsageError, WorldError
+from schemas.scene import encode_scene
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
+from tests.builders.process_state import children_of
+from tests.builders.scene import box_room
+from workers.geometry.pose import Pose
 
 pytestmark = pytest.mark.gl
 
@@ -126,6 +137,13 @@ def test_the_tables_of_a_states_dataset_have_no_thumbnails_and_no_faults(states:
     assert "rgb_front" not in card
 
 
+def test_the_card_names_the_software_that_gives_identical_frames(states: Dataset) -> None:
+    card = (Path(str(states.root)) / "README.md").read_text()
+    fingerprint = states[0].meta.provenance.fingerprint
+    versions = fingerprint.software["minivla-factory"], fingerprint.software["libc"]
+    assert f"| {fingerprint.renderer} | {versions[0]} | {versions[1]} | x86_64 |" in card
+
+
 def test_a_contact_sheet_of_both_recordings_is_equal(recordings: dict[Recording, Path], tmp_path: Path) -> None:
     pictures = []
     for record, root in recordings.items():
@@ -175,3 +193,105 @@ def test_without_egl_the_message_names_the_remedy(states: Dataset) -> None:
     error = read_in_new_process(Path(str(states.root)), __EGL_VENDOR_LIBRARY_DIRS="/nowhere")
     assert "OpenGL 4.5 with EGL is not available on this machine" in error
     assert "apt-get install libegl1 libgl1-mesa-dri" in error
+
+
+def test_training_samples_of_another_size_are_equal_for_both_recordings(frames: Dataset, states: Dataset) -> None:
+    options: dict[str, int] = {"size": 48, "antialias": 2}
+    picks = [0, 45, 3, 100]
+    both = [FrameDataset(data, with_ids=True, **options).__getitems__(picks) for data in (frames, states)]
+    for one, other in zip(*both, strict=True):
+        assert one["rgb"].shape == (48, 48, 3)
+        for name in one:
+            assert np.array_equal(one[name], other[name])  # type: ignore[literal-required]
+    frame = states[0].frame(3, **options)
+    large = states[0].frame(3, size=96)
+    assert np.array_equal(both[1][2]["rgb"], frame.rgb)
+    assert np.array_equal(frame.rgb, np.asarray(Image.fromarray(large.rgb).reduce(2)))
+    assert np.array_equal(frame.depth, large.depth[1::2, 1::2])
+    assert np.array_equal(frame.ids, large.ids[1::2, 1::2])
+
+
+def test_clips_of_both_recordings_are_equal(frames: Dataset, states: Dataset) -> None:
+    one, other = (ClipDataset(data, 3, stride=5, size=32).__getitems__([0, 60]) for data in (frames, states))
+    for clip, same in zip(one, other, strict=True):
+        assert clip["rgb"].shape == (3, 32, 32, 3)
+        for name in clip:
+            assert np.array_equal(clip[name], same[name])  # type: ignore[literal-required]
+
+
+def test_a_frame_that_is_too_large_is_refused(states: Dataset) -> None:
+    with pytest.raises(UsageError, match="frame size 2560 is not valid: choose 1 to 2048 pixels"):
+        states[0].frame(0, antialias=4)
+
+
+@pytest.fixture
+def many_scenes(tmp_path: Path) -> list[ScenePackage]:
+    """Packages of eight scenes that differ in their name only."""
+    (tmp_path / SCENES).mkdir()
+    made = []
+    for number in range(8):
+        scene = box_room()
+        info = scene.info.model_copy(update={"name": f"room_{number}"})
+        data = encode_scene(dataclasses.replace(scene, info=info))
+        sha256 = hashlib.sha256(data).hexdigest()
+        (tmp_path / SCENES / f"room_{number}-{sha256[:16]}.scene.zip").write_bytes(data)
+        made.append(ScenePackage(tmp_path, f"room_{number}", sha256))
+    return made
+
+
+def render_all(renderer: SharedRenderer, packages: list[ScenePackage]) -> list[np.ndarray]:
+    camera, pose = CameraConfig(), Pose.planar(1.0, 1.0, 0.3, 0.0)
+    return [renderer.render(View(package, camera, pose, 32), renderer.description).rgb for package in packages]
+
+
+def test_a_reader_of_many_scenes_keeps_a_few_prepared(many_scenes: list[ScenePackage]) -> None:
+    renderer = SharedRenderer("gl")
+    first = render_all(renderer, many_scenes)
+    assert renderer.prepared_scenes == [tuple(package.sha256 for package in many_scenes[-KEPT_SCENES:])]
+    for one, other in zip(first, render_all(renderer, many_scenes), strict=True):
+        assert np.array_equal(one, other)
+    assert [len(scenes) for scenes in renderer.prepared_scenes] == [KEPT_SCENES]
+
+
+def test_each_rendering_process_keeps_a_few_scenes_prepared(many_scenes: list[ScenePackage]) -> None:
+    renderer = SharedRenderer("gl")
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: render_all(renderer, many_scenes), range(8)))
+    assert all(np.array_equal(one, other) for frames in found for one, other in zip(frames, found[0], strict=True))
+    assert 1 <= len(renderer.prepared_scenes) <= len(os.sched_getaffinity(0))
+    assert all(len(scenes) == KEPT_SCENES for scenes in renderer.prepared_scenes)
+
+
+def test_a_rendering_process_that_died_is_replaced_at_the_next_frame(many_scenes: list[ScenePackage]) -> None:
+    renderer, before = SharedRenderer("gl"), children_of(os.getpid())
+    (frame,) = render_all(renderer, many_scenes[:1])
+    (pid,) = children_of(os.getpid()) - before
+    os.kill(pid, signal.SIGKILL)
+    with pytest.raises(WorldError, match="the rendering process died"):
+        render_all(renderer, many_scenes[:1])
+    assert np.array_equal(render_all(renderer, many_scenes[:1])[0], frame)
+
+
+def test_a_scene_package_of_many_with_one_name_is_found_by_its_digest(
+    many_scenes: list[ScenePackage], tmp_path: Path
+) -> None:
+    for package in many_scenes:
+        (file,) = (tmp_path / SCENES).glob(f"{package.name}-*")
+        file.rename(file.with_name(f"room-{package.sha256[:16]}.scene.zip"))
+    for package in many_scenes:
+        assert hashlib.sha256(package._replace(name="room").read()).hexdigest() == package.sha256
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> None:
+    torch = pytest.importorskip("torch")
+    source = FrameDataset(states, size=32, stride=40)
+    order = SceneSampler(source, seed=3)
+    alone = [source[index] for index in order]
+    loader = torch.utils.data.DataLoader(
+        source, 2, sampler=order, num_workers=2, multiprocessing_context=method, collate_fn=collate
+    )
+    found = [image for batch in loader for image in batch["rgb"].numpy()]
+    assert len(found) == len(source)
+    assert all(np.array_equal(image, sample["rgb"]) for image, sample in zip(found, alone, strict=True))

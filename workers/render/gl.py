@@ -7,6 +7,7 @@ before it opens the renderer.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import moderngl
@@ -86,13 +87,17 @@ class GlRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; the most recently used scenes stay on the device."""
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
         self._looked = None
-        self._sky = SkyPainter(scene.info.sky, camera)
         with self._context:
-            self._scene = self._shelf.take(scene)
+            self._scene = self._shelf.take(key, read)
+        self._sky = SkyPainter(self._scene.sky, camera)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.

@@ -7,7 +7,6 @@ A process that has not loaded the driver has neither problem. This module loads 
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Hashable
 
 from schemas.config import CameraConfig
@@ -62,26 +61,26 @@ class ProcessRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
-        read = functools.partial(encode_scene, scene, level=1)  # holds the scene, so that its id stays unique
-        self._load(self._shelf.take(read, id(scene)), camera)
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
 
-    def load_package(self, sha256: str, read: Callable[[], bytes], camera: CameraConfig) -> None:
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
+        self.load_package(key, lambda: encode_scene(read(), level=1), camera)
+
+    def load_package(self, key: Hashable, read: Callable[[], bytes], camera: CameraConfig) -> None:
         """Selects a scene by its package, which this process does not decode; recently used scenes stay prepared.
 
         Args:
-            sha256: SHA-256 of the package.
+            key: key of the scene, such as the SHA-256 of its package.
             read: returns the package; called if the scene is not prepared.
             camera: camera of the robot.
         """
-        self._load(self._shelf.take(read, sha256), camera)
+        self._process.ask(RequestKind.LOAD, scene=self._shelf.take(key, read).number, camera=camera)
 
     @property
-    def packages(self) -> tuple[Hashable, ...]:
-        """SHA-256 of the prepared scenes that `load_package` selected, the most recently used one last."""
+    def prepared(self) -> tuple[Hashable, ...]:
+        """Keys of the prepared scenes, the most recently used one last."""
         return self._shelf.keys
-
-    def _load(self, stored: _Stored, camera: CameraConfig) -> None:
-        self._process.ask(RequestKind.LOAD, scene=stored.number, camera=camera)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -122,9 +121,9 @@ class _Storage:
     def __init__(self, process: RenderingProcess) -> None:
         self._process, self._count = process, 0
 
-    def store(self, read: Callable[[], bytes]) -> _Stored:
+    def store(self, package: bytes) -> _Stored:
         self._count += 1
-        self._process.send_scene(read())
+        self._process.send_scene(package)
         self._process.ask(RequestKind.STORE, scene=self._count)
         return _Stored(self._process, self._count)
 

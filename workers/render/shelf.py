@@ -19,7 +19,7 @@ Prepared = TypeVar("Prepared", bound=_Closable)
 
 
 class SceneShelf(Generic[Scene, Prepared]):
-    """LRU cache of prepared scenes, keyed by the identity of the scene object or by a key of the caller."""
+    """LRU cache of prepared scenes by key."""
 
     def __init__(self, prepare: Callable[[Scene], Prepared], capacity: int) -> None:
         """Creates an empty cache.
@@ -30,25 +30,24 @@ class SceneShelf(Generic[Scene, Prepared]):
         """
         self._prepare = prepare
         self._capacity = capacity
-        self._kept: OrderedDict[Hashable, tuple[Scene, Prepared]] = OrderedDict()
+        self._kept: OrderedDict[Hashable, tuple[Callable[[], Scene], Prepared]] = OrderedDict()
 
     @property
     def keys(self) -> tuple[Hashable, ...]:
         """Keys of the prepared scenes, the most recently used one last."""
         return tuple(self._kept)
 
-    def take(self, scene: Scene, key: Hashable = None) -> Prepared:
+    def take(self, key: Hashable, read: Callable[[], Scene]) -> Prepared:
         """Returns the prepared scene; prepares it on a cache miss, and closes the least recently used one if full.
 
         Args:
-            scene: scene to prepare.
-            key: key of the scene; `None` is the identity of the object, to which the cache holds a reference.
+            key: key of the scene.
+            read: returns the scene; called on a cache miss, and referenced while the scene is prepared.
         """
-        key = id(scene) if key is None else key
         if key not in self._kept:
             while len(self._kept) >= self._capacity:
                 self._kept.popitem(last=False)[1][1].close()
-            self._kept[key] = (scene, self._prepare(scene))
+            self._kept[key] = (read, self._prepare(read()))
         self._kept.move_to_end(key)
         return self._kept[key][1]
 

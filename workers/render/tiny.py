@@ -6,7 +6,7 @@ Each part has its mean colour and light, because TinyRenderer supports neither p
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -59,9 +59,13 @@ class TinyRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
         self._camera = camera
-        self._sky = SkyPainter(scene.info.sky, camera)
-        self._scene = self._shelf.take(scene)
+        self._scene = self._shelf.take(key, read)
+        self._sky = SkyPainter(self._scene.sky, camera)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -112,6 +116,7 @@ class TinyScene:
     """Scene as visual bodies in a separate physics client."""
 
     def __init__(self, scene: CompiledScene) -> None:
+        self.sky = scene.info.sky
         self.client = BulletClient()
         instances: dict[int, int] = {}
         with tempfile.TemporaryDirectory() as folder:
