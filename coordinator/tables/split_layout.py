@@ -109,7 +109,7 @@ def lacks_pictures(path: Place) -> bool:
         found = pq.read_metadata(table_of(path))
     except UNREADABLE:
         return False
-    return int((found.metadata or {}).get(PICTURES_KEY, b"0")) < found.num_rows
+    return bool(int((found.metadata or {}).get(PICTURES_KEY, b"0")) < found.num_rows)
 
 
 def read_pictures(path: Place) -> dict[str, bytes]:

@@ -17,8 +17,8 @@ def shrink_frame(frame: RenderedFrame, block: int) -> RenderedFrame:
     """Returns a frame of a `block`-th of the width and height; the frame itself if `block` is 1."""
     if block == 1:
         return frame
-    depth, ids = (middle_of_blocks(image, block).copy() for image in (frame.depth, frame.ids))
-    return RenderedFrame(mean_of_blocks(frame.rgb, block), depth, ids)
+    depth, ids = middle_of_blocks(frame.depth, block), middle_of_blocks(frame.ids, block)
+    return RenderedFrame(mean_of_blocks(frame.rgb, block), depth.copy(), ids.copy())
 
 
 def mean_of_blocks(rgb: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:

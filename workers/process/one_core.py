@@ -22,9 +22,9 @@ def one_core(environment: Mapping[str, str], many_scenes: bool = False) -> dict[
 
     Args:
         environment: environment to extend.
-        many_scenes: whether the process prepares many scenes in turn, so that memory matters more than speed.
+        many_scenes: whether the process prepares many scenes in turn.
     """
-    ours = _FREED_ARRAYS if many_scenes else _HUGE_PAGES
-    names = [each.partition("=")[0] for each in (_FREED_ARRAYS, _HUGE_PAGES)]
+    ours = [_HUGE_PAGES, *([_FREED_ARRAYS] if many_scenes else [])]
+    names = [each.partition("=")[0] for each in ours]
     tuned = [each for each in environment.get(_TUNABLES, "").split(":") if each and each.partition("=")[0] not in names]
-    return {**environment, **_THREADS, _TUNABLES: ":".join([*tuned, ours])}
+    return {**environment, **_THREADS, _TUNABLES: ":".join([*tuned, *ours])}

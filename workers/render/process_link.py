@@ -162,17 +162,20 @@ def _start(
             stdin=theirs.fileno(),
             stdout=theirs.fileno(),
             pass_fds=(frames, scenes),
-            env=_environment(),
+            env=_environment(kept_scenes),
             start_new_session=True,  # Ctrl-C reaches the caller only, which closes the renderer
         )
     except OSError as error:
         raise WorldError(f"cannot start the rendering process `{' '.join(command)}`: {error}") from error
 
 
-def _environment() -> dict[str, str]:
-    """Returns the environment for rendering on one core, or with the number of threads that the user set for Mesa."""
+def _environment(kept_scenes: int) -> dict[str, str]:
+    """Returns the environment for rendering on one core, or with the number of threads that the user set for Mesa.
+
+    A process that keeps more scenes than a simulation is expected to prepare many of them.
+    """
     chosen = {name: os.environ[name] for name in ("LP_NUM_THREADS",) if name in os.environ}
-    return {**one_core(os.environ), **chosen}
+    return {**one_core(os.environ, many_scenes=kept_scenes > KEPT_SCENES), **chosen}
 
 
 def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:
