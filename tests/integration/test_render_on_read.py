@@ -18,13 +18,16 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from coordinator.archive.directory import DirectoryArchive
 from coordinator.tables.split_faults import find_faults
+from coordinator.tables.split_tables import write_split_tables
 from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.dataset.sampler import SceneSampler
 from factory.dataset.shared_renderer import KEPT_SCENES, SharedRenderer, View
 from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from factory.eval.specs.from_dataset import specs_of_dataset
+from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
 from schemas.config import CameraConfig
 from schemas.dataset_files import SCENES
 from schemas.errors import UsageError, WorldError
@@ -295,3 +298,32 @@ def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> No
     found = [image for batch in loader for image in batch["rgb"].numpy()]
     assert len(found) == len(source)
     assert all(np.array_equal(image, sample["rgb"]) for image, sample in zip(found, alone, strict=True))
+
+
+def thumbnails_of(root: Path) -> list[bytes]:
+    (table,) = (root / "data").glob("*.parquet")
+    return [None if picture is None else picture["bytes"] for picture in pq.read_table(table)["thumbnail"].to_pylist()]
+
+
+def test_rendered_thumbnails_equal_those_of_a_frames_dataset(copied: Path, frames: Dataset) -> None:
+    told: list[tuple[int, int]] = []
+    assert lacks_thumbnails(copied)
+    render_thumbnails(copied, lambda done, of: told.append((done, of)))
+    assert sorted(told) == [(1, 2), (2, 2)]
+    assert thumbnails_of(copied) == thumbnails_of(Path(str(frames.root)))
+    assert not lacks_thumbnails(copied)
+    assert list(find_faults(copied, deep=True)) == []
+    (table,) = (copied / "data").glob("*.parquet")
+    pq.write_table(pq.read_table(table).replace_schema_metadata(None), table)  # outdated: written again
+    with DirectoryArchive(copied) as archive:
+        write_split_tables(archive)
+    assert thumbnails_of(copied) == thumbnails_of(Path(str(frames.root)))
+
+
+def test_a_push_names_the_option_for_missing_thumbnails(copied: Path, frames: Dataset) -> None:
+    notes = []
+    for root in (copied, frames.root):
+        command = [sys.executable, "-m", "factory", "push", str(root), "someone/nav", "--dry-run"]
+        notes.append(subprocess.run(command, check=True, capture_output=True, text=True).stderr)
+    assert "no thumbnails for the Hub's viewer; --thumbnails renders them" in notes[0]
+    assert "thumbnails" not in notes[1]
