@@ -22,6 +22,7 @@ from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset, Episode
 from factory.scenes.targets.target_list import list_file_name
+from factory.support.logs import configure_logs
 from factory.verify.episode import EpisodeCheck, EpisodeResult, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary
@@ -176,7 +177,7 @@ def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[EpisodeR
         yield from map(check_episode, checks)
         return
     fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
-    with ProcessPoolExecutor(min(processes, len(checks)), mp_context=fresh) as pool:
+    with ProcessPoolExecutor(min(processes, len(checks)), fresh, initializer=configure_logs) as pool:
         yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
 
 

@@ -83,7 +83,7 @@ def test_training_on_states_gives_the_policy_of_frames_and_writes_no_frame(
 
 @needs_torch
 def test_samples_per_pixel_of_stored_frames_are_refused(recordings: Recordings, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--antialias 2: .* stores frames, which are not rendered"):
+    with pytest.raises(UsageError, match=r"--antialias 2: .* stores frames, which are not rendered"):
         train(recordings[Recording.FRAMES], tmp_path, options(antialias=2))
 
 
