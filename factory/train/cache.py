@@ -97,7 +97,7 @@ def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback)
                 pictures.put(row, episode.frame(int(found.step[row])), episode.meta.target_instance_id)
         tell(number + 1, len(dataset))
     for array in pictures:
-        array.flush()  # type: ignore[attr-defined]
+        array.flush()  # type: ignore[union-attr]
     _write_labels(part, found)
 
 

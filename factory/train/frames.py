@@ -87,7 +87,12 @@ class Pictures(NamedTuple):
 
     def take(self, rows: NDArray[np.int64]) -> Pictures:
         """Returns copies of these rows."""
-        return Pictures(*(np.asarray(image[rows]) for image in self))
+        return Pictures(np.asarray(self.rgb[rows]), np.asarray(self.depth[rows]), np.asarray(self.mask[rows]))
+
+    def copy_row(self, row: int, source: Pictures, source_row: int) -> None:
+        """Copies a row of other pictures into a row."""
+        self.rgb[row], self.depth[row] = source.rgb[source_row], source.depth[source_row]
+        self.mask[row] = source.mask[source_row]
 
 
 class PictureSource(Protocol):
@@ -116,7 +121,8 @@ class TrainingFrames:
         return len(self.actions)
 
 
-class LabelledSteps(NamedTuple):
+@dataclass(frozen=True)
+class LabelledSteps:
     """Selected steps of all episodes, with their labels; one row each."""
 
     index: FramesIndex

@@ -69,12 +69,10 @@ class RenderedPictures:
         """Copies or renders the pictures of a row."""
         can_keep = row < len(self._is_kept)
         if can_keep and self._is_kept[row]:
-            for out, kept in zip(made, self._kept, strict=True):
-                out[place] = kept[row]
+            made.copy_row(place, self._kept, row)
             return
         frame = episode.frame(int(self._steps.step[row]), self._pixels)
         made.put(place, frame, episode.meta.target_instance_id)
         if can_keep:
-            for out, kept in zip(made, self._kept, strict=True):
-                kept[row] = out[place]
+            self._kept.copy_row(row, made, place)
             self._is_kept[row] = True
