@@ -15,8 +15,6 @@ from typing import Any, NamedTuple
 
 from factory.cli.common.output import print_table
 
-__all__ = ["main"]
-
 BENCHES = {
     "rollout": ["rollout", "--against", "plain"],
     "render": ["render", "--size", "224"],

@@ -20,8 +20,6 @@ from workers.render.shelf import KEPT_SCENES
 if TYPE_CHECKING:
     from workers.render.process import ProcessRenderer
 
-__all__ = ["RendererKind", "open_apart", "open_first", "open_renderer"]
-
 _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
 
