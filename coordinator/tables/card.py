@@ -185,8 +185,7 @@ def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:
     return (
         f"Machines with this software {what} the same frames, bit by bit; `deploy/Dockerfile` of minivla-factory\n"
         "installs fixed versions. `factory verify . --render all` measures how far pixels of another machine differ.\n"
-        "\n"
-        + _table(("renderer", "minivla-factory", "C library", "machine"), sorted(rows))
+        "\n" + _table(("renderer", "minivla-factory", "C library", "machine"), sorted(rows))
     )
 
 
