@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,8 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.train.cache import open_cache
 from factory.train.frames import PictureSource, TrainingFrames
-from factory.train.options import BcOptions
 from factory.train.rendered import render_frames
-from factory.train.run import TrainCallbacks, TrainOrder, train_bc
-from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.errors import UsageError
 from schemas.terms import Recording
 from tests.builders.needs_torch import needs_torch
 from tests.integration.test_train import options, train, weights
@@ -85,13 +82,3 @@ def test_training_on_states_gives_the_policy_of_frames_and_writes_no_frame(
 def test_samples_per_pixel_of_stored_frames_are_refused(recordings: Recordings, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"--antialias 2: .* stores frames, which are not rendered"):
         train(recordings[Recording.FRAMES], tmp_path, options(antialias=2))
-
-
-@needs_torch
-def test_a_missing_scene_stops_a_training_with_its_digest(recordings: Recordings, tmp_path: Path) -> None:
-    root = Path(shutil.copytree(recordings[Recording.STATES], tmp_path / "states"))
-    shutil.rmtree(root / "scenes")
-    order = TrainOrder(Dataset(root), tmp_path / "out", BcOptions(epochs=1, size=SIZE, width=4), device="cpu")
-    watcher = TrainCallbacks(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
-    with pytest.raises(ArchiveCorrupt, match="no package of scene box_room was found"):
-        train_bc(order, watcher)
