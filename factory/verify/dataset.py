@@ -23,7 +23,7 @@ from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset, Episode
 from factory.scenes.targets.target_list import list_file_name
 from factory.support.logs import configure_logs
-from factory.verify.episode import EpisodeCheck, EpisodeResult, check_episode, target_of
+from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import (
@@ -172,7 +172,7 @@ def _plan_checks(
     return checks
 
 
-def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[EpisodeResult]:
+def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:
     if processes <= 1 or len(checks) <= 1:
         yield from map(check_episode, checks)
         return

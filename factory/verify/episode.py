@@ -38,7 +38,7 @@ class EpisodeCheck:
     """The same episode in a frames recording, to measure how far pixels differ."""
 
 
-class EpisodeResult(NamedTuple):
+class EpisodeFindings(NamedTuple):
     """Result of the check of one episode."""
 
     findings: list[Finding]
@@ -46,7 +46,7 @@ class EpisodeResult(NamedTuple):
     """Comparison of rendered frames; empty if none were rendered."""
 
 
-def check_episode(check: EpisodeCheck) -> EpisodeResult:
+def check_episode(check: EpisodeCheck) -> EpisodeFindings:
     """Returns all findings of an episode file, and the comparison of its rendered frames.
 
     They concern size and SHA-256, with `deep` every frame, the motion and the row, with `render` the rendered frames.
@@ -83,7 +83,7 @@ def check_episode(check: EpisodeCheck) -> EpisodeResult:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be rendered: {error}"))
     except OSError as error:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
-    return EpisodeResult(found, difference)
+    return EpisodeFindings(found, difference)
 
 
 def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | None, list[Finding]]:
