@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -285,7 +286,16 @@ def test_a_scene_package_of_many_with_one_name_is_found_by_its_digest(
         assert hashlib.sha256(package._replace(name="room").read()).hexdigest() == package.sha256
 
 
+@pytest.fixture
+def torch_may_watch_its_workers() -> Iterator[None]:
+    """A `DataLoader` with worker processes installs a handler of SIGCHLD and leaves it."""
+    handler = signal.getsignal(signal.SIGCHLD)
+    yield
+    signal.signal(signal.SIGCHLD, handler)
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.usefixtures("torch_may_watch_its_workers")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> None:
     torch = pytest.importorskip("torch")
