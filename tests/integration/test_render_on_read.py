@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
 import multiprocessing
 import os
 import shutil
@@ -19,25 +17,15 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from coordinator.archive.directory import DirectoryArchive
 from coordinator.tables.split_faults import find_faults
-from coordinator.tables.split_tables import write_split_tables
-from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.dataset.sampler import SceneSampler
-from factory.dataset.shared_renderer import KEPT_SCENES, SharedRenderer, View
 from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from factory.eval.specs.from_dataset import specs_of_dataset
-from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
-from schemas.config import CameraConfig
 from schemas.dataset_files import SCENES
-from schemas.errors import UsageError, WorldError
-from schemas.scene import encode_scene
+from schemas.errors import UsageError
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
-from tests.builders.process_state import children_of
-from tests.builders.scene import box_room
-from workers.geometry.pose import Pose
 
 pytestmark = pytest.mark.gl
 
@@ -229,64 +217,6 @@ def test_a_frame_that_is_too_large_is_refused(states: Dataset) -> None:
 
 
 @pytest.fixture
-def many_scenes(tmp_path: Path) -> list[ScenePackage]:
-    """Packages of eight scenes that differ in their name only."""
-    (tmp_path / SCENES).mkdir()
-    made = []
-    for number in range(8):
-        scene = box_room()
-        info = scene.info.model_copy(update={"name": f"room_{number}"})
-        data = encode_scene(dataclasses.replace(scene, info=info))
-        sha256 = hashlib.sha256(data).hexdigest()
-        (tmp_path / SCENES / f"room_{number}-{sha256[:16]}.scene.zip").write_bytes(data)
-        made.append(ScenePackage(tmp_path, f"room_{number}", sha256))
-    return made
-
-
-def render_all(renderer: SharedRenderer, packages: list[ScenePackage]) -> list[np.ndarray]:
-    camera, pose = CameraConfig(), Pose.planar(1.0, 1.0, 0.3, 0.0)
-    return [renderer.render(View(package, camera, pose, 32), renderer.description).rgb for package in packages]
-
-
-def test_a_reader_of_many_scenes_keeps_a_few_prepared(many_scenes: list[ScenePackage]) -> None:
-    renderer = SharedRenderer("gl")
-    first = render_all(renderer, many_scenes)
-    assert renderer.prepared_scenes == [tuple(package.sha256 for package in many_scenes[-KEPT_SCENES:])]
-    for one, other in zip(first, render_all(renderer, many_scenes), strict=True):
-        assert np.array_equal(one, other)
-    assert [len(scenes) for scenes in renderer.prepared_scenes] == [KEPT_SCENES]
-
-
-def test_each_rendering_process_keeps_a_few_scenes_prepared(many_scenes: list[ScenePackage]) -> None:
-    renderer = SharedRenderer("gl")
-    with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(lambda _: render_all(renderer, many_scenes), range(8)))
-    assert all(np.array_equal(one, other) for frames in found for one, other in zip(frames, found[0], strict=True))
-    assert 1 <= len(renderer.prepared_scenes) <= len(os.sched_getaffinity(0))
-    assert all(len(scenes) == KEPT_SCENES for scenes in renderer.prepared_scenes)
-
-
-def test_a_rendering_process_that_died_is_replaced_at_the_next_frame(many_scenes: list[ScenePackage]) -> None:
-    renderer, before = SharedRenderer("gl"), children_of(os.getpid())
-    (frame,) = render_all(renderer, many_scenes[:1])
-    (pid,) = children_of(os.getpid()) - before
-    os.kill(pid, signal.SIGKILL)
-    with pytest.raises(WorldError, match="the rendering process died"):
-        render_all(renderer, many_scenes[:1])
-    assert np.array_equal(render_all(renderer, many_scenes[:1])[0], frame)
-
-
-def test_a_scene_package_of_many_with_one_name_is_found_by_its_digest(
-    many_scenes: list[ScenePackage], tmp_path: Path
-) -> None:
-    for package in many_scenes:
-        (file,) = (tmp_path / SCENES).glob(f"{package.name}-*")
-        file.rename(file.with_name(f"room-{package.sha256[:16]}.scene.zip"))
-    for package in many_scenes:
-        assert hashlib.sha256(package._replace(name="room").read()).hexdigest() == package.sha256
-
-
-@pytest.fixture
 def torch_may_watch_its_workers() -> Iterator[None]:
     """A `DataLoader` with worker processes installs a handler of SIGCHLD and leaves it."""
     handler = signal.getsignal(signal.SIGCHLD)
@@ -308,32 +238,3 @@ def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> No
     found = [image for batch in loader for image in batch["rgb"].numpy()]
     assert len(found) == len(source)
     assert all(np.array_equal(image, sample["rgb"]) for image, sample in zip(found, alone, strict=True))
-
-
-def thumbnails_of(root: Path) -> list[bytes]:
-    (table,) = (root / "data").glob("*.parquet")
-    return [None if picture is None else picture["bytes"] for picture in pq.read_table(table)["thumbnail"].to_pylist()]
-
-
-def test_rendered_thumbnails_equal_those_of_a_frames_dataset(copied: Path, frames: Dataset) -> None:
-    told: list[tuple[int, int]] = []
-    assert lacks_thumbnails(copied)
-    render_thumbnails(copied, lambda done, of: told.append((done, of)))
-    assert sorted(told) == [(1, 2), (2, 2)]
-    assert thumbnails_of(copied) == thumbnails_of(Path(str(frames.root)))
-    assert not lacks_thumbnails(copied)
-    assert list(find_faults(copied, deep=True)) == []
-    (table,) = (copied / "data").glob("*.parquet")
-    pq.write_table(pq.read_table(table).replace_schema_metadata(None), table)  # outdated: written again
-    with DirectoryArchive(copied) as archive:
-        write_split_tables(archive)
-    assert thumbnails_of(copied) == thumbnails_of(Path(str(frames.root)))
-
-
-def test_a_push_names_the_option_for_missing_thumbnails(copied: Path, frames: Dataset) -> None:
-    notes = []
-    for root in (copied, frames.root):
-        command = [sys.executable, "-m", "factory", "push", str(root), "someone/nav", "--dry-run"]
-        notes.append(subprocess.run(command, check=True, capture_output=True, text=True).stderr)
-    assert "no thumbnails for the Hub's viewer; --thumbnails renders them" in notes[0]
-    assert "thumbnails" not in notes[1]
