@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.validation.rollout import arrival_findings
+from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.shared_renderer import shared_renderer
 from schemas.encoding.digest import frame_digest
-from schemas.episode import EpisodeMeta
 from schemas.terms import Recording
 from workers.render import RenderedFrame
 
@@ -42,7 +39,7 @@ def compare_rendered(bundle: EpisodeBundle) -> list[str]:
             differing.append(t)
             if bundle.has_frames:
                 _add_distances(distances, bundle, t, frame)
-    found += _visibility_findings(bundle.meta, target_pixels)
+    found += visibility_findings(bundle.meta, target_pixels)
     if not bundle.has_frames and bundle.length - 1 in target_pixels:
         found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
     return [*found, _digest_finding(bundle, differing, distances)] if differing else found
@@ -55,20 +52,6 @@ def _digest_finding(bundle: EpisodeBundle, differing: list[int], distances: dict
         f"{shared_renderer().description}"
     )
     return "; ".join([text, *(f"{name}: {far}" for name, far in distances.items() if bundle.has_frames)])
-
-
-def _visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> list[str]:
-    """Returns a finding if the recorded visibility of the target contradicts the rendered frames.
-
-    Args:
-        meta: metadata of the episode.
-        target_pixels: number of pixels of the target by rendered step.
-    """
-    seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
-    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
-    if said is None or seen <= said <= most:
-        return []
-    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} rendered frames show the target"]
 
 
 def _add_distances(distances: dict[str, _Distance], bundle: EpisodeBundle, t: int, frame: RenderedFrame) -> None:

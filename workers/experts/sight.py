@@ -15,7 +15,7 @@ from schemas.config import TaskConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from workers.render import Window
 
-__all__ = ["Sighting", "foreground_window", "is_obstacle_near", "see"]
+__all__ = ["Sighting", "are_near", "foreground_window", "is_obstacle_near", "see"]
 
 _BYTE_SUM_ROWS = 255
 """Largest number of rows whose true pixels can be summed in one byte."""
@@ -81,6 +81,9 @@ def is_obstacle_near(crop: NDArray[np.float32], task: TaskConfig) -> bool:
         task: gives the limit.
     """
     near = int(np.count_nonzero(crop < task.near_obstacle_depth_m)) - int(np.count_nonzero(crop == 0.0))
-    if near <= 0:
-        return False
-    return near > 0.05 * int(np.count_nonzero(crop))
+    return near > 0 and are_near(near, int(np.count_nonzero(crop)))
+
+
+def are_near(near: int, valid: int) -> bool:
+    """Returns whether so many pixels below the limit, of so many valid ones, make an obstacle near."""
+    return near > 0.05 * valid

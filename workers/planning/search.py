@@ -32,6 +32,10 @@ _AHEAD_RAD = 0.44
 """Largest angle between the heading at the end of a path and the target's centroid, if it must be ahead, radians."""
 _MOVING_M = 0.15
 """Distance outside the success region up to which such a path has no turn on the spot, metres."""
+_NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
+"""Distance to the ends up to which the first search knows distances, and how far below it all estimates must remain,
+metres. Two cells with distances on both sides of the limit may share a state of the search; they are closer than the
+margin."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
@@ -81,6 +85,11 @@ def _weights(grid: Grid) -> NDArray[np.float64]:
     return weights
 
 
+@functools.lru_cache(maxsize=2)
+def _weight_list(grid: Grid) -> list[float]:
+    return _weights(grid).ravel().tolist()
+
+
 @functools.lru_cache(maxsize=4)
 def _floor_graph(grid: Grid, margin_m: float) -> FloorGraph:
     return FloorGraph.over(pose_table(grid, margin_m).floor, grid.resolution_m, _weights(grid))
@@ -92,13 +101,13 @@ class _Ends(NamedTuple):
     cells: NDArray[np.bool_]
     """(H, W) cells with at least one heading at which a path may end."""
     poses: NDArray[np.bool_]
-    """(HEADINGS, H, W) poses at which a path may end."""
+    """(HEADINGS, H, W) poses at which a path may end, or (1, H, W) if the heading does not matter."""
     moving: NDArray[np.bool_]
     """(H, W) cells without turns on the spot."""
 
     @classmethod
     def any_heading(cls, arrival: NDArray[np.bool_]) -> Self:
-        return cls(arrival, np.broadcast_to(arrival, (HEADINGS, *arrival.shape)), np.zeros_like(arrival))
+        return cls(arrival, arrival[None], np.zeros_like(arrival))
 
     @classmethod
     def facing(cls, grid: Grid, arrival: NDArray[np.bool_], goal: Goal) -> Self:
@@ -114,12 +123,16 @@ class _Ends(NamedTuple):
 def _search(
     table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int
 ) -> tuple[Waypoint, ...] | None:
-    grid = table.grid
-    to_go = _floor_graph(grid, margin_m).distances(ends.cells).metres
-    if not math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
-        return None
-    nodes = _expand(table, to_go, start, ends, max_expansions)
-    return None if nodes is None else (start, *nodes)
+    """Searches with the distances near the ends first; the result is that of a search with all distances."""
+    grid, graph = table.grid, _floor_graph(table.grid, margin_m)
+    for limit_m in (_NEAR_M, math.inf):
+        to_go = graph.distances(ends.cells, limit_m).metres
+        if not math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
+            continue
+        nodes, highest_m = _expand(table, to_go, start, ends, max_expansions)
+        if highest_m <= limit_m - _LIMIT_MARGIN_M:
+            return None if nodes is None else (start, *nodes)
+    return None
 
 
 Node = tuple[float, float, int, int]
@@ -128,13 +141,18 @@ Node = tuple[float, float, int, int]
 
 def _expand(
     table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, ends: _Ends, max_expansions: int
-) -> list[Waypoint] | None:
-    """Searches a path; free poses are more than a step from the edge of the grid, so that all indices are valid."""
-    grid, flags, ahead = table.grid, table.flags, to_go.ravel().tolist()
-    goal, moving = ends.poses.tobytes(), ends.moving.tobytes()
-    weights = _weights(grid).ravel().tolist()
+) -> tuple[list[Waypoint] | None, float]:
+    """Searches a path; free poses are more than a step from the edge of the grid, so that all indices are valid.
+
+    Returns the path, or `None`, and the highest estimated cost of an expanded pose, metres. Poses whose distance
+    `to_go` is higher affect nothing.
+    """
+    grid, flags, ahead = table.grid, table.flags, memoryview(to_go.reshape(-1))
+    goal, moving = memoryview(ends.poses.reshape(-1)), memoryview(ends.moving.reshape(-1))
+    weights = _weight_list(grid)
     (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
     width, area = int(grid.occupancy.shape[1]), grid.occupancy.size
+    goal_area = area if len(ends.poses) > 1 else 0
 
     def cell(x: float, y: float) -> int:
         return int((y - low) * per_cell) * width + int((x - left) * per_cell)
@@ -146,15 +164,16 @@ def _expand(
     cost_at = {key(start.x, start.y, first): 0.0}
     heap = [(ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)]
     nodes: list[Node] = []
-    pushed = 0
+    pushed, highest_m = 0, 0.0
     while heap and len(nodes) < max_expansions:
-        _, _, cost, x, y, heading, before = heapq.heappop(heap)
+        estimate, _, cost, x, y, heading, before = heapq.heappop(heap)
         if cost > cost_at[key(x, y, heading)]:
             continue
         nodes.append((x, y, heading, before))
+        highest_m = max(highest_m, estimate)
         here = cell(x, y)
-        if goal[heading * area + here]:
-            return _trace(nodes)
+        if goal[heading * goal_area + here]:
+            return _trace(nodes), highest_m
         for mid_x, mid_y, end_x, end_y, turned, length, turn in MOVES[heading]:
             spot = cell(x + end_x, y + end_y)
             if not flags[turned * area + spot]:
@@ -173,7 +192,7 @@ def _expand(
                 pushed += 1
                 entry = (price + ahead[spot], pushed, price, x + end_x, y + end_y, turned, len(nodes) - 1)
                 heapq.heappush(heap, entry)
-    return None
+    return None, math.inf
 
 
 def _trace(nodes: list[Node]) -> list[Waypoint]:

@@ -9,15 +9,13 @@ import io
 from collections.abc import Callable
 from typing import BinaryIO
 
-import numpy as np
-
 from schemas.bundle import BundleReader, BundleWriter
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import Recording
-from workers.geometry.pose import Pose
 from workers.sim.attempt import Success
+from workers.sim.frames import add_frames
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 
 
@@ -41,13 +39,8 @@ def render_recording(
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
         stage.renderer.load(place.scene, job.camera)
-        writer, visible = BundleWriter(out, stage.lap), 0
-        for t, row in enumerate(recorded.arrays.poses):
-            frame = stage.renderer.render(Pose.of(row))
-            pixels = np.count_nonzero(frame.ids == recorded.meta.target_instance_id)
-            visible += int(pixels) >= job.gains.min_mask_px
-            writer.add_frame(frame.rgb, frame.depth, frame.ids)
-            on_step(t + 1)
+        writer, target_id = BundleWriter(out, stage.lap), recorded.meta.target_instance_id
+        visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, target_id, on_step)
         _require_same_frames(recorded.meta, writer.frame_digests, stage)
         return Success(writer.finish(recorded.arrays, _meta(recorded.meta, job, place, visible)))
 
