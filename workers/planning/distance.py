@@ -25,6 +25,9 @@ __all__ = ["FloorGraph", "arrival_cells", "cells_within", "geodesic_field", "geo
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
 
+_NEAR_M = 6.0
+"""Length of the paths that are searched first for a start within half of it, metres."""
+
 Number = TypeVar("Number", np.int32, np.float64)
 
 
@@ -134,13 +137,17 @@ def arrival_cells(grid: Grid, target: Target, goal: Goal) -> Bools:
     return near
 
 
-@functools.lru_cache(maxsize=8)
 def geodesic_field(grid: Grid, target: Target, task: TaskConfig) -> DistanceField:
     """Returns the distances along the floor to the part of the success region with line of sight to the target.
 
     The path is that of base_link, with a clearance of half the robot's width.
     """
-    return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)))
+    return _field_within(grid, target, task, math.inf)
+
+
+@functools.lru_cache(maxsize=8)
+def _field_within(grid: Grid, target: Target, task: TaskConfig, limit_m: float) -> DistanceField:
+    return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)), limit_m)
 
 
 @functools.lru_cache(maxsize=2)
@@ -167,10 +174,12 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     straight = _straight_m(grid, np.asarray(start_xy, float), target, goal)
     if straight is not None:
         return straight
-    field = geodesic_field(grid, target, task)
-    if not math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
-        return None
-    return _taut_length(grid, _way(grid, field, start_xy), target, goal)
+    is_near = goal.entry(np.asarray(start_xy, float))[0] < _NEAR_M / 2
+    for limit_m in (_NEAR_M, math.inf) if is_near else (math.inf,):  # a short search suffices for most starts
+        field = _field_within(grid, target, task, limit_m)
+        if math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
+            return _taut_length(grid, _way(grid, field, start_xy), target, goal)
+    return None
 
 
 def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import heapq
 import math
+from collections.abc import Iterable
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -33,9 +34,9 @@ _AHEAD_RAD = 0.44
 _MOVING_M = 0.15
 """Distance outside the success region up to which such a path has no turn on the spot, metres."""
 _NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
-"""Distance to the ends up to which the first search knows distances, and how far below it all estimates must remain,
-metres. Two cells with distances on both sides of the limit may share a state of the search; they are closer than the
-margin."""
+"""Distance to the ends up to which the first search from a start within half of it knows distances, and how far below
+it all estimates must remain, metres: two cells with distances on both sides of the limit may share a state of the
+search, and are closer than the margin."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
@@ -66,12 +67,14 @@ def plan_path(
         (config.tight_margin_m, config.tight_arrival_margin_m),
     )
     goal = Goal.of(target, task)
+    is_near = goal.distance(start.x, start.y) < _NEAR_M / 2
+    limits_m = (_NEAR_M, math.inf) if is_near else (math.inf,)
     for margin, arrival_margin in tries:
         table = pose_table(grid, margin)
         if table.holds(*start):
             arrival = arrival_cells(grid, target, goal.shrunk(arrival_margin))
             ends = _Ends.facing(grid, arrival, goal) if facing else _Ends.any_heading(arrival)
-            path = _search(table, margin, start, ends, config.max_expansions)
+            path = _search(table, margin, start, ends, config.max_expansions, limits_m)
             if path is not None:
                 return path
     return None
@@ -121,17 +124,19 @@ class _Ends(NamedTuple):
 
 
 def _search(
-    table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int
+    table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int, limits_m: Iterable[float]
 ) -> tuple[Waypoint, ...] | None:
-    """Searches with the distances near the ends first; the result is that of a search with all distances."""
+    """Searches with the distances to the ends up to each limit in turn; the first search that suffices is the result.
+
+    It is that of a search with all distances, because poses beyond a limit are expanded after all others.
+    """
     grid, graph = table.grid, _floor_graph(table.grid, margin_m)
-    for limit_m in (_NEAR_M, math.inf):
+    for limit_m in limits_m:
         to_go = graph.distances(ends.cells, limit_m).metres
-        if not math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
-            continue
-        nodes, highest_m = _expand(table, to_go, start, ends, max_expansions)
-        if highest_m <= limit_m - _LIMIT_MARGIN_M:
-            return None if nodes is None else (start, *nodes)
+        if math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
+            nodes = _expand(table, to_go, start, ends, max_expansions, limit_m - _LIMIT_MARGIN_M)
+            if nodes is not None:
+                return (start, *nodes)
     return None
 
 
@@ -140,12 +145,16 @@ Node = tuple[float, float, int, int]
 
 
 def _expand(
-    table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, ends: _Ends, max_expansions: int
-) -> tuple[list[Waypoint] | None, float]:
-    """Searches a path; free poses are more than a step from the edge of the grid, so that all indices are valid.
+    table: PoseTable,
+    to_go: NDArray[np.float64],
+    start: Waypoint,
+    ends: _Ends,
+    max_expansions: int,
+    most_m: float,
+) -> list[Waypoint] | None:
+    """Searches a path of an estimated cost of at most `most_m`, metres; `None` if there is none.
 
-    Returns the path, or `None`, and the highest estimated cost of an expanded pose, metres. Poses whose distance
-    `to_go` is higher affect nothing.
+    Free poses are more than a step from the edge of the grid, so that all indices are valid.
     """
     grid, flags, ahead = table.grid, table.flags, memoryview(to_go.reshape(-1))
     goal, moving = memoryview(ends.poses.reshape(-1)), memoryview(ends.moving.reshape(-1))
@@ -164,16 +173,17 @@ def _expand(
     cost_at = {key(start.x, start.y, first): 0.0}
     heap = [(ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)]
     nodes: list[Node] = []
-    pushed, highest_m = 0, 0.0
+    pushed = 0
     while heap and len(nodes) < max_expansions:
         estimate, _, cost, x, y, heading, before = heapq.heappop(heap)
         if cost > cost_at[key(x, y, heading)]:
             continue
+        if estimate > most_m:
+            return None
         nodes.append((x, y, heading, before))
-        highest_m = max(highest_m, estimate)
         here = cell(x, y)
         if goal[heading * goal_area + here]:
-            return _trace(nodes), highest_m
+            return _trace(nodes)
         for mid_x, mid_y, end_x, end_y, turned, length, turn in MOVES[heading]:
             spot = cell(x + end_x, y + end_y)
             if not flags[turned * area + spot]:
@@ -192,7 +202,7 @@ def _expand(
                 pushed += 1
                 entry = (price + ahead[spot], pushed, price, x + end_x, y + end_y, turned, len(nodes) - 1)
                 heapq.heappush(heap, entry)
-    return None, math.inf
+    return None
 
 
 def _trace(nodes: list[Node]) -> list[Waypoint]:

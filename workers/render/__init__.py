@@ -110,7 +110,7 @@ class PartialRenderer(Protocol):
     """Renderer that renders one instance at a lower cost than the image; its pixels equal those of the whole image."""
 
     def render_instance(self, pose: Pose, instance_id: int) -> tuple[Window, DepthAndIds]:
-        """Returns a window that contains all pixels of an instance in the image from a pose, and that part of the image.
+        """Returns a window of the image from a pose with all pixels of an instance, and the image in that window.
 
         In the window, surfaces that are behind the instance may be missing.
 
