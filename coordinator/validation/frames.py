@@ -1,6 +1,7 @@
 """Validates frames of a bundle: digests, value ranges, instance ids, agreement of depth and ids, frozen images.
 
-The module decodes each validated frame once and keeps two frames in memory. It does not render and does not validate motion.
+The module decodes each validated frame once and keeps two frames in memory. It does not render and does not validate
+motion.
 """
 
 from __future__ import annotations

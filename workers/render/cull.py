@@ -100,16 +100,15 @@ def may_reach(facts: NDArray[np.float64], optical: OpticalPose, edges: Edges, de
     """
     left, top, right, bottom = edges
     depth_m += _DEPTH_MARGIN_M
-    inwards = np.array(((1.0, 0.0, -left), (-1.0, 0.0, right), (0.0, 1.0, -top), (0.0, -1.0, bottom), (0.0, 0.0, -1.0)))
-    planes = inwards @ optical.rotation.T
-    offsets = -(planes @ optical.eye)
-    offsets[4] += depth_m
-    is_inside = (reach_of_planes(planes, offsets) @ facts).min(axis=0) >= 0
     ends = np.array(((0, 0, 0), (left, top, 1), (left, bottom, 1), (right, top, 1), (right, bottom, 1))) * depth_m
     corners = ends @ optical.rotation.T + optical.eye
     low, high = corners.min(axis=0)[:, None], corners.max(axis=0)[:, None]
-    is_near = np.abs(facts[:3] - (low + high) / 2) <= facts[3:6] + (high - low) / 2  # by the axes of the world
-    return np.asarray(is_inside & is_near.all(axis=0))
+    may = (np.abs(facts[:3] - (low + high) / 2) <= facts[3:6] + (high - low) / 2).all(axis=0)  # by the world's axes
+    if may.any():
+        inwards = np.array(((1.0, 0.0, -left), (-1.0, 0.0, right), (0.0, 1.0, -top), (0.0, -1.0, bottom)))
+        planes = inwards @ optical.rotation.T
+        may[may] = (reach_of_planes(planes, -(planes @ optical.eye)) @ facts[:, may]).min(axis=0) >= 0
+    return np.asarray(may)
 
 
 def edges_of(window: Window, size: int, camera: CameraConfig) -> Edges:

@@ -70,9 +70,9 @@ def show_collect(report: CollectBench) -> None:
         )
         for name, pace in report.variants.items()
     ]
-    title = f"Runs of plan {report.plan}, screening {report.screening}, {report.workers} workers, {report.repeats} runs each"
+    work = f"screening {report.screening}, {report.workers} workers, {report.repeats} runs each"
     columns = ("variant", "episodes", "attempts", "episodes/h", "range", "CPU s/episode", "range")
-    print_table(title, columns, rows)
+    print_table(f"Runs of plan {report.plan}, {work}", columns, rows)
 
 
 def show_render(report: RenderBench) -> None:
