@@ -19,8 +19,6 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import Recording
 
-__all__ = ["sampled_frames", "validate"]
-
 _STRIDE = 8
 """Distance between two decoded frames of a sample, steps
 (docs/decisions/0152-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""

@@ -15,8 +15,6 @@ from workers.experts.sight import Sighting, are_near, foreground_window, is_obst
 from workers.geometry.pose import Pose
 from workers.render import DepthAndIds, PartialRenderer, RenderedFrame, Renderer
 
-__all__ = ["LazyFrame", "Observation"]
-
 
 class LazyFrame:
     """Camera image from one pose, rendered on the first access, because many controllers do not use it.

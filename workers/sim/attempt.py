@@ -32,8 +32,6 @@ from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import draw_poses, is_spawn_stable
 
-__all__ = ["AttemptFailure", "Outcome", "Success", "run_attempt"]
-
 _NO_DIGEST = "0" * 32
 
 

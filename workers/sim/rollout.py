@@ -19,8 +19,6 @@ from workers.physics.world import World
 from workers.render import Renderer
 from workers.sim.closed_loop import ClosedLoop
 
-__all__ = ["Drive", "drive"]
-
 StepCallback = Callable[[int], None]
 """Called after each step with the number of steps."""
 

@@ -13,8 +13,6 @@ from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import DASH, count, interval, name, scene_label
 from factory.stats.model import AttemptRow
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns the bar chart of outcomes and the success rates."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coordinator.validation.validate import validate
+from coordinator.validation.validate import sampled_frames, validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
 from schemas.encoding.container import ContainerWriter
@@ -337,6 +337,34 @@ def test_many_bad_frames_are_counted_not_listed() -> None:
             parts = with_image(parts, t, which, slice(400, 405), 0.0 if which == 1 else 77)
     found = validate(BundleReader(io.BytesIO(parts.write())))
     assert any(text == "and 4 more findings about frames" for text in found)
+
+
+def test_a_sample_has_both_ends_and_one_frame_in_eight_by_the_content_digest() -> None:
+    samples = set()
+    for first in range(8):
+        parts = parts_for()
+        meta = parts.meta.model_copy(update={"content_digest": f"{first:032x}"})
+        steps = sampled_frames(meta)
+        assert steps == sorted({0, first, *range(first, 12, 8), 11})
+        samples |= set(steps)
+    assert samples == set(range(12))
+
+
+def test_only_the_frames_of_a_sample_are_decoded_and_each_of_them_is_checked() -> None:
+    sound = BundleReader(io.BytesIO(bundle_bytes()))
+    steps, seen = sampled_frames(sound.meta), list[int]()
+    assert validate(sound, on_frame=seen.append, sampled=True) == []
+    assert seen == steps
+    for t in steps:
+        broken = BundleReader(io.BytesIO(with_image(parts_for(), t, 2, slice(400, 405), 77).write()))
+        if t in sampled_frames(broken.meta):
+            assert f"frame {t}: seg_front shows ids [77]" in "\n".join(validate(broken, sampled=True))
+
+
+@pytest.mark.parametrize("said", [0, 1])
+def test_a_sample_refuses_a_visibility_that_it_contradicts(said: int) -> None:
+    broken = BundleReader(io.BytesIO(parts_for().with_rollout(steps_visible=said).write()))
+    assert f"steps_visible {said}, but" in "\n".join(validate(broken, sampled=True))
 
 
 def test_progress_names_every_frame() -> None:
