@@ -107,7 +107,7 @@ ROLLOUT = {
     "start heading": (lambda p: p.with_rollout(spawn_pose=(0.0, 0.0, 0.2)), "and 0.200000 rad from pose 0"),
     "draws": (lambda p: p.with_rollout(spawn_draws=9), "spawn_draws 9, the job allows 8"),
     "contacts": (lambda p: p.with_rollout(collision_count=13), "collision_count 13 in 12 steps"),
-    "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 frames show"),
+    "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 of 12 examined frames show"),
     "tier": (lambda p: p.with_job(tier=Tier.MID), "spawn distance 1.600 m is outside tier mid"),
     "no success": (lambda p: p.with_rollout(end_reason=EndReason.TIMEOUT), "only successes are archived"),
     "far away": (lambda p: with_pose(p, slice(None), 0, -0.05, add=True), "no success: 1.6275 m from the target"),
@@ -136,7 +136,7 @@ FRAMES = {
     "hollow": (lambda p: with_image(p, 3, 1, slice(400, 405), 0.0), "frame 3: depth and ids disagree"),
     "too deep": (lambda p: with_image(p, 3, 1, slice(400, 405), 31.0), "frame 3: depth_front: maximum 31.0"),
     "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: contains NaN"),
-    "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 frames"),
+    "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 of 12"),
 }
 START = {
     "a second object that the instruction fits": (StartView(rivals=(WALL_ID,)), "start: objects [2] are in view"),
