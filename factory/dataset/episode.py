@@ -125,22 +125,24 @@ class Episode(Closing):
         with self._reading() as bundle:
             return bundle.stored(name)
 
-    def frame(self, t: int, size: int = FRAME_SIZE_PX) -> Frame:
+    def frame(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Frame:
         """Returns all images at step t; a negative t counts from the end.
 
         Args:
             t: step.
             size: width and height, pixels; frames of another size than the recorded 640 are rendered.
+            antialias: samples per pixel along each axis; with more than 1, frames are rendered. The colour of a pixel
+                is the mean of its samples, depth and id are those of the middle sample.
         """
         with self._reading() as bundle:
-            if bundle.has_frames and size == FRAME_SIZE_PX:
+            if bundle.has_frames and (size, antialias) == (FRAME_SIZE_PX, 1):
                 return Frame(self.rgb(t), self.depth(t), self.ids(t))
-            found = bundle.render(self._step(t), size)
+            found = bundle.render(self._step(t), size, antialias)
         return Frame(found.rgb, found.depth, found.ids)
 
-    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX) -> Iterator[Frame]:
+    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Iterator[Frame]:
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
-        return (self.frame(t, size) for t in range(0, len(self), stride))
+        return (self.frame(t, size, antialias) for t in range(0, len(self), stride))
 
     def __len__(self) -> int:
         return self.summary.num_steps
