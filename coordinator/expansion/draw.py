@@ -216,7 +216,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         task=plan.task,
         robot=plan.robot,
         camera=plan.camera,
-        spawn=plan.spawn,
+        spawn=plan.spawn_of(planned.episode.scene),
         gains=plan.gains,
         planner=plan.planner,
         record=plan.record,

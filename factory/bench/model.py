@@ -10,7 +10,6 @@ from statistics import median
 from typing import Self
 
 from schemas.base import Model
-from schemas.terms import Screening
 
 
 class Spread(Model):
@@ -129,7 +128,8 @@ class RolloutBench(Model):
     machine: Machine
     renderer: str
     plan: str
-    screening: Screening
+    screening: str
+    """Selection of the starts of the plan."""
     repeats: int
     scenes: dict[str, SceneRollout]
 

@@ -20,7 +20,7 @@ from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid
 
-__all__ = ["FloorGraph", "arrival_cells", "cells_within", "geodesic_field", "geodesic_m"]
+__all__ = ["FloorGraph", "arrival_cells", "cells_within", "geodesic_field", "geodesic_m", "is_way_straight"]
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
@@ -146,6 +146,11 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     if not math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
         return None
     return _taut_length(grid, _way(grid, field, start_xy), target, goal)
+
+
+def is_way_straight(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig) -> bool:
+    """Returns whether the straight line from a start to the success region is free and ends in sight of the target."""
+    return _straight_m(grid, np.asarray(start_xy, float), target, Goal.of(target, task)) is not None
 
 
 def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:

@@ -112,7 +112,7 @@ def rollout(
         machine=machine,
         renderer=described,
         plan=plan.name,
-        screening=plan.spawn.screening,
+        screening=plan.screening,
         repeats=repeats,
         scenes=results,
     )
