@@ -15,12 +15,15 @@ from workers.planning import is_way_straight
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import surveyed_points
 
+_MOST_TARGETS = 12
+"""Largest number of targets of a scene whose distances along the floor are computed; each takes 0.1 s."""
+
 
 def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
     """Returns by scene the expected share of far starts that need a corner, 0..1; leaves out scenes without far starts.
 
-    A surveyed point in the range of the tier is as probable as every other one. Conditions on the start view and tests
-    in physics, which refuse some of them, are not computed.
+    It is estimated from the `_MOST_TARGETS` most frequent targets of each scene, from which every surveyed point in the
+    range of the tier is as probable. Conditions on the start view and tests in physics are not computed.
 
     Args:
         plan: Plan that its scenes support.
@@ -41,10 +44,12 @@ def _share(plan: Plan, catalog: Catalog, far: list[PlannedJob]) -> float | None:
         place = prepare_scene(decode_scene(file))
     number = Counter(planned.episode.target_id for planned in far)
     first = {planned.episode.target_id: planned for planned in reversed(far)}
-    found = {name: _share_of_target(plan, catalog, planned, place) for name, planned in first.items()}
-    weights = {name: number[name] for name, share in found.items() if share is not None}
-    total = sum(weights.values())
-    return sum(weights[name] * (found[name] or 0.0) for name in weights) / total if total else None
+    found = [
+        (count, share)
+        for name, count in number.most_common(_MOST_TARGETS)
+        if (share := _share_of_target(plan, catalog, first[name], place)) is not None
+    ]
+    return sum(count * share for count, share in found) / sum(count for count, _ in found) if found else None
 
 
 def _share_of_target(plan: Plan, catalog: Catalog, planned: PlannedJob, place: LoadedScene) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,17 +11,21 @@ from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.draw import expand, find_impossible
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.plan import Plan, ScenePlan
-from schemas.scene import encode_scene
+from schemas.scene import Target, encode_scene
 from schemas.terms import ExpertName, Screening, Split, SuccessMeasure, Tier
 from tests.builders.scene import Box, build_scene, room_walls
 
 
 @pytest.fixture(scope="module")
 def entry(tmp_path_factory: pytest.TempPathFactory) -> SceneEntry:
-    """A room of 4.6 x 3 m with a crate near one end; no floor is 5 m away."""
+    """A room of 4.6 x 3 m with a crate near one end. No floor is 5 m away, so its package records no far tier."""
     crate = Box((-2.0, -0.2, 0.0), (-1.6, 0.2, 0.6), category="crate")
+    scene = build_scene((*room_walls((-2.3, -1.5), (2.3, 1.5)), crate))
+    names = [name for name in Target.model_fields if name.endswith("_tiers")]
+    near = [target.model_copy(update=dict.fromkeys(names, (Tier.NEAR,))) for target in scene.info.targets]
+    scene = replace(scene, info=scene.info.model_copy(update={"targets": tuple(near)}))
     path = tmp_path_factory.mktemp("scene") / "room.scene.zip"
-    path.write_bytes(encode_scene(build_scene((*room_walls((-2.3, -1.5), (2.3, 1.5)), crate)), level=1))
+    path.write_bytes(encode_scene(scene, level=1))
     return read_entry(path)
 
 
