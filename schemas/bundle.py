@@ -24,16 +24,6 @@ from schemas.errors import InvalidBundle
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
-__all__ = [
-    "MAX_BUNDLE_BYTES",
-    "MAX_FRAMES",
-    "BundleReader",
-    "BundleWriter",
-    "EpisodeArrays",
-    "encode_depth",
-    "member_names",
-]
-
 MAX_BUNDLE_BYTES = 2 << 30
 _META = "meta.json"
 _RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)

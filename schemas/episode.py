@@ -14,8 +14,6 @@ from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
 
-__all__ = ["BUNDLE_FORMAT", "MAX_FRAMES", "EpisodeMeta", "Provenance", "Rollout", "Route"]
-
 BUNDLE_FORMAT = 2
 """Version of the bundle format; format 1 has float32 poses and frames only. A reader opens its own version and older
 ones, and rejects newer ones."""

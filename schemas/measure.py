@@ -23,8 +23,6 @@ from schemas.support import portable
 from schemas.support.numpy_types import Floats
 from schemas.terms import SuccessMeasure
 
-__all__ = ["Goal", "TrackMeasure", "footprint_distances", "measure_track", "target_in_view", "yaw_of"]
-
 _HALVINGS = 36
 """Bisection steps; they divide a line of 100 m into parts below 1e-8 m."""
 _OUTLINE_POINTS = 97

@@ -43,8 +43,6 @@ from schemas.terms import (
     Tier,
 )
 
-__all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
-
 MAX_EPISODES = 9_999_999
 PAPER_TIERS = MappingProxyType({Tier.NEAR: 0.3, Tier.MID: 0.4, Tier.FAR: 0.3})
 PAPER_SPLITS = MappingProxyType(

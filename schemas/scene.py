@@ -20,24 +20,6 @@ from schemas.encoding.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.errors import InvalidBundle
 from schemas.terms import SuccessMeasure, Tier
 
-__all__ = [
-    "MAX_INSTANCES",
-    "MAX_LIGHT_MAP_PX",
-    "SCENE_ARRAYS",
-    "SCENE_FORMAT",
-    "TEXTURE_SIZE_PX",
-    "CompiledScene",
-    "Footprint",
-    "Instance",
-    "SceneInfo",
-    "Sky",
-    "Target",
-    "decode_scene",
-    "encode_scene",
-    "read_scene_info",
-    "read_survey",
-]
-
 SCENE_FORMAT = 3
 """Version of the compiled package. A reader opens format 2, which has no footprints, and rejects every other one."""
 _READABLE = (2, SCENE_FORMAT)

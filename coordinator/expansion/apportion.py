@@ -11,8 +11,6 @@ from typing import TypeVar
 
 import numpy as np
 
-__all__ = ["apportion", "least_used", "webster_sequence"]
-
 Key = TypeVar("Key", bound=Hashable)
 
 

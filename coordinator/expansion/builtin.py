@@ -8,8 +8,6 @@ from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, 
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
 
-__all__ = ["BUILTIN_PLANS", "is_paper_plan"]
-
 _BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 _DEMO = Plan(

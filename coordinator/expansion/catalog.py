@@ -9,8 +9,6 @@ from pathlib import Path
 
 from schemas.scene import SceneInfo, decode_scene
 
-__all__ = ["Catalog", "SceneEntry", "read_entry"]
-
 
 @dataclass(frozen=True)
 class SceneEntry:

@@ -10,8 +10,6 @@ from coordinator.expansion.apportion import apportion, webster_sequence
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 
-__all__ = ["Cell", "Cells", "cells", "empty_splits"]
-
 Share = TypeVar("Share", Split, Tier)
 Cell = tuple[Split, Tier]
 Cells = dict[Cell, int]

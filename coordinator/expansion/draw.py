@@ -28,8 +28,6 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import SceneInfo
 from schemas.terms import Split, SuccessMeasure, Tier
 
-__all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]
-
 Option = TypeVar("Option")
 
 _EXPAND_STREAM, _REDRAW_STREAM = 1, 2

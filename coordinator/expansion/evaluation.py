@@ -9,8 +9,6 @@ from pathlib import Path
 from coordinator.expansion.draw import PlannedJob
 from schemas.wire import EvalPayload
 
-__all__ = ["EvalJobs"]
-
 
 @dataclass(frozen=True)
 class EvalJobs:

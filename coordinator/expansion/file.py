@@ -20,8 +20,6 @@ from schemas.support.foreign import PARSER_ERRORS, path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.terms import ExpertName, Recording, SuccessMeasure
 
-__all__ = ["load_plan", "parse_plan", "scene_of", "shrink"]
-
 _MOST_BYTES = 4 << 20
 
 

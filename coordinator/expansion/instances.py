@@ -17,8 +17,6 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import ExpertName, Split, Tier
 
-__all__ = ["Side", "Sides", "shared_categories", "side_of", "sides_of", "startable_tiers"]
-
 _SIDES_STREAM = 3
 
 

@@ -16,8 +16,6 @@ from coordinator.expansion.scene_cells import scene_cells
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 
-__all__ = ["Nearest", "find_nearest"]
-
 Share = TypeVar("Share", Split, Tier)
 
 

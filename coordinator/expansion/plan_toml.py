@@ -6,8 +6,6 @@ import tomli_w
 
 from schemas.plan import Plan
 
-__all__ = ["plan_to_toml"]
-
 
 def plan_to_toml(plan: Plan) -> str:
     """Returns the plan as TOML. Values that equal their default are omitted, except shares and success measure."""

@@ -15,8 +15,6 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import Split, Tier
 
-__all__ = ["SceneCells", "all_sides", "categories_of", "each_scene", "scene_cells"]
-
 
 @dataclass(frozen=True)
 class SceneCells:

@@ -18,8 +18,6 @@ from schemas.episode import EpisodeMeta
 from schemas.errors import InvalidBundle
 from schemas.measure import yaw_of
 
-__all__ = ["FrameSurvey", "survey_frames"]
-
 EMPTY_SLACK_SHARE = 0.001
 """Tolerated share of pixels with depth and no id or the reverse, because two passes may rasterise them."""
 FROZEN_DEPTH = (0.005, 0.005)

@@ -14,8 +14,6 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import Recording
 
-__all__ = ["job_findings", "table_findings", "target_findings"]
-
 CENTROID_SLACK_M = 1e-6
 """Tolerance between the centroids in meta.json and in the scene, metres: both are the same float64 written as JSON."""
 

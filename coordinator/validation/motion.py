@@ -15,8 +15,6 @@ from schemas.bundle import EpisodeArrays
 from schemas.config import RobotConfig
 from schemas.measure import yaw_of
 
-__all__ = ["motion_findings"]
-
 F64 = NDArray[np.float64]
 
 COMMAND_SLACK = 1e-4

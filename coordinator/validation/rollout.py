@@ -15,8 +15,6 @@ from schemas.measure import Goal, TrackMeasure, measure_track
 from schemas.terms import TIER_RANGE_M, EndReason
 from schemas.tokens import tokens_of
 
-__all__ = ["rollout_findings", "visibility_findings"]
-
 DISTANCE_SLACK_M = 1e-6
 """Tolerance between recorded and recomputed distances, metres; both use the same formula on the poses."""
 POSE_SLACK = 1e-6

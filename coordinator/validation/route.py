@@ -12,8 +12,6 @@ from schemas.errors import WorldError
 from schemas.measure import Goal
 from schemas.terms import ExpertName
 
-__all__ = ["route_findings"]
-
 GEODESIC_SLACK_M = 0.05
 """Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell and not on the edge."""
 START_SLACK_M = 1e-4

@@ -12,8 +12,6 @@ import mmap
 import resource
 from typing import Any
 
-__all__ = ["RLIMITS", "SECCOMP", "confine"]
-
 RLIMITS, SECCOMP = "rlimits", "seccomp"
 _AT_EMPTY_PATH = 0x1000
 _UNCONDITIONAL = (

@@ -18,8 +18,6 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import Recording
 
-__all__ = ["validate"]
-
 
 def validate(
     bundle: BundleReader,

@@ -34,17 +34,6 @@ from schemas.support.closing import Closing
 from schemas.support.jsonl_process import JsonlProcess
 from schemas.support.log_limit import LogLimit
 
-__all__ = [
-    "HEADER",
-    "MAX_FINDINGS",
-    "MAX_FINDING_CHARS",
-    "ValidationTask",
-    "Validator",
-    "ValidatorLimits",
-    "Verdict",
-    "sandbox_of",
-]
-
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
 """Maximum number and length of the findings of a verdict; the output of a child with a hostile bundle is untrusted."""
 _TRIES = 2

@@ -30,8 +30,6 @@ from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset import summary_of
 from schemas.errors import InvalidBundle
 
-__all__ = ["judge", "main"]
-
 
 def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
     """Validates an open bundle in the current process."""

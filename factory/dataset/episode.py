@@ -25,8 +25,6 @@ from schemas.scene import Instance
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
 
-__all__ = ["Episode", "Frame"]
-
 
 class Frame(NamedTuple):
     """Camera images before one action."""

@@ -15,8 +15,6 @@ from factory.support.settings import state_directory, store_endpoint
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, place_of
 
-__all__ = ["Site", "site_of"]
-
 
 @dataclass(frozen=True)
 class Site:

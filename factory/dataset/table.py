@@ -11,8 +11,6 @@ import pyarrow.parquet as pq
 
 from schemas.storage.place import Place, table_of
 
-__all__ = ["read_table"]
-
 _EARLIEST, _LATEST = datetime(1, 1, 2, tzinfo=UTC), datetime(9999, 12, 30, tzinfo=UTC)
 """Range of timestamps that `datetime` represents in any time zone."""
 _TICKS_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}

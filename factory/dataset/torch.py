@@ -21,8 +21,6 @@ from factory.dataset.reader import Dataset, Episode
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.support.extras import require_package
 
-__all__ = ["FrameBatch", "FrameDataset", "Sample", "collate"]
-
 _OPEN_EPISODES = 128
 """Bundles that a process keeps open, 0.6 MiB and one file each; opening one costs as much as decoding a frame."""
 _IMAGE = (FRAME_SIZE_PX, FRAME_SIZE_PX)

@@ -13,8 +13,6 @@ from schemas.plan import Plan
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, COLOUR_NAMES, ExpertName, Split, Tier
 
-__all__ = ["require_known"]
-
 _SHOWN = 24
 
 

@@ -13,8 +13,6 @@ from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_meta import DatasetMeta
 from schemas.tokens import GRID_POINTS
 
-__all__ = ["Drives", "FloorMap", "FrameSample", "Outlines", "ReportInput"]
-
 Outlines = list[NDArray[np.float64]]
 """Closed loops of points (K, 2); holes are separate loops."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from factory.report.data import FloorMap, Outlines
 from schemas.scene import CompiledScene
 
-__all__ = ["map_of", "trace_outlines"]
-
 Corner = tuple[int, int]
 
 _MARGIN_M = 0.3

@@ -16,8 +16,6 @@ from schemas.base import Model
 from schemas.dataset_files import META_FILE
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["FIGURES", "MARKER_FILE", "PAGE_FILE", "Summary", "require_usable", "write_files"]
-
 MARKER_FILE, PAGE_FILE, FIGURES = "report.json", "report.html", "figures"
 _FORMAT = 1
 

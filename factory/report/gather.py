@@ -22,8 +22,6 @@ from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import SceneInfo, decode_scene
 from schemas.storage.place import Place
 
-__all__ = ["choose_samples", "gather"]
-
 ProgressCallback = Callable[[int, int], None]
 _TRACK_POINTS = 48
 """Number of points of a thinned track; it resolves the turns of the robot."""

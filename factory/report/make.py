@@ -14,8 +14,6 @@ from factory.report.gather import gather
 from factory.report.page.document import write_page
 from schemas.storage.place import Place
 
-__all__ = ["make_report", "render_report"]
-
 StepProgressCallback = Callable[[str, int, int], None]
 
 

@@ -28,8 +28,6 @@ from schemas.terms import CATEGORIES
 if TYPE_CHECKING:
     from factory.scenes.importer import Extraction
 
-__all__ = ["build_scene", "find_import", "import_scene", "load_edits", "package_path"]
-
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from schemas.errors import WorldError
 
-__all__ = ["mark_as_last", "package_name", "recall_package", "remember_package", "write_whole"]
-
 _DIGITS = 12
 
 

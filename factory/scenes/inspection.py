@@ -10,8 +10,6 @@ from typing import Any
 
 from schemas.scene import CompiledScene, SceneInfo, Target
 
-__all__ = ["describe_scene", "describe_target", "list_other_things"]
-
 
 def describe_scene(scene: CompiledScene) -> dict[str, Any]:
     """Returns the description of a scene as JSON-compatible data, lengths in metres."""

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["MAX_TRIANGLES", "USUAL_LIMITS", "StageLimits"]
-
 MAX_TRIANGLES = 10_000_000
 
 

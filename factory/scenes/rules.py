@@ -20,8 +20,6 @@ from schemas.base import Model, Name, NonNegative, Positive
 from schemas.errors import UsageError
 from schemas.terms import COLOUR_NAMES
 
-__all__ = ["BUILTIN_RULES", "CategoryRule", "RuleBook", "load_rules", "split_name"]
-
 BUILTIN_RULES = Path(__file__).with_name("rules.yaml")
 
 

@@ -14,8 +14,6 @@ from types import MappingProxyType
 
 from schemas.errors import UsageError
 
-__all__ = ["STAGE_SUFFIXES", "find_fault", "require_stage"]
-
 STAGE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _READ_BYTES = 1 << 16
 _SUPPORTED = "supported are USD stages: .usd, .usda, .usdc, .usdz"

@@ -15,8 +15,6 @@ from PIL import Image, ImageDraw
 from schemas.scene import CompiledScene
 from workers.geometry.grid import DISC_RADIUS_M
 
-__all__ = ["draw_topdown", "encode_topdown"]
-
 _FREE, _REACHABLE, _OCCUPIED, _HIDING = (225, 225, 220), (250, 250, 245), (120, 125, 140), (60, 62, 75)
 _SPAWN = (40, 140, 60)
 

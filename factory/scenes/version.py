@@ -1,6 +1,4 @@
 """Version of the scene compiler, in a separate module so that cache look-ups do not load USD."""
 
-__all__ = ["COMPILER_VERSION"]
-
 COMPILER_VERSION = 11
 """Incremented when the same stage compiles to different bytes."""

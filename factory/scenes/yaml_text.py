@@ -7,9 +7,6 @@ from typing import Any
 
 import yaml
 
-__all__ = ["read_yaml", "say_absence"]
-
-
 _MOST_CHARS = 4 << 20
 
 

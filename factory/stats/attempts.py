@@ -18,8 +18,6 @@ from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.plan import Plan
 from schemas.terms import FailReason, Tier
 
-__all__ = ["attempt_rows", "cell_rows", "first_of_near_and_mid"]
-
 AttemptSummary = EpisodeSummary | FailedAttempt
 _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 

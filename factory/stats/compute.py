@@ -11,8 +11,6 @@ from factory.stats.rows import Rows, read_rows
 from schemas.storage.place import Place
 from schemas.terms import SuccessMeasure
 
-__all__ = ["compute_statistics", "measure_dataset"]
-
 _LARGEST = 3
 _OTHER = MappingProxyType(
     {

@@ -13,8 +13,6 @@ from schemas.instruction.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLAT
 from schemas.plan import Plan
 from schemas.terms import Split
 
-__all__ = ["count_categories", "count_templates", "overlaps", "share_of_largest"]
-
 Episodes = Sequence[EpisodeSummary]
 
 

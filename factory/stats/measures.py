@@ -14,18 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from factory.stats.model import Fit, Interval, Share
 
-__all__ = [
-    "CONFIDENCE",
-    "QUANTILES",
-    "deviation_of",
-    "fit_line",
-    "interval_of",
-    "mean_of",
-    "median_of",
-    "quantiles_of",
-    "share_of",
-]
-
 CONFIDENCE = 0.95
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)
 _FEWEST_FOR_INTERVAL = 2

@@ -12,25 +12,6 @@ from pydantic import Field
 from schemas.base import Fraction, Model, NonNegative
 from schemas.terms import SuccessMeasure
 
-__all__ = [
-    "ArrivalRow",
-    "AttemptRow",
-    "CellRow",
-    "CountRow",
-    "ErrorRow",
-    "FarRow",
-    "Fit",
-    "Interval",
-    "LanguageRow",
-    "LanguageStatistics",
-    "OverlapRow",
-    "Published",
-    "Remark",
-    "RolloutRow",
-    "Share",
-    "Statistics",
-]
-
 Count = Annotated[int, Field(ge=0)]
 Interval = tuple[float, float]
 """Lower and upper end of a 95 % interval."""

@@ -9,19 +9,6 @@ from factory.stats.model import Fit, Published
 from schemas.instruction.language import TEMPLATES, needs_colour
 from schemas.terms import Split, Tier
 
-__all__ = [
-    "ATTEMPTS",
-    "CATEGORIES",
-    "FIT",
-    "NAVIGATION_ERROR",
-    "OVERALL",
-    "SCENES",
-    "SPLITS",
-    "TEMPLATE_COUNTS",
-    "THREE_LARGEST_SHARE",
-    "TIERS",
-]
-
 _SCENES, _SPLITS, _TIERS = "Table V, Sec. V-E", "Table VI", "Table VII, Fig. 2"
 
 OVERALL = Published(

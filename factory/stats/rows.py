@@ -22,8 +22,6 @@ from schemas.storage.place import Place, children
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.terms import Split
 
-__all__ = ["MOST_OPENED", "Rows", "format_error", "read_rows", "spread_evenly"]
-
 MOST_OPENED = 2000
 """Maximum number of episodes opened for frames, tracks and actions; the tables use all rows."""
 _NAMED = 3

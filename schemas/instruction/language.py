@@ -6,17 +6,6 @@ from types import MappingProxyType
 
 from schemas.terms import Split
 
-__all__ = [
-    "OOD_TEMPLATES",
-    "TEMPLATES",
-    "TRAIN_TEMPLATES",
-    "instruction",
-    "needs_colour",
-    "say_category",
-    "says_in_front",
-    "templates_for",
-]
-
 _TRAIN = (
     "Go to the {object}.",
     "Drive to the {object} and stop.",

@@ -15,8 +15,6 @@ from typing import Any, NamedTuple
 
 from factory.cli.common.output import print_table
 
-__all__ = ["main"]
-
 BENCHES = {
     "rollout": ["--against", "plain"],
     "coordinator": ["--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"],

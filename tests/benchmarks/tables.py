@@ -23,8 +23,6 @@ from schemas.dataset import summary_of
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
 
-__all__ = ["main"]
-
 _NOW = datetime(2026, 1, 2, tzinfo=UTC)
 _NEW = 50
 """Episodes that a busy run archives between two writings."""

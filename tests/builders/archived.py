@@ -21,8 +21,6 @@ from schemas.wire import Done
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
 
-__all__ = ["ArchivedRun"]
-
 
 class ArchivedRun:
     """A dataset directory with `done` archived episodes; `desk` accesses its ledger.

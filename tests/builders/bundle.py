@@ -27,8 +27,6 @@ from schemas.scene import Instance
 from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
 from schemas.tokens import tokens_of
 
-__all__ = ["BundleParts", "bundle_bytes", "former_parts", "job_for", "parts_for", "short_task"]
-
 Frame = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
 
 GOAL_M = (1.6, 0.0, 0.5)

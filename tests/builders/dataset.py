@@ -23,8 +23,6 @@ from tests.builders.bundle import GOAL_M, TARGET_ID, BundleParts, job_for, parts
 from tests.builders.plan import small_plan
 from tests.builders.scene import box_room
 
-__all__ = ["NOW", "archive_episode", "chair", "failure", "make_dataset", "office_package"]
-
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 

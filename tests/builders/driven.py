@@ -23,8 +23,6 @@ from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["SCENE", "driven_plan", "make_driven"]
-
 SCENE = "box_room"
 
 

@@ -11,8 +11,6 @@ from factory.eval.results.score import Evaluation, score_policy
 from schemas.instruction.language import instruction
 from schemas.terms import Split, Tier
 
-__all__ = ["evaluation_of", "result_of", "spec_of", "specs_of"]
-
 
 def spec_of(number: int = 1, **changes: Any) -> EvalSpec:
     """Returns the spec of a near episode in the office."""

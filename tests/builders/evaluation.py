@@ -29,8 +29,6 @@ from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["archive_drives", "open_store", "room_job", "room_package", "standing_still"]
-
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 
 

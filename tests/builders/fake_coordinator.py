@@ -36,8 +36,6 @@ from schemas.wire import (
 from tests.builders.bundle import job_for
 from tests.builders.ports import free_endpoint
 
-__all__ = ["SCENE", "FakeCoordinator", "jobs_saying"]
-
 SCENE = bytes(range(256)) * 10_000
 """Replaces a compiled scene; takes three chunks."""
 RUN = "test-00000000"

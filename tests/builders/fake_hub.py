@@ -15,8 +15,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self
 
-__all__ = ["TOKEN", "FakeHub"]
-
 TOKEN = "hf_" + "t" * 34
 _LFS_FROM_BYTES = 2000
 _REVISION = "0" * 40

@@ -22,8 +22,6 @@ from typing import NoReturn
 
 from schemas.support.closing import Closing
 
-__all__ = ["Child", "ForkServer", "main"]
-
 _STARTS_WITHIN_S = 120.0
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from html.parser import HTMLParser
 
-__all__ = ["Outline"]
-
 _VOID = {"meta", "img", "br", "link", "input"}
 _LINKS = {"href", "src", "poster", "xlink:href"}
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from factory.keys import admit, create_authority
 from schemas.identity import Role, TlsFiles, tls_files
 
-__all__ = ["files_of", "make_authority"]
-
 
 def make_authority(
     folder: Path,

@@ -29,8 +29,6 @@ from schemas.terms import FailReason, Split, Tier
 from schemas.wire import Done, Fail, Lease
 from tests.builders.bundle import GOAL_M, TARGET_ID, job_for, parts_for, short_task
 
-__all__ = ["TTL_S", "Desk", "room_catalog", "room_plan", "summary_for"]
-
 TTL_S = 10.0
 SHA256 = "c" * 64
 

@@ -6,8 +6,6 @@ import importlib.util
 
 import pytest
 
-__all__ = ["needs_torch"]
-
 _MISSING = [name for name in ("torch", "tensorboard") if importlib.util.find_spec(name) is None]
 
 needs_torch = pytest.mark.skipif(

@@ -12,8 +12,6 @@ import click
 from factory.cli.common.groups import DefaultGroup
 from factory.cli.main import cli
 
-__all__ = ["PAGES", "ROOT", "anchors_of", "blocks", "factory_lines", "links_of", "make_lines", "parse_line", "prose"]
-
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "deploy").rglob("*.md")])
 _BLOCK = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.DOTALL | re.MULTILINE)

@@ -6,8 +6,6 @@ from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 from tests.builders.bundle import short_task
 
-__all__ = ["small_plan"]
-
 
 def small_plan(episodes: int = 3) -> Plan:
     """Returns a plan of near training episodes in the office, as the smallest bundles fulfil it."""

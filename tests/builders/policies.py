@@ -10,19 +10,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "ChecksDriver",
-    "ChecksInput",
-    "Compiles",
-    "Dies",
-    "Hangs",
-    "InvalidAnswers",
-    "NoMethods",
-    "Raises",
-    "RefusesToBeMade",
-    "Tokens",
-]
-
 
 class _Quiet:
     def reset(self, instruction: str, info: Any) -> None:

@@ -8,8 +8,6 @@ import socket
 from collections import deque
 from pathlib import Path
 
-__all__ = ["free_endpoint", "free_port"]
-
 _LOWEST_OUTGOING = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
 _PORTS = itertools.cycle(range(max(_LOWEST_OUTGOING, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
 """Ports below the range of outgoing connections, so that none takes the port of a server during its restart."""

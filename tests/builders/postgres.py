@@ -16,8 +16,6 @@ from sqlalchemy import create_engine, text
 
 from tests.builders.ports import free_port
 
-__all__ = ["Postgres", "postgres", "why_no_postgres"]
-
 _USER = "factory"
 
 

@@ -15,8 +15,6 @@ from schemas.storage.object_path import ObjectPath
 from tests.builders.ledger import room_catalog, room_plan
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["main"]
-
 
 def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])

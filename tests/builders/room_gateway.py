@@ -10,8 +10,6 @@ from coordinator.settings import CoordinatorSettings
 from schemas.errors import TransientError
 from workers.client.stopping import stop_on_signals
 
-__all__ = ["main"]
-
 
 def main() -> None:
     root, name, core, endpoint = Path(sys.argv[1]), *sys.argv[2:5]

@@ -16,8 +16,6 @@ from scipy import ndimage
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Instance, SceneInfo, Target
 from schemas.terms import TIER_RANGE_M, Tier
 
-__all__ = ["BODY_RADIUS_M", "Box", "box_room", "build_scene", "room_walls"]
-
 Vector3 = tuple[float, float, float]
 
 BODY_RADIUS_M = 0.4

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["build_once", "locked", "session_folder"]
-
 
 def session_folder(own: Path) -> Path:
     """Returns the folder of all processes of a session.

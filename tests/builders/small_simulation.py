@@ -16,8 +16,6 @@ from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 
-__all__ = ["main"]
-
 _MISS_EVERY = 4
 
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from tests.builders.scene import Box, build_scene
 
-__all__ = ["box_triangles"]
-
 
 def box_triangles(boxes: Sequence[Box]) -> NDArray[np.float64]:
     """Returns (12 N, 3, 3) the triangles of N boxes, counter-clockwise from outside, metres."""

@@ -14,8 +14,6 @@ from schemas.terms import Split
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import NOW
 
-__all__ = ["episode_row", "rows_of", "two_scenes"]
-
 
 def two_scenes(episodes: int = 4) -> Plan:
     """Returns a plan of the office and the hospital with the paper's tiers and splits."""

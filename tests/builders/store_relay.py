@@ -15,8 +15,6 @@ from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-__all__ = ["Moment", "StoreRelay"]
-
 _CUT_AFTER_BYTES = 64 << 10
 _DENIED = (
     b'<?xml version="1.0"?><Error><Code>AccessDenied</Code><Message>no</Message>'

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["find_system_tools"]
-
 _FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 
 

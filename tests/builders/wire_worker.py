@@ -33,8 +33,6 @@ from schemas.wire import (
 )
 from tests.builders.bundle import parts_for
 
-__all__ = ["WireWorker", "bundle_for", "until"]
-
 M = TypeVar("M", bound=Model)
 
 

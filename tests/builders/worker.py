@@ -16,8 +16,6 @@ from workers.client.settings import WorkerSettings
 from workers.client.stopping import stop_on_signals
 from workers.client.supervisor import run_worker
 
-__all__ = ["WorkerThread", "fake_command", "settings_for", "started_worker"]
-
 
 def fake_command(folder: Path, *more: str) -> tuple[str, ...]:
     """Returns the command line of the fake simulation; it writes its markers to `folder`."""

@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
-__all__ = ["ACCIDENTS", "copy_ledger"]
-
 _LOG, _SHARED = "ledger.db-wal", "ledger.db-shm"
 _PAGE = 4096
 

@@ -10,8 +10,6 @@ from schemas.support.closing import Closing
 from tests.builders.bundle import parts_for
 from workers.process.messages import SimulationOrder
 
-__all__ = ["BundleMaker"]
-
 
 class _Handler(socketserver.StreamRequestHandler):
     def handle(self) -> None:

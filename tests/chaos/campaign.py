@@ -30,8 +30,6 @@ from tests.chaos.peers import PEER_KINDS, Peers
 from tests.chaos.round import FaultLoad, reference_digest, run_round
 from tests.chaos.tally import Tally
 
-__all__ = ["main", "run_campaign"]
-
 _REAL_PLAN = """
 name = "chaos"
 expert = "proportional"

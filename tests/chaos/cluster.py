@@ -24,8 +24,6 @@ from tests.chaos.disk import Disk
 from tests.chaos.fault_span import FaultSpan
 from tests.chaos.wire import Wires
 
-__all__ = ["FAULTY_HOST", "LARGE_CRASH_BUDGET", "ChaosCluster", "ClusterCommands", "fake_commands", "real_commands"]
-
 LARGE_CRASH_BUDGET = 20
 """Budget of crashes of a job in a run in which the simulations of honest hosts are killed."""
 FAULTY_HOST = "faulty"

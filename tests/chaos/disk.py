@@ -15,8 +15,6 @@ from pathlib import Path
 from schemas.support.closing import Closing
 from tests.chaos.fault_span import FaultSpan
 
-__all__ = ["Disk"]
-
 _SOURCE = Path(__file__).with_name("slow_fsync.c")
 _BLOCK = bytes(1 << 16)
 _FULL, _SLOW = "f", "s"

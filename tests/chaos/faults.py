@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping
 from tests.chaos.cluster import LARGE_CRASH_BUDGET, LEASE_S, ChaosCluster
 from tests.chaos.fault_span import FaultSpan
 
-__all__ = ["FAULTS", "possible"]
-
 Fault = Callable[[ChaosCluster, int, random.Random], FaultSpan | None]
 
 

@@ -44,8 +44,6 @@ from tests.chaos.cluster import ChaosCluster
 from tests.chaos.fault_span import FaultSpan
 from tests.chaos.light_simulation import misses
 
-__all__ = ["HOSTILE_HOST", "HOSTILE_KINDS", "HostilePeer"]
-
 HOSTILE_HOST = "hostile"
 _BEAT_S = 0.5
 _HELD_S = 4.0

@@ -9,8 +9,6 @@ import subprocess
 
 from schemas.support.closing import Closing
 
-__all__ = ["Hosts", "why_not"]
-
 
 def why_not() -> str:
     """Returns why namespaces are not available; empty when they are."""

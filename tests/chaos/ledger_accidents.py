@@ -28,8 +28,6 @@ from tests.chaos.round import Stopped, reference_digest
 from tests.chaos.tally import Tally
 from tests.chaos.verdict import digest_of, violations_of
 
-__all__ = ["main", "run_accidents"]
-
 _TICK_S = 0.05
 _LONGEST_S = 1.0
 """Longest duration of a simulation, seconds."""

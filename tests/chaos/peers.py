@@ -11,8 +11,6 @@ from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.fault_span import FaultSpan
 from tests.chaos.hostile_peer import HOSTILE_HOST, HOSTILE_KINDS
 
-__all__ = ["PEER_KINDS", "Peers", "effects_of_peers", "preload_strikes"]
-
 _LAST_STRIKE = 7
 _REFUSED, _CRASHED = "bundle of a faulty host refused", "simulation of a faulty host crashed"
 _BARRED = {HOSTILE_HOST: "hostile peer barred", FAULTY_HOST: "faulty host barred"}

@@ -20,8 +20,6 @@ from tests.chaos.peers import Peers, effects_of_peers, preload_strikes
 from tests.chaos.tally import Tally
 from tests.chaos.verdict import digest_of, gather_problems, violations_of
 
-__all__ = ["FaultLoad", "Stopped", "reference_digest", "run_round"]
-
 _DISK_MB = 64
 _START_DELAY_S = 2.0
 _SHORT_DISK_S = (0.3, 2.0)

@@ -12,8 +12,6 @@ from typing import Any, Self
 from rich.console import Console
 from rich.table import Table
 
-__all__ = ["Tally"]
-
 _FORMER_NAMES = {"unfelt": "without_effect"}
 
 

@@ -15,8 +15,6 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.hostile_peer import HOSTILE_HOST
 
-__all__ = ["digest_of", "gather_problems", "violations_of"]
-
 
 def digest_of(cluster: ChaosCluster) -> str:
     """Returns the digest of the dataset."""

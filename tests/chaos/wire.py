@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from schemas.support.closing import Closing
 from tests.chaos.fault_span import FaultSpan
 
-__all__ = ["Wires"]
-
 _BLOCK = 1 << 16
 _RESET = struct.pack("ii", 1, 0)
 """Closing sends RST, not FIN."""

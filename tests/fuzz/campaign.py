@@ -10,8 +10,6 @@ from pathlib import Path
 from tests.fuzz.child import LAST
 from tests.fuzz.targets import TARGETS
 
-__all__ = ["fuzz"]
-
 
 def fuzz(target: str, folder: Path, seed: int, seconds: float, count: int = sys.maxsize) -> str:
     """Fuzzes one target and returns the findings; empty without findings.

@@ -21,8 +21,6 @@ import structlog
 from schemas.errors import FactoryError
 from tests.fuzz.targets import CORPUS, TARGETS, Target
 
-__all__ = ["LAST", "main"]
-
 LAST = "last-input"
 MEMORY_BYTES = 4 << 30
 INPUT_S = 20

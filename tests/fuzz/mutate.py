@@ -7,8 +7,6 @@ import random
 import zipfile
 from collections.abc import Callable, Sequence
 
-__all__ = ["mutate", "mutate_members"]
-
 _TOKENS = (
     *(
         b"\x00",

@@ -33,8 +33,6 @@ from tests.builders.stage import StageText, room_body
 from tests.fuzz.mutate import mutate, mutate_members
 from workers.process.messages import read_report
 
-__all__ = ["CORPUS", "TARGETS", "Target"]
-
 CORPUS = Path(__file__).parent / "corpus"
 Mutate = Callable[[random.Random, bytes, Sequence[bytes]], bytes]
 _VERBS = tuple(Verb)

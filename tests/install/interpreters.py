@@ -8,8 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-__all__ = ["VERSIONS", "Installed", "build_wheel", "find_python", "install"]
-
 VERSIONS = ("3.11", "3.12", "3.13")
 ROOT = Path(__file__).parents[2]
 

@@ -11,8 +11,6 @@ import subprocess
 import sys
 from typing import Any
 
-__all__ = ["main", "summarise"]
-
 _SERVICES = ("pypi", "osv")
 _LIMIT_S = 300
 

@@ -11,8 +11,6 @@ from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.planning import Waypoint
 
-__all__ = ["Expert", "Senses"]
-
 
 class Senses(Protocol):
     """Observation of an expert; all but `sighting` and `obstacle_near` is ground truth. Image properties are lazy."""

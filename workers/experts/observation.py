@@ -15,8 +15,6 @@ from workers.experts.sight import Sighting, foreground_window, is_obstacle_near,
 from workers.geometry.pose import Pose
 from workers.render import WHOLE, DepthAndIds, RenderedFrame, Renderer, Window, WindowRenderer
 
-__all__ = ["LazyFrame", "Observation"]
-
 
 class LazyFrame:
     """Camera image from one pose, rendered on the first access, because many controllers do not use it.

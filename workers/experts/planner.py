@@ -19,8 +19,6 @@ from workers.geometry.slew import Twist
 from workers.planning import Waypoint, plan_path
 from workers.planning.follow import Follower
 
-__all__ = ["STOPPED_M", "PlannerExpert", "arrival_pose"]
-
 _LAST_MARGIN_M = 0.01
 """Distance to the edge of the success region, inside it, at which the robot may stop at the end of a path, metres."""
 STOPPED_M = 0.055

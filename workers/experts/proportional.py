@@ -17,8 +17,6 @@ from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.planning import Waypoint
 
-__all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
-
 SpeedLaw = Callable[[Senses, ExpertConfig, float], float]
 """Function (observation, gains, success radius in metres) -> speed in m/s before clamping."""
 

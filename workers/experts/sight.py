@@ -15,8 +15,6 @@ from schemas.config import TaskConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from workers.render import Window
 
-__all__ = ["Sighting", "foreground_window", "is_obstacle_near", "see"]
-
 _BYTE_SUM_ROWS = 255
 """Largest number of rows whose true pixels can be summed in one byte."""
 

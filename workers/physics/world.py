@@ -21,8 +21,6 @@ from workers.physics.bullet import BulletClient, ShapePlacement
 from workers.physics.mesh_lists import MeshLists, mesh_lists, recycle
 from workers.physics.robot import BASE_LINK, CASTERS, LEFT_WHEEL, RIGHT_WHEEL, robot_urdf
 
-__all__ = ["CONTACT_DISTANCE_M", "LEVEL_TILT_RAD", "ColliderMesh", "Pose", "World"]
-
 CONTACT_DISTANCE_M = 0.001
 """Largest distance between surfaces that counts as a contact, metres."""
 LEVEL_TILT_RAD = 1e-4

@@ -20,8 +20,6 @@ from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid
 
-__all__ = ["FloorGraph", "arrival_cells", "cells_within", "geodesic_field", "geodesic_m", "is_way_straight"]
-
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
 

@@ -17,8 +17,6 @@ from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.planning.lattice import Waypoint
 
-__all__ = ["Follower", "Leg", "legs_of"]
-
 _ALIGNED_RAD, _LOST_RAD = 0.10, 0.9
 """Heading errors, radians: a turn on the spot ends below the first; driving stops for a turn above the second."""
 _LEG_END_M = 0.04

@@ -15,18 +15,6 @@ from numpy.typing import NDArray
 
 from workers.geometry.grid import DISC_OFFSETS_M, DISC_RADIUS_M, Grid
 
-__all__ = [
-    "HEADINGS",
-    "MOVES",
-    "STEP_M",
-    "MotionPrimitive",
-    "PoseTable",
-    "Waypoint",
-    "heading_of",
-    "pose_table",
-    "yaw_at",
-]
-
 HEADINGS = 36
 """Number of headings."""
 STEP_M = 0.2

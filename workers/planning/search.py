@@ -22,8 +22,6 @@ from workers.geometry.grid import DISC_RADIUS_M, Grid
 from workers.planning.distance import FloorGraph, arrival_cells, cells_within
 from workers.planning.lattice import HEADINGS, MOVES, PoseTable, Waypoint, heading_of, pose_table, yaw_at
 
-__all__ = ["plan_path"]
-
 _CELL_M = 0.1
 """Side of the cells in which two poses with one heading count as one state, metres."""
 _TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06

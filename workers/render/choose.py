@@ -15,8 +15,6 @@ from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.render import Renderer
 
-__all__ = ["RendererKind", "open_first", "open_renderer"]
-
 _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
 

@@ -12,8 +12,6 @@ from schemas.config import CameraConfig
 from schemas.scene import Sky
 from workers.geometry.camera import OpticalPose, intrinsics
 
-__all__ = ["SkyPainter"]
-
 _HAZE = 0.08
 """Sine of the angle below the horizon at which the ground is free of haze."""
 

@@ -31,8 +31,6 @@ from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import draw_poses, is_spawn_stable
 
-__all__ = ["AttemptFailure", "Outcome", "Success", "is_view_clear", "run_attempt"]
-
 _NO_DIGEST = "0" * 32
 
 

@@ -23,8 +23,6 @@ from workers.physics.world import World
 from workers.render import Renderer
 from workers.sim.termination import Termination
 
-__all__ = ["ClosedLoop"]
-
 
 class ClosedLoop:
     """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from schemas.fingerprint import Fingerprint
 
-__all__ = ["make_fingerprint"]
-
 _PACKAGES = ("isal", "minivla-factory", "moderngl", "numpy", "pybullet", "zstandard")
 _CPU_INFO = Path("/proc/cpuinfo")
 

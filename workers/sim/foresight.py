@@ -17,8 +17,6 @@ from schemas.measure import Goal
 from workers.geometry.appearance import Appearance
 from workers.geometry.slew import Twist, slew
 
-__all__ = ["predict_path"]
-
 _HZ = 20
 """Predicted poses per second; at full speed they are one cell of the grid apart."""
 _LOOK_EVERY = 3

@@ -19,8 +19,6 @@ from workers.physics.world import World
 from workers.render import RenderedFrame, Renderer
 from workers.sim.closed_loop import ClosedLoop
 
-__all__ = ["Drive", "drive"]
-
 FrameSink = Callable[[RenderedFrame], None]
 """Called with each frame."""
 StepCallback = Callable[[int], None]

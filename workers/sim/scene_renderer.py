@@ -24,8 +24,6 @@ from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
 
-__all__ = ["LoadedScene", "SceneRenderer", "prepare_scene"]
-
 _KEPT_SCENES = 2
 
 

@@ -33,8 +33,6 @@ from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.render_recording import render_recording
 from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["main"]
-
 _PROGRESS_S = 0.25
 _DISK_FULL = {errno.ENOSPC, errno.EDQUOT}
 _OK, _WORLD, _BUG = 0, 1, 3

@@ -46,8 +46,6 @@ Poses = NDArray[np.float64]
 Start = tuple[float, float, float]
 """x, y in metres and yaw in radians of base_link, world frame."""
 
-__all__ = ["Start", "draw_among", "draw_poses", "is_spawn_stable", "surveyed_points"]
-
 
 def draw_poses(
     job: Job,

@@ -11,8 +11,6 @@ from collections import deque
 from schemas.config import TaskConfig
 from schemas.terms import EndReason
 
-__all__ = ["Termination"]
-
 
 class Termination:
     """Evaluates the frames of one episode in order (paper Sec. II-A; docs/design/task.md#ends-of-an-episode).

@@ -27,8 +27,6 @@ from schemas.instruction.language import TEMPLATES
 from schemas.plan import Plan
 from schemas.terms import Tier
 
-__all__ = ["command"]
-
 
 @click.group("plan", cls=CommandGroup)
 def command() -> None:

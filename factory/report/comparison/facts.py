@@ -14,8 +14,6 @@ from factory.stats.measures import deviation_of, mean_of
 from schemas.dataset import EpisodeSummary
 from schemas.terms import Tier
 
-__all__ = ["RunFacts", "facts_of"]
-
 
 @dataclass(frozen=True)
 class RunFacts:

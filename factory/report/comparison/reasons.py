@@ -12,22 +12,6 @@ from factory.stats.rollouts import ALL
 from schemas.instruction.language import needs_colour, say_category
 from schemas.terms import ExpertName, Screening, Split, Tier
 
-__all__ = [
-    "explain_category_share",
-    "explain_colours",
-    "explain_correlation",
-    "explain_error",
-    "explain_floor",
-    "explain_largest",
-    "explain_length",
-    "explain_mix",
-    "explain_planned",
-    "explain_slope",
-    "explain_standardised",
-    "explain_steps",
-    "explain_success",
-]
-
 
 def explain_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
     """Explains TL: its mean is spawn distance - NE + detour. The spawn distance of the paper is TL + NE."""

@@ -20,8 +20,6 @@ from factory.stats.rollouts import ALL
 from schemas.instruction.language import needs_colour, say_category
 from schemas.terms import Split, Tier
 
-__all__ = ["compare"]
-
 
 class _Kind(NamedTuple):
     """Format of a number, and threshold of a noticeable difference."""

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Panel
 
-__all__ = ["DrawFunction", "Figure", "Table"]
-
 
 @dataclass(frozen=True)
 class Table:

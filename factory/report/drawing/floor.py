@@ -9,8 +9,6 @@ from factory.report.data import FloorMap
 from factory.report.drawing.canvas import WIDTH_IN, Axes, fill_outlines, mark
 from schemas.dataset import EpisodeSummary
 
-__all__ = ["draw_floor", "draw_targets", "floor_height_in", "title_floor"]
-
 _BESIDE_IN, _ABOVE_IN = 0.45, 0.95
 """Width of the axis labels; height of axis labels, title and legend, inches."""
 _LEAST_IN, _MOST_IN = 1.5, 7.0

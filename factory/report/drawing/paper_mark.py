@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 from factory.html.palette import colour
 from factory.report.drawing.canvas import Axes, mark
 
-__all__ = ["mark_paper"]
-
 
 def mark_paper(axes: Axes, points: ArrayLike, label: str = "paper") -> None:
     """Draws a hollow diamond at each point (K, 2)."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from factory.stats.model import Share
 
-__all__ = ["DASH", "count", "file_part", "interval", "name", "number", "percent", "scene_label"]
-
 DASH = "–"
 
 

@@ -11,8 +11,6 @@ from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, number, percent
 from schemas.tokens import GRID_POINTS, V_GRID_MPS, W_GRID_RPS
 
-__all__ = ["draw"]
-
 _PALEST, _FULLEST = 0.10, 0.80
 _STRAIGHT = GRID_POINTS // 2
 _MOST = 8

@@ -14,8 +14,6 @@ from factory.report.drawing.text import DASH, count, interval, name, scene_label
 from factory.stats.attempts import first_of_near_and_mid
 from factory.stats.model import AttemptRow
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns the bar chart of outcomes and the success rates."""

@@ -13,8 +13,6 @@ from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import DASH, count, name, percent
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns the bar chart by category, and the counts by category and scene."""

@@ -14,8 +14,6 @@ from factory.report.drawing.text import count, name, number, percent
 from factory.stats import paper
 from factory.stats.model import ErrorRow
 
-__all__ = ["draw"]
-
 _MARGIN_M = 0.004
 
 

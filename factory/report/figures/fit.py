@@ -12,8 +12,6 @@ from factory.report.drawing.text import DASH, count, name, number
 from factory.stats.model import Fit
 from schemas.terms import Tier
 
-__all__ = ["draw"]
-
 _PRINTED_P = 0.001
 
 

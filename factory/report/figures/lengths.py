@@ -11,8 +11,6 @@ from factory.report.drawing.figure import Figure
 from factory.report.drawing.text import count, name, number
 from factory.stats import paper
 
-__all__ = ["draw"]
-
 _BIN_M = 0.5
 
 

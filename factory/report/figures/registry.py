@@ -21,8 +21,6 @@ from factory.report.figures import (
     tracks,
 )
 
-__all__ = ["DRAW_FUNCTIONS"]
-
 DRAW_FUNCTIONS: tuple[DrawFunction, ...] = (
     samples.draw,
     action_space.draw,

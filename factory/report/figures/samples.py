@@ -12,8 +12,6 @@ from factory.report.drawing.canvas import WIDTH_IN, Axes, draw_panel
 from factory.report.drawing.figure import Figure
 from factory.report.drawing.text import count, name
 
-__all__ = ["draw", "outlined"]
-
 _OUTLINE_RGB = (255, 196, 0)
 _OUTLINE_PX = 2
 _COLUMNS = 2

@@ -10,8 +10,6 @@ from factory.report.drawing.floor import draw_floor, draw_targets, floor_height_
 from factory.report.drawing.text import count, file_part, name
 from schemas.terms import Tier
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns one panel per scene."""

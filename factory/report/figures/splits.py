@@ -11,8 +11,6 @@ from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, name, number, percent, scene_label
 from schemas.terms import Split
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns the stacked bar chart, the rollouts of each split and its overlap of instances with training."""

@@ -12,8 +12,6 @@ from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count, name, number, scene_label
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns the box plots."""

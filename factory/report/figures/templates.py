@@ -10,8 +10,6 @@ from factory.report.drawing.text import count, percent
 from factory.stats.model import CountRow
 from schemas.instruction.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns one panel for the training templates and one for the paraphrases."""

@@ -14,8 +14,6 @@ from factory.stats import paper
 from factory.stats.model import RolloutRow
 from schemas.terms import Tier
 
-__all__ = ["draw"]
-
 
 def draw(material: ReportInput) -> Figure:
     """Returns two bar charts."""

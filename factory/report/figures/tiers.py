@@ -13,8 +13,6 @@ from factory.report.drawing.text import count, interval, name, number
 from factory.stats.model import FarRow
 from schemas.terms import TIER_RANGE_M, Tier
 
-__all__ = ["draw"]
-
 _BIN_M = 0.5
 
 

@@ -21,8 +21,6 @@ from factory.report.figures.samples import outlined
 from factory.report.page.tables import ComparisonCells, TableCells, format_comparison, format_table
 from factory.stats import paper
 
-__all__ = ["write_page"]
-
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
 _ABOUT_PAPER = (

@@ -10,8 +10,6 @@ from factory.report.drawing.figure import Table
 from factory.report.drawing.text import DASH, number, percent
 from factory.stats.model import Interval
 
-__all__ = ["ComparisonCells", "TableCells", "format_comparison", "format_table"]
-
 _TIMES = 2.0
 """Ratio above which a difference is given as a factor instead of per cent."""
 _ROWS_SHOWN = 8

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from numpy.random import Generator
 from PIL import Image, ImageDraw, ImageFont
 
-__all__ = ["ARTWORK"]
-
 Pixels = npt.NDArray[np.uint8]
 Canvas = tuple[Image.Image, ImageDraw.ImageDraw]
 SIZE = 512

@@ -15,8 +15,6 @@ from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted,
 from factory.scenes.author.placement import FloorPlan, Rectangle
 from factory.scenes.author.room import PLAIN, WALL_THICKNESS_M, Doorway, Trim, ceiling, floor, wall
 
-__all__ = ["Cell", "Room", "Style", "build_wings", "divide"]
-
 PLASTER = tinted("Plaster", "WallPlaster", "#dedbd1", 0.8, 0.9)
 CEILING = textured("CeilingTile", "#e6e5e0", 1.2, 0.9)
 LEAF = textured("DoorLeaf", "#8a5f3c", 1.0, 0.5)

@@ -15,29 +15,6 @@ import numpy as np
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = [
-    "AuthoredMesh",
-    "Vector",
-    "block",
-    "bounds",
-    "card",
-    "cushion",
-    "cylinder",
-    "fitted_block",
-    "lathe",
-    "loft",
-    "merge",
-    "moved",
-    "open_block",
-    "pad",
-    "quad",
-    "rod",
-    "standing_block",
-    "triangle_count",
-    "tube",
-    "uncapped",
-]
-
 Vector = tuple[float, float, float]
 
 

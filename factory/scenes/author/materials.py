@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 from factory.scenes.author.geometry import AuthoredMesh
 
-__all__ = ["PAINTS", "PropPiece", "SurfaceMaterial", "glowing", "linear_rgb", "painted", "textured", "tinted"]
-
 
 @dataclass(frozen=True)
 class SurfaceMaterial:

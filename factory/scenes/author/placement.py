@@ -15,8 +15,6 @@ from numpy.random import Generator
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.props.catalogue import PropBuilder, PropModel
 
-__all__ = ["FACING", "FloorPlan", "PropPlacement", "Rectangle", "Structure", "wall_pose"]
-
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 """Wall -> yaw of a prop with its back to that wall, radians. At yaw 0 a prop faces -y, with its back to the north."""
 

@@ -12,20 +12,6 @@ from factory.scenes.author.geometry import AuthoredMesh, Vector, block, lathe, o
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured
 from factory.scenes.author.placement import FloorPlan, Rectangle
 
-__all__ = [
-    "DOOR_CLEARANCE_M",
-    "PLAIN",
-    "WALL_THICKNESS_M",
-    "Doorway",
-    "Trim",
-    "ceiling",
-    "ceiling_slab",
-    "floor",
-    "high_bay_lamps",
-    "marking",
-    "wall",
-]
-
 WALL_THICKNESS_M = 0.12
 DOOR_CLEARANCE_M = 0.9
 """Depth of the zone without furniture on both sides of a door, metres."""

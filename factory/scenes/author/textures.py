@@ -15,8 +15,6 @@ from numpy.random import Generator
 from factory.scenes.author.artwork import ARTWORK
 from schemas.support.numpy_types import Floats
 
-__all__ = ["TEXTURES", "TEXTURE_SIZE", "Pixels", "draw_texture"]
-
 TEXTURE_SIZE = 512
 Pixels = npt.NDArray[np.uint8]
 

@@ -21,8 +21,6 @@ from factory.scenes.author.placement import FloorPlan, PropPlacement
 from factory.scenes.author.props.catalogue import PropModel
 from factory.scenes.author.textures import draw_texture
 
-__all__ = ["write_scene"]
-
 
 def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: float) -> Path:
     """Writes `<name>.usdc`, `props/*.usdc` and `textures/*.png` below a directory.

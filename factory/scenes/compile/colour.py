@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.support.numpy_types import Floats
 from schemas.terms import COLOUR_NAMES
 
-__all__ = ["dominant_name", "lab_of", "linear_of", "name_indices", "srgb_of"]
-
 _BLACK, _GRAY, _WHITE, _RED, _ORANGE, _YELLOW, _GREEN, _BLUE, _PURPLE, _PINK, _BROWN = range(11)
 _HUES = ((0, 45, _RED), (45, 72, _ORANGE), (72, 108, _YELLOW), (108, 195, _GREEN), (195, 308, _BLUE))
 _NAMELESS = len(COLOUR_NAMES)

@@ -40,8 +40,6 @@ from schemas.scene import CompiledScene, Instance, SceneInfo, Sky, Target
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 
-__all__ = ["compile_extraction", "compile_stage"]
-
 _SANE_RADIUS_M = 200.0
 _SANE_SPREAD = 5.0
 _FARTHEST_M = 9000.0

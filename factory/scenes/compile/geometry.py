@@ -17,8 +17,6 @@ from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.light import LightMap, TooManyPieces, bake_light
 
-__all__ = ["Geometry", "lay_out_geometry"]
-
 
 @dataclass(frozen=True)
 class Geometry:

@@ -23,8 +23,6 @@ from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from schemas.terms import SuccessMeasure
 
-__all__ = ["HIGHEST_BOTTOM_M", "list_targets", "with_colours"]
-
 HIGHEST_BOTTOM_M = 2.0
 """Maximum height of the bottom of a target above the floor, metres."""
 

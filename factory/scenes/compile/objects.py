@@ -10,8 +10,6 @@ from collections.abc import Iterable, Sequence
 from factory.scenes.importer import Part
 from schemas.errors import WorldError
 
-__all__ = ["MAX_INSTANCES", "assign_objects", "number_objects"]
-
 MAX_INSTANCES = 65535
 
 

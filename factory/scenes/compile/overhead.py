@@ -14,8 +14,6 @@ from factory.scenes.navigation.floor import find_floor_height
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Singles
 
-__all__ = ["is_open", "with_ceiling"]
-
 _PATH = "/AddedCeiling"
 _PAINT = Surface(colour=(0.72, 0.72, 0.70))
 _EYE_M = 0.35

@@ -17,16 +17,6 @@ from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
 from schemas.support.numpy_types import Floats
 
-__all__ = [
-    "corner_colours",
-    "glow_brightness",
-    "glows_by_name",
-    "reflectance",
-    "target_colour",
-    "texture_layer",
-    "triangle_areas",
-]
-
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
 _SAMPLES = 2000

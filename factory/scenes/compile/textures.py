@@ -18,8 +18,6 @@ from PIL import Image
 from factory.scenes.compile.colour import linear_of
 from schemas.scene import TEXTURE_SIZE_PX
 
-__all__ = ["MAX_LAYERS", "TextureBook", "load_textures"]
-
 MAX_LAYERS = 64
 _MAX_SOURCE_PX = 16384
 _PALETTES = ("P", "PA", "LA", "RGBA")

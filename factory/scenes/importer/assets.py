@@ -10,8 +10,6 @@ from typing import Any
 
 from pxr import Ar, Sdf
 
-__all__ = ["asset_path", "read_asset"]
-
 
 def asset_path(value: Any) -> str:
     """Returns the resolved path of an asset value, or the authored path if USD cannot resolve it."""

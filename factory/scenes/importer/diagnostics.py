@@ -8,8 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-__all__ = ["format_error", "format_warning", "text_of"]
-
 _LONGEST = 300
 _NOISE = (
     re.compile(r"\s*\(\w+ stage on stage @[^@]*@ <0x[0-9a-f]+>\)"),

@@ -34,8 +34,6 @@ from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 
-__all__ = ["Extraction", "Part", "extract_stage"]
-
 _COLLIDER_NAME = re.compile(r"colli(sion|der)|(^|_)(ucx|ubx|phys(ics)?)(_|$)", re.IGNORECASE)
 
 

@@ -14,8 +14,6 @@ from pxr import UsdGeom
 
 from schemas.support import portable
 
-__all__ = ["Polygons", "solid_polygons"]
-
 Polygons = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
 """Points (N, 3), corners of each face (F,), vertex of each corner (C,)."""
 

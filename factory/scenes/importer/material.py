@@ -15,8 +15,6 @@ from pxr import Sdf, UsdShade
 
 from factory.scenes.importer.assets import asset_path, read_asset, sibling
 
-__all__ = ["GRAY", "Surface", "bound_material", "read_surface"]
-
 Colour = tuple[float, float, float]
 Affine = tuple[float, float, float, float, float, float]
 

@@ -17,8 +17,6 @@ from factory.scenes.importer.gprims import solid_polygons
 from factory.scenes.importer.polygons import Triangulation, is_closed, triangulate
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = ["ImportedMesh", "corner_values", "count_triangles", "material_subsets", "read_mesh", "uv_values"]
-
 _TIME = Usd.TimeCode.EarliestTime()
 _UV_NAMES = ("st", "st0", "st_0", "UVMap", "map1", "uv")
 

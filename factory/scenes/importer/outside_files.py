@@ -11,8 +11,6 @@ from pathlib import Path
 
 from factory.scenes.importer.material import Surface
 
-__all__ = ["ReadableFolder"]
-
 
 @dataclass(frozen=True)
 class ReadableFolder:

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = ["Triangulation", "is_closed", "triangulate"]
-
 _NONE = np.zeros((0, 3), np.int64)
 
 

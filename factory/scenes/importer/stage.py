@@ -20,8 +20,6 @@ from factory.scenes.importer.diagnostics import format_error, format_warning, te
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 
-__all__ = ["BROKEN_PRIM", "PrimPlacement", "SceneStage", "find_unseen", "matrix_of", "open_stage", "walk_stage"]
-
 BROKEN_PRIM = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError)
 """Exceptions that a malformed prim causes, in USD (`Tf.ErrorException` is a RuntimeError) or in numpy."""
 

@@ -22,8 +22,6 @@ from factory.scenes.light.tone import tone
 from factory.scenes.light.unwrap import unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-__all__ = ["LightMap", "bake_light"]
-
 _COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (8, 8), (4, 4)
 _FINE_SKY, _FINE_LAMPS = (16, 64), (12, 24)

@@ -11,8 +11,6 @@ from scipy.sparse.csgraph import connected_components
 from factory.scenes.light.patches import find_patches
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = ["Charts", "find_charts", "number_rows"]
-
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
 _PLANE_STEP_M = 0.02

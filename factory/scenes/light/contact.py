@@ -10,8 +10,6 @@ from scipy.spatial import cKDTree
 
 from schemas.support.numpy_types import Floats
 
-__all__ = ["contact_shade"]
-
 _SECTION_M = 0.02
 _STEP_M = 0.015
 _NEAR_M = 0.03

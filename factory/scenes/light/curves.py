@@ -16,8 +16,6 @@ from factory.scenes.light.patches import SQUARE, interpolate
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = ["Bends", "corner_normals", "find_bends"]
-
 _ROUND_COS = math.cos(math.radians(46.0))
 """Cosine of the maximum smooth angle: the sides of an octagon are smooth, those of a hexagon are not."""
 _MOST_AT_A_CORNER = 64

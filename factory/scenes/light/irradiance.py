@@ -16,8 +16,6 @@ from factory.scenes.light.texels import PATTERNS, SPOTS, Texels
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats, Ints, Singles
 
-__all__ = ["Rays", "lamp_light", "sky_light"]
-
 _REACH_M = 1.6
 _CELL_M = 2.5
 _LAMPS_A_CELL = 24

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from factory.scenes.light.charts import Charts
 from schemas.support.numpy_types import Floats, Singles
 
-__all__ = ["Lamps", "find_lamps", "light_from", "nearest_lamps"]
-
 _SMALLEST_M2 = 0.05
 _MOST = 512
 _HUNG_HEIGHT_M, _HUNG_SIDE_M, _HUNG_EVERY_M = 2.6, 0.6, 4.0

@@ -13,8 +13,6 @@ import numpy as np
 
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = ["SQUARE", "Patches", "find_patches", "interpolate"]
-
 _WELD_M = 1e-4
 _RECTANGULAR = 0.98
 """Share of the bounding rectangle above which two triangles are a rectangle."""

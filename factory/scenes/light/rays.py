@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Floats, Singles
 
-__all__ = ["Caster"]
-
 
 class Caster:
     """Ray caster over a set of triangles."""

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-__all__ = ["even_out", "fill_hidden", "smooth_charts"]
-
 _FILL_ROUNDS = 12
 _NOISE = 0.12
 """Difference of averaged values from which they are not noise of few rays."""

@@ -12,8 +12,6 @@ from factory.scenes.light.patches import interpolate
 from factory.scenes.light.unwrap import Unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-__all__ = ["PATTERNS", "SPOTS", "Texels", "lay_texels"]
-
 PATTERNS = 64
 """Number of ray patterns."""
 SPOTS = 4

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Floats
 
-__all__ = ["tone"]
-
 _SKY_SHARE, _FLOOR = 0.42, 0.03
 _CONTACT = 2.0
 """Exponent of the openness; above 1, corners and floor under furniture are darker than physically correct."""

@@ -13,8 +13,6 @@ import numpy as np
 from factory.scenes.light.charts import Charts
 from schemas.support.numpy_types import Floats, Ints
 
-__all__ = ["TooManyPieces", "Unwrap", "unwrap"]
-
 _TEXELS_PER_M = 12.0
 _FLOOR_GAIN, _CEILING_GAIN = 2.4, 0.4
 _LARGE_M2 = 4.0

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from factory.scenes.importer import Part
 from schemas.support.numpy_types import Floats
 
-__all__ = ["COLLIDER_TOP_M", "solid_triangles", "weld"]
-
 COLLIDER_TOP_M = 2.2
 """Height above the floor up to which geometry is part of the collider, metres."""
 FLOOR_SKIN_M = 0.005

@@ -10,8 +10,6 @@ import numpy as np
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 
-__all__ = ["FLOOR_TOLERANCE_M", "find_floor_height", "floor_triangles"]
-
 FLOOR_TOLERANCE_M = 0.03
 """Maximum vertical distance of a floor surface from the height of the floor, metres."""
 _BIN_M = 0.02

@@ -17,8 +17,6 @@ from schemas.errors import WorldError
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import FREE, HIDING, OCCUPIED
 
-__all__ = ["BAND_M", "GridFrame", "build_occupancy", "draw_band"]
-
 BAND_M = (0.05, 0.60)
 """Height band above the floor in which the robot (0.556 m) can collide, metres."""
 _HIDING_BANDS_M = ((0.30, 0.60), (1.00, 1.15), (1.65, 1.80))

@@ -17,8 +17,6 @@ from schemas.support.numpy_types import Bools, Floats
 from schemas.terms import FAR_FLOOR_M, TIER_RANGE_M, Tier
 from workers.geometry.grid import Grid, are_within, body_centre
 
-__all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "sees_matrix", "tiers_of"]
-
 ARRIVAL_RADIUS_M = 0.97
 """Distance from the target at which the robot stops within the success region, by the success measure, metres."""
 SEE_RANGE_M = (1.5, 11.0)

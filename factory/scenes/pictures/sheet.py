@@ -20,8 +20,6 @@ from schemas.scene import CompiledScene, Target
 from workers.geometry.grid import Grid
 from workers.render import RenderedFrame, Renderer
 
-__all__ = ["alone", "draw_sheet", "facing", "known_colours", "model_name", "variants"]
-
 _MOST_A_CATEGORY = 12
 _TILE_PX, _TEXT_PX = 200, 34
 _BACKGROUND = (236, 236, 232)

@@ -17,8 +17,6 @@ from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
 from workers.render import RenderedFrame, Renderer
 
-__all__ = ["EYE", "Height", "Viewpoint", "best_views", "looking", "try_views", "worth"]
-
 _HEADINGS = 10
 _NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
 _SATURATED = 0.05

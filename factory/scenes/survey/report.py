@@ -18,8 +18,6 @@ from schemas.scene import CompiledScene
 from schemas.terms import SuccessMeasure, Tier
 from workers.geometry.grid import Grid
 
-__all__ = ["NEAR_M", "SpawnSight", "SurveyReport", "report_survey"]
-
 NEAR_M = 2.0
 """Distance from a spawn within which floor counts as covered, metres."""
 

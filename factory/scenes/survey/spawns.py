@@ -12,8 +12,6 @@ from factory.scenes.navigation.reach import Terrain
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import DISC_RADIUS_M
 
-__all__ = ["MIN_SPAWNS", "survey_spawns"]
-
 MIN_SPAWNS = 40
 """Recommended minimum number of spawn points of a scene (docs/design/scenes.md#surveyed-points)."""
 _USUAL, _MANY, _BIG_AREA_M2 = 64, 96, 250.0

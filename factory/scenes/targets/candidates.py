@@ -16,8 +16,6 @@ from factory.scenes.importer.extract import Extraction, Part
 from factory.scenes.rules import CategoryRule, RuleBook
 from factory.scenes.targets.footprint import footprint_of
 
-__all__ = ["Candidate", "find_candidates", "footprint_width"]
-
 Box = NDArray[np.float64]
 """(2, 3) lower and upper corner, world metres."""
 

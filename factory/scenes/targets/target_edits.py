@@ -15,8 +15,6 @@ from factory.scenes.targets.target_list import TargetList
 from schemas.errors import UsageError
 from schemas.scene import Target
 
-__all__ = ["apply_candidate_edits", "apply_target_edits", "recoloured"]
-
 
 def apply_candidate_edits(
     found: tuple[Candidate, ...], parts: Sequence[Part], chosen: TargetList | None

@@ -19,8 +19,6 @@ from schemas.errors import UsageError
 from schemas.scene import SceneInfo
 from schemas.terms import COLOUR_NAMES
 
-__all__ = ["TargetEntry", "TargetList", "format_target_list", "list_file_name", "load_target_list"]
-
 _HEAD = """\
 # The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
 # be no target, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"` below

@@ -13,8 +13,6 @@ from factory.scenes.author.materials import SurfaceMaterial, painted, textured, 
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
 from factory.scenes.author.room import Trim, marking
 
-__all__ = ["lay_out_hospital"]
-
 SIZE = (30.0, 20.0)
 LINOLEUM = textured("Linoleum", "#a3b3b2", 1.5, 0.3)
 WARM = textured("LinoleumWarm", "#bba98c", 1.5, 0.3)

@@ -12,8 +12,6 @@ from factory.scenes.author.materials import painted, textured, tinted
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, wall_pose
 from factory.scenes.author.room import Trim, marking
 
-__all__ = ["lay_out_office"]
-
 SIZE = (24.0, 16.0)
 CARPET = textured("Carpet", "#6a7078", 1.0, 0.95)
 CARPET_HALL = textured("CarpetCorridor", "#8b8a86", 1.0, 0.95)

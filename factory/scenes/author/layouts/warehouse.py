@@ -12,8 +12,6 @@ from factory.scenes.author.materials import painted, textured, tinted
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, wall_pose
 from factory.scenes.author.room import Trim, ceiling_slab, floor, high_bay_lamps, marking, wall
 
-__all__ = ["lay_out_full_warehouse", "lay_out_multiple_shelves"]
-
 CONCRETE = textured("Concrete", "#a9a8a3", 3.0, 0.7)
 PANELS = textured("WallPanel", "#cfd3d4", 2.0, 0.6)
 ROOF = tinted("WallPanel", "RoofSheet", "#b4bac0", 4.0, 0.8)

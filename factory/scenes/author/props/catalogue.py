@@ -18,8 +18,6 @@ from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.props import clinic, clutter, office, safety, seating, storage, wall
 from schemas.support.numpy_types import Floats
 
-__all__ = ["CATALOGUE", "CatalogueEntry", "PropBuilder", "PropModel"]
-
 Builder = Callable[[int, Generator], list[PropPiece]]
 
 

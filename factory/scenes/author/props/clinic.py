@@ -26,8 +26,6 @@ from factory.scenes.author.geometry import (
 )
 from factory.scenes.author.materials import PropPiece, glowing, painted, textured
 
-__all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wash_unit", "wheelchair"]
-
 WHITE = painted("White", 0.45)
 BLACK = painted("Black", 0.5)
 STEEL = painted("Steel", 0.35, 1.0)

@@ -23,11 +23,6 @@ from factory.scenes.author.geometry import (
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured
 from factory.scenes.author.props.storage import CARTON, CARTONS, ROUGH, carton_stack, pallet
 
-__all__ = [
-    "cabinet", "carton_pile", "coat_stand", "cone", "drinks_cooler", "floor_lamp", "fridge", "kitchen_counter",
-    "pallet_pile", "pallet_truck", "printer", "protection_post", "reception",
-]  # fmt: skip
-
 BLACK = painted("Black", 0.5)
 WHITE = painted("White", 0.45)
 STEEL = painted("Steel", 0.35, 1.0)

@@ -28,8 +28,6 @@ from factory.scenes.author.geometry import (
 )  # fmt: skip
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured
 
-__all__ = ["coffee_table", "desk", "meeting_table", "monitor", "plant", "round_table", "trash_can"]
-
 BLACK = painted("Black", 0.5)
 CHARCOAL = painted("Charcoal", 0.5)
 WHITE = painted("White", 0.45)

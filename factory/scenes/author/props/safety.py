@@ -21,8 +21,6 @@ from factory.scenes.author.geometry import (
 )
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted
 
-__all__ = ["fire_extinguisher", "whiteboard"]
-
 RED = painted("Red", 0.3)
 BLACK = painted("Black", 0.5)
 STEEL = painted("Steel", 0.3, 1.0)

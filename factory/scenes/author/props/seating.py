@@ -12,16 +12,6 @@ from numpy.random import Generator
 from factory.scenes.author.geometry import AuthoredMesh, Vector, block, cushion, cylinder, moved, pad, rod, tube
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted, textured
 
-__all__ = [
-    "cantilever_chair",
-    "executive_chair",
-    "sofa",
-    "stool",
-    "task_chair",
-    "waiting_chair",
-    "wooden_chair",
-]
-
 BLACK = painted("Black")
 CHROME = painted("Chrome", 0.25, 1.0)
 STEEL = painted("Steel", 0.35, 1.0)

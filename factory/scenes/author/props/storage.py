@@ -25,8 +25,6 @@ from factory.scenes.author.geometry import (
 )
 from factory.scenes.author.materials import PAINTS, PropPiece, SurfaceMaterial, painted, textured, tinted
 
-__all__ = ["barrel", "carton_stack", "pallet", "pallet_crate", "plastic_crate", "rack", "shelf"]
-
 BLACK = painted("Black", 0.5)
 STEEL = painted("Steel", 0.4, 1.0)
 ROUGH = textured("WoodRough", "#b3905f", 0.8, 0.9)

@@ -10,8 +10,6 @@ from numpy.random import Generator
 from factory.scenes.author.geometry import block, cylinder, moved, quad
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured
 
-__all__ = ["clock", "hanging_sign", "poster", "roller_door", "safety_notice", "wall_screen", "window"]
-
 BLACK = painted("Black", 0.5)
 WHITE = painted("White", 0.45)
 STEEL = painted("Steel", 0.35, 1.0)

@@ -12,8 +12,6 @@ from tests.builders.bundle import BundleParts, job_for, parts_for
 from tests.builders.dataset import NOW, archive_episode
 from tests.builders.plan import small_plan
 
-__all__ = ["STEPS", "episode_parts", "make_varied"]
-
 STEPS = (12, 15, 13, 20)
 _SPLITS = (Split.TEST_PARAPHRASE_OOD, Split.TRAIN_ID, Split.TEST_ID, Split.TRAIN_ID)
 _TEMPLATES = ("train_01", "train_02", "train_01", "train_02")
