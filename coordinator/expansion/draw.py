@@ -176,8 +176,8 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
     The first redraws keep the category; later redraws use all targets of the cell. With `categories_overall`, half of
-    all draws keep the category. The template changes if the target cannot. The result depends on plan, scene, index and draw only, so that it does not depend on
-    which worker failed or when.
+    all draws keep the category. The template changes if the target cannot. The result depends on plan, scene, index and
+    draw only, so that it does not depend on which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
