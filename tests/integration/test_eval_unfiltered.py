@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -28,10 +30,11 @@ from workers.sim.scene_renderer import SceneRenderer, prepare_scene
 LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
 RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")
 SCENE = build_scene((*room_walls((-6.0, -4.0), (4.0, 4.0)), LEFT, RIGHT))
+Unique = Literal["view", "off"]
 EPISODES = 28  # two of each template without a colour
 
 
-def make_dataset(root: Path, unique: str) -> Dataset:
+def make_dataset(root: Path, unique: Unique) -> Dataset:
     """Returns a dataset without episodes of a room with two crates."""
     plan = Plan(
         name="two_crates",
@@ -69,13 +72,15 @@ def views(specs: SpecSet, stage: SceneRenderer) -> list[tuple[bool, bool, bool, 
 
 
 @pytest.fixture(scope="module")
-def stage():
+def stage() -> Iterator[SceneRenderer]:
     with SceneRenderer("auto") as opened:
         yield opened
 
 
 @pytest.mark.parametrize("unique", ["view", "off"])
-def test_unfiltered_starts_meet_the_conditions_on_the_start_view(tmp_path: Path, stage, unique: str) -> None:
+def test_unfiltered_starts_meet_the_conditions_on_the_start_view(
+    tmp_path: Path, stage: SceneRenderer, unique: Unique
+) -> None:
     specs = unfiltered_specs(make_dataset(tmp_path / "data", unique), [Split.TRAIN_ID], EPISODES, 7, stage)
     found = views(specs, stage)
     in_front = [row for row in found if row[0]]
