@@ -7,7 +7,6 @@ Design: docs/design/data.md#archive.
 
 from __future__ import annotations
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -15,28 +14,17 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from coordinator.archive.staging import Staged
-from schemas.job import episode_id
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 
-__all__ = ["Archive", "Listing", "Staged", "index_of_file", "scene_file"]
+__all__ = ["Archive", "Listing", "Staged", "scene_file"]
 
-_EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
 P = TypeVar("P", Path, ObjectPath)
 
 
 def scene_file(name: str, sha256: str) -> str:
     """Returns the file name of a compiled scene in the scene folder."""
     return f"{name}-{sha256[:16]}.scene.zip"
-
-
-def index_of_file(name: str) -> int | None:
-    """Returns the episode number in a file name, or `None` if the name is not an episode's file name."""
-    match = _EPISODE_FILE.fullmatch(name)
-    if match is None:
-        return None
-    index = int(match[1])
-    return index if index >= 1 and name == f"{episode_id(index)}.zip" else None
 
 
 class Archive(AbstractContextManager["Archive", None], Protocol):

@@ -11,12 +11,12 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from coordinator.archive.contract import Listing, index_of_file, scene_file
+from coordinator.archive.contract import Listing, scene_file
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.job import episode_id
+from schemas.job import episode_id, index_of_file
 from schemas.storage.disk import copy_hashed, replacing, set_aside, sync_directory, translated, world_error
 from schemas.storage.place import Place
 from schemas.support.closing import Closing

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.archive.contract import Listing, index_of_file, scene_file
+from coordinator.archive.contract import Listing, scene_file
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.job import episode_id
+from schemas.job import episode_id, index_of_file
 from schemas.storage.disk import set_aside, translated
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, digest_of

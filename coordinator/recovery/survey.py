@@ -8,7 +8,6 @@ from itertools import count
 
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import index_of_file
 from coordinator.archive.difference import GONE, ListedFile, RecordedFile, diff_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.gateway_episodes import recorded_files
@@ -17,6 +16,7 @@ from coordinator.recovery.table_records import validated_files
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import EPISODES, QUARANTINE
+from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children, digest_of

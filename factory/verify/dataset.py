@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.cells import cells
 from coordinator.tables.card_configs import names_split_tables
@@ -37,7 +36,7 @@ from schemas.dataset_files import (
 )
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
-from schemas.job import episode_id
+from schemas.job import episode_id, index_of_file
 from schemas.storage.place import Place, at_hand, children, table_of
 
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]

@@ -104,9 +104,11 @@ class Objects:
         """Returns the key and size of an object."""
         return Listed(key, self._call("read", key, lambda api, store: api.head(store, key))["size"])
 
-    def walk(self, folder: str) -> Iterator[Listed]:
-        """Yields all objects below a folder, recursively."""
-        batches = iter(self._call("list", folder, lambda api, store: api.list(store, folder, chunk_size=_BATCH)))
+    def walk(self, folder: str, after: str | None = None) -> Iterator[Listed]:
+        """Yields all objects below a folder, recursively; with `after` only those with greater keys."""
+        batches = iter(
+            self._call("list", folder, lambda api, store: api.list(store, folder, offset=after, chunk_size=_BATCH))
+        )
         while (batch := self._call("list", folder, lambda _api, _store: next(batches, None))) is not None:
             yield from (Listed(found["path"], found["size"]) for found in batch)
 

@@ -13,9 +13,13 @@ from urllib.parse import unquote, urlsplit
 from schemas.errors import UsageError
 from schemas.storage.disk import translated
 from schemas.storage.object_path import ObjectPath
+from schemas.storage.packed_path import PackedPath
 from schemas.support.foreign import path_trouble
 
 Place: TypeAlias = Path | ObjectPath
+"""File or folder of a dataset."""
+FilePlace: TypeAlias = Path | ObjectPath | PackedPath
+"""File of a dataset, which may be packed in a shard."""
 
 
 def place_of(name: str | Place) -> Place:
@@ -49,12 +53,12 @@ def children(folder: Place) -> list[Place]:
         return []
 
 
-def relative_name(place: Place, root: Place) -> str:
+def relative_name(place: FilePlace, root: Place) -> str:
     """Returns the path of a file relative to its dataset."""
     return str(place).removeprefix(f"{root}/")
 
 
-def digest_of(place: Place) -> str:
+def digest_of(place: FilePlace) -> str:
     """Returns the SHA-256 of a file; reads it once and stores no copy."""
     if isinstance(place, Path):
         with place.open("rb") as file:
@@ -66,8 +70,8 @@ def digest_of(place: Place) -> str:
 
 
 @contextlib.contextmanager
-def at_hand(place: Place) -> Iterator[Path]:
-    """Yields the local path of a file: the file itself, or a temporary copy of an object.
+def at_hand(place: FilePlace) -> Iterator[Path]:
+    """Yields the local path of a file: the file itself, or a temporary copy of an object or a packed file.
 
     Raises:
         FileNotFoundError: the file does not exist.
