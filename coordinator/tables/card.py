@@ -121,6 +121,7 @@ _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
+_SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
@@ -165,6 +166,14 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
         templates=len(TEMPLATES),
     )
+
+
+def with_shards(card: str, shards: int) -> str:
+    """Returns a card that states the number of shards; a card without shards has no such line."""
+    lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
+    at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
+    said = f"{_SHARDS}{shards} shards, each a ZIP of episode files; `shards.parquet` lists the place of each.\n"
+    return "".join([*lines[:at], said, *lines[at:]] if shards else lines)
 
 
 def _scene_table(aggregates: TableAggregates) -> str:

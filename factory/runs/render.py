@@ -19,7 +19,6 @@ from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.ledger import plan_of
-from schemas.dataset import file_name_of
 from schemas.dataset_files import ATTEMPTS_FILE, META_FILE
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
@@ -27,6 +26,7 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.storage.disk import replacing, translated
 from schemas.storage.place import Place
+from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording
 from schemas.wire import MAX_STATES_CHARS
 
@@ -109,7 +109,7 @@ class StatesSource:
         draw, attempt, sha256 = self._files.get(job.index, (-1, -1, b""))
         if (draw, attempt) != (job.draw, job.attempt):
             return None
-        path = self._root / file_name_of(job.episode_id)
+        path = episode_place(self._root, job.index)
         try:
             data = path.read_bytes()
         except OSError as error:

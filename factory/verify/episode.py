@@ -11,11 +11,12 @@ from factory.dataset.bundle import EpisodeBundle
 from factory.verify.rendering import compare_rendered
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
-from schemas.dataset import EpisodeSummary, file_name_of, summary_of
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
 from schemas.storage.place import Place, at_hand
+from schemas.storage.shard_index import episode_place
 
 _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
 
@@ -42,10 +43,9 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
         WorldError: frames are to be rendered, and this machine cannot.
     """
     row = check.row
-    path = check.root / file_name_of(row.episode_id)
     found: list[Finding] = []
     try:
-        with at_hand(path) as local, local.open("rb") as file:
+        with at_hand(episode_place(check.root, row.index)) as local, local.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
             if size != row.file_bytes:

@@ -10,8 +10,13 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from schemas.errors import WorldError
+
+if TYPE_CHECKING:
+    from schemas.storage.packed_path import PackedPath
+    from schemas.storage.place import Place
 
 _COPY_BYTES = 1 << 20
 _REMEDIES = {
@@ -69,13 +74,35 @@ def set_aside(path: Path, folder: Path, reason: str) -> Path:
     place = folder / f"{path.name}.{secrets.token_hex(4)}"
     with translated("move into", folder):
         path.rename(place)
-        place.with_name(f"{place.name}.reason.txt").write_text(f"{path}\n{reason}\n", encoding="utf-8")
-        sync_directory(folder)
+        _explain(place, path, reason)
         sync_directory(path.parent)
+    return place
+
+
+def set_copy_aside(data: bytes, origin: PackedPath, folder: Path, reason: str) -> Path:
+    """Writes the content of a packed file into a folder under a unique name, and the reason to a file beside it.
+
+    Returns:
+        The path of the copy.
+
+    Raises:
+        WorldError: the folder cannot be written.
+    """
+    place = folder / f"{origin.name}.{secrets.token_hex(4)}"
+    with replacing(place, durable=True) as part:
+        part.write_bytes(data)
+    with translated("write into", folder):
+        _explain(place, origin, reason)
+    return place
+
+
+def _explain(place: Path, origin: Path | PackedPath, reason: str) -> None:
+    """Writes the origin and the reason to a file beside a quarantined file, and logs them."""
+    place.with_name(f"{place.name}.reason.txt").write_text(f"{origin}\n{reason}\n", encoding="utf-8")
+    sync_directory(place.parent)
     import structlog  # not at the start of each process that reads a dataset, which it would slow down
 
-    structlog.get_logger(__name__).warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
-    return place
+    structlog.get_logger(__name__).warning("quarantined", file=str(origin), moved_to=str(place), reason=reason)
 
 
 def sync_file(path: Path) -> None:
@@ -123,7 +150,7 @@ def replacing(path: Path, *, part: Path | None = None, durable: bool = False) ->
 
 
 @contextlib.contextmanager
-def translated(what: str, where: Path) -> Iterator[None]:
+def translated(what: str, where: Place) -> Iterator[None]:
     """Converts an `OSError` of the block to a `WorldError` that names the path and the remedy."""
     try:
         yield
@@ -131,7 +158,7 @@ def translated(what: str, where: Path) -> Iterator[None]:
         raise world_error(what, where, error) from error
 
 
-def world_error(what: str, where: Path, error: OSError) -> WorldError:
+def world_error(what: str, where: Place, error: OSError) -> WorldError:
     """Returns the error to raise: `cannot <what> <where>`, the reason and the remedy."""
     remedy = _REMEDIES.get(error.errno or 0, "check the disk, or choose another --out")
     return WorldError(f"cannot {what} {where}: {error.strerror or error}; {remedy}")

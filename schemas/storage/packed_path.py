@@ -50,14 +50,20 @@ class PackedPath:
         assert mode == "rb"
         return io.BytesIO(self.read_bytes())
 
-    def read_bytes(self) -> bytes:
+    def read_bytes(self, *, checked: bool = True) -> bytes:
         """Returns the content of the file.
+
+        Args:
+            checked: whether to check the header of the file in the shard; otherwise the bytes at the offset are
+                returned.
 
         Raises:
             FileNotFoundError: the shard does not exist, or the shard has other content at this offset.
             OSError: the shard cannot be read.
             WorldError: the store does not answer.
         """
+        if not checked:
+            return self._read(self.offset, self.offset + self.size)
         begin = self.offset - local_header_bytes(self.name)
         data = self._read(begin, self.offset + self.size) if begin >= 0 else b""
         if not self._is_mine(data) or len(data) != self.offset + self.size - begin:

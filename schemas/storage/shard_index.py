@@ -67,16 +67,17 @@ class ShardIndex:
         position = int(np.searchsorted(self.numbers, number))
         if position == len(self.numbers) or self.numbers[position] != number:
             return None
-        return self._path(position)
+        return self.at(position)
 
     def __iter__(self) -> Iterator[tuple[int, PackedPath]]:
         """Yields number and path of each episode, by ascending number; an episode of two shards twice."""
-        return ((int(number), self._path(position)) for position, number in enumerate(self.numbers))
+        return ((number, self.at(position)) for position, number in enumerate(self.numbers.tolist()))
 
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def _path(self, position: int) -> PackedPath:
+    def at(self, position: int) -> PackedPath:
+        """Returns the path of the episode at a position in the columns."""
         shard = self.folder / self.names[self.shards[position]]
         name = f"{episode_id(int(self.numbers[position]))}.zip"
         return PackedPath(shard, name, int(self.offsets[position]), int(self.sizes[position]))

@@ -61,6 +61,18 @@ def is_shard(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
+def range_of_shard(name: str) -> tuple[int, int]:
+    """Returns the first and the last episode number of the range of a shard.
+
+    Raises:
+        InvalidBundle: the file name is not that of a shard.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None:
+        raise InvalidBundle("shard refused", [f"{name!r} is not the name of a shard"])
+    return int(match[1]), int(match[2])
+
+
 def write_shard(file: BinaryIO, episodes: Iterable[tuple[int, bytes]]) -> None:
     """Writes a shard; the bytes depend only on numbers and contents of the episodes.
 
@@ -85,7 +97,7 @@ def read_shard(file: BinaryIO, name: str) -> Shard:
     """
     members = ContainerReader(file, _LIMITS)
     numbers = [index_of_file(member) or 0 for member in members.names]
-    first, last = _range_in(name)
+    first, last = range_of_shard(name)
     if sorted(set(numbers)) != numbers or (numbers and not first <= numbers[0] <= numbers[-1] <= last):
         raise InvalidBundle("shard refused", ["its members are not episodes of its range in ascending order"])
     starts = (members.offset(member) + local_header_bytes(member) for member in members.names)
@@ -101,9 +113,9 @@ def salvage_shard(file: BinaryIO, name: str) -> Shard:
     """
     file.seek(0)
     data = file.read(_MAX_SHARD_BYTES)
-    first, last = _range_in(name)
+    first, last = range_of_shard(name)
     found = {number: place for number, *place in _scan(data) if first <= number <= last}
-    numbers = sorted(found)
+    numbers = sorted(found)[:MAX_SHARD_EPISODES]
     return _shard(name, numbers, (found[number][0] for number in numbers), (found[number][1] for number in numbers))
 
 
@@ -121,13 +133,6 @@ def _scan(data: bytes) -> Iterator[tuple[int, int, int]]:
                 yield number, start, header.size
                 after = end
         at = data.find(_HEADER, after)
-
-
-def _range_in(name: str) -> tuple[int, int]:
-    match = _NAME.fullmatch(name)
-    if match is None:
-        raise InvalidBundle("shard refused", [f"{name!r} is not the name of a shard"])
-    return int(match[1]), int(match[2])
 
 
 def _shard(name: str, numbers: Iterable[int], offsets: Iterable[int], sizes: Iterable[int]) -> Shard:
