@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy import Engine, select
@@ -35,7 +36,7 @@ from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import FilePlace, digest_of
 from schemas.storage.shard_index import episode_place
-from schemas.storage.shards import MAX_SHARD_EPISODES
+from schemas.storage.shards import MAX_SHARD_EPISODES, range_of
 
 _COPY_BYTES = 1 << 20
 ProgressCallback = Callable[[int, int], None]
@@ -88,6 +89,7 @@ def gather(
     *,
     requeue_missing: bool = False,
     on_progress: ProgressCallback = lambda _done, _all: None,
+    shard_episodes: int = MAX_SHARD_EPISODES,
 ) -> GatherReport:
     """Copies episodes from gateways into the dataset, as far as their files are found.
 
@@ -97,6 +99,7 @@ def gather(
         now: current time.
         requeue_missing: whether to return missing episodes to the queue as lost.
         on_progress: progress callback with the number of processed episodes and the total.
+        shard_episodes: number of episode numbers per shard of a states dataset.
 
     Raises:
         UsageError: a source is not a directory of a gateway.
@@ -116,15 +119,16 @@ def gather(
         stack.callback(engine.dispose)
         with engine.connect() as connection:
             wanted = _wanted(connection)
+        packing = partial(_pack, archive, engine, dataset.plan, shard_episodes)
         for done, one in enumerate(wanted, 1):
+            if done > 1 and range_of(one.index, shard_episodes) != range_of(wanted[done - 2].index, shard_episodes):
+                packing()  # the range before is complete
             why = _fetch(archive, one, sources)
             if why:
                 missing.append(Missing(episode=episode_id(one.index), gateway=one.gateway, why=why))
             _settle(engine, one, why, now, requeue_missing=requeue_missing)
-            if done % MAX_SHARD_EPISODES == 0:  # otherwise a million files are written before the first is packed
-                _pack(archive, engine, dataset.plan)
             on_progress(done, len(wanted))
-        _pack(archive, engine, dataset.plan)
+        packing()
         with engine.connect() as connection:
             write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive)
@@ -154,9 +158,9 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
             lose(connection, one.index, now, f"stored at gateway {one.gateway}: {why}")
 
 
-def _pack(archive: Archive, engine: Engine, plan: Plan) -> None:
+def _pack(archive: Archive, engine: Engine, plan: Plan, size: int) -> None:
     with engine.connect() as connection:
-        pack_settled(archive, connection, plan, not has_open_jobs(connection))
+        pack_settled(archive, connection, plan, not has_open_jobs(connection), size)
 
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:

@@ -23,6 +23,7 @@ from pathlib import Path
 from rich.console import Console
 
 from schemas.plan import Budget
+from schemas.terms import Recording
 from tests.builders.tools import find_system_tools
 from tests.chaos.cluster import LARGE_CRASH_BUDGET, ClusterCommands, fake_commands, real_commands
 from tests.chaos.faults import FAULTS
@@ -41,6 +42,8 @@ train_id = 1.0
 name = "hospital"
 episodes = {episodes}
 """
+_PACKING_S = 0.3
+"""Interval of checkpoints, which pack, seconds."""
 log = Console(stderr=True, highlight=False)
 
 
@@ -70,9 +73,10 @@ def run_campaign(
         kept: tally file to continue from; written after each round.
     """
     tally = Tally.load(kept) if kept is not None else Tally()
-    plans = {commands.crashes: commands for commands in command_sets}
+    plans = {(commands.crashes, commands.record): commands for commands in command_sets}
     reference = {
-        crashes: reference_digest(commands, root / f"reference-{crashes}") for crashes, commands in plans.items()
+        key: reference_digest(commands, root / f"reference-{'-'.join(map(str, key))}")
+        for key, commands in plans.items()
     }
     log.print(f"reference digest: {', '.join(reference.values())}")
     before, started = tally.seconds, time.monotonic()
@@ -84,9 +88,8 @@ def run_campaign(
                 is_on = time.monotonic() - started < 60 * minutes and tally.faults.total() < faults
                 while is_on and len(playing) < at_once and (number := next(numbers, None)) is not None:
                     commands, place = command_sets[number % len(command_sets)], root / f"round-{number}"
-                    playing.add(
-                        pool.submit(run_round, commands, place, load, seed + number, reference[commands.crashes], stop)
-                    )
+                    wanted = reference[commands.crashes, commands.record]
+                    playing.add(pool.submit(run_round, commands, place, load, seed + number, wanted, stop))
                 if not playing:
                     return tally
                 done, playing = wait(playing, return_when=FIRST_COMPLETED)
@@ -132,6 +135,13 @@ def main() -> int:
         action=argparse.BooleanOptionalAction,
         default=True,
         help="Adds a hostile peer and a faulty host to every round (default; not with --simulation real).",
+    )
+    parser.add_argument(
+        "--record",
+        type=Recording,
+        choices=tuple(Recording),
+        default=Recording.FRAMES,
+        help="What the episodes store (default frames); episodes of states are packed (not with --simulation real).",
     )
     parser.add_argument("--at-once", type=int, default=2, help="Concurrent rounds (default 2).")
     parser.add_argument(
@@ -187,7 +197,11 @@ def _command_sets(options: argparse.Namespace, root: Path) -> tuple[ClusterComma
     else:
         budgets = (LARGE_CRASH_BUDGET, Budget().crashes) if options.peers else (LARGE_CRASH_BUDGET,)
         choices = itertools.product(budgets, sorted({0, options.gateways}))
-        command_sets = [fake_commands(options.episodes, 2.0, number, crashes=crashes) for crashes, number in choices]
+        checkpoint_s = _PACKING_S if options.record is Recording.STATES else 30.0
+        command_sets = [
+            fake_commands(options.episodes, 2.0, number, checkpoint_s, crashes, options.record)
+            for crashes, number in choices
+        ]
     return tuple(replace(commands, longest_s=options.longest or commands.longest_s) for commands in command_sets)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from schemas.support.closing import Closing
+from schemas.terms import Recording
 from tests.builders.fork_server import Child, ForkServer
 from tests.builders.ports import free_endpoint
 from tests.chaos.bundle_maker import BundleMaker
@@ -58,10 +59,17 @@ class ClusterCommands:
     """Like `worker`; the last argument is the share of damaged attempts."""
     crashes: int = LARGE_CRASH_BUDGET
     """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
+    record: Recording = Recording.FRAMES
+    """What the episodes store; episodes of states are packed into shards."""
 
 
 def fake_commands(
-    episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: float = 30.0, crashes: int = LARGE_CRASH_BUDGET
+    episodes: int,
+    longest_s: float,
+    gateways: int = 0,
+    checkpoint_s: float = 30.0,
+    crashes: int = LARGE_CRASH_BUDGET,
+    record: Recording = Recording.FRAMES,
 ) -> ClusterCommands:
     """Returns real processes around a simulation without physics, to test the protocol.
 
@@ -71,6 +79,7 @@ def fake_commands(
         gateways: number of gateways; with 0 the workers connect to the coordinator.
         checkpoint_s: interval between two writes of the tables, seconds.
         crashes: budget of crashes of a job.
+        record: what the episodes store.
     """
 
     def worker(folder: Path, endpoints: str, script: str, *words: object) -> list[str]:
@@ -80,7 +89,8 @@ def fake_commands(
     return ClusterCommands(
         episodes,
         lambda root, endpoint: _module(
-            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s, crashes
+            *("tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S),
+            *(checkpoint_s, crashes, "", record),
         ),
         lambda folder, endpoints, bundle_maker: worker(folder, endpoints, "light_simulation.py", bundle_maker),
         longest_s=_BASE_S + _EPISODE_S * episodes,
@@ -94,6 +104,7 @@ def fake_commands(
             folder, endpoints, "faulty_host.py", bundle_maker, share
         ),
         crashes=crashes,
+        record=record,
     )
 
 
@@ -230,6 +241,16 @@ class ChaosCluster(Closing):
     def kill_coordinator(self, pause_s: float) -> FaultSpan | None:
         """Kills a serving coordinator; `tend` restarts it after a pause."""
         return self._kill(self.coordinator, pause_s) if self._serves(self.coordinator, self._endpoint) else None
+
+    def kill_packing_coordinator(self, wait_s: float, delay_s: float) -> FaultSpan | None:
+        """Kills the coordinator a delay after it begins a shard; returns `None` if it begins none within a time."""
+        deadline = time.monotonic() + wait_s
+        while not any((self.out / ".staging").glob("shard*.part")):
+            if time.monotonic() > deadline:
+                return None
+            time.sleep(0.001)
+        time.sleep(delay_s)
+        return self.kill_coordinator(0.0)
 
     def kill_gateway(self, number: int, pause_s: float) -> FaultSpan | None:
         """Kills a serving gateway; `tend` restarts it after a pause."""
