@@ -15,6 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import TypeVar
 
@@ -99,11 +100,13 @@ class PackingArchive(ABC):
     def present(self) -> dict[int, FilePlace]:
         """See `Archive.present`."""
         with self._packing:  # while an episode is packed, it is stored twice
-            return dict(sorted([*self._shards, *self.unpacked().items()]))
+            packed: dict[int, FilePlace] = dict(self._shards)
+            return dict(sorted((packed | self.unpacked()).items(), key=itemgetter(0)))
 
     def unpacked(self) -> dict[int, Place]:
         """See `Archive.unpacked`."""
-        return dict(sorted((index, path) for index, path in self._listing() if index is not None))
+        found = ((index, path) for index, path in self._listing() if index is not None)
+        return dict(sorted(found, key=itemgetter(0)))
 
     def foreign(self) -> list[Place]:
         """See `Archive.foreign`."""

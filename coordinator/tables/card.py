@@ -172,7 +172,7 @@ def with_shards(card: str, shards: int) -> str:
     """Returns a card that states the number of shards; a card without shards has no such line."""
     lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
     at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
-    said = f"{_SHARDS}{shards} shards, each a ZIP of episode files; `shards.parquet` lists the place of each.\n"
+    said = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"
     return "".join([*lines[:at], said, *lines[at:]] if shards else lines)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass
 
 from coordinator.expansion.catalog import SceneEntry
@@ -15,7 +16,7 @@ from schemas.dataset import EpisodeSummary, summary_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
-from schemas.storage.place import Place, at_hand
+from schemas.storage.place import Place, opened
 from schemas.storage.shard_index import episode_place
 
 _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
@@ -45,9 +46,9 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
     row = check.row
     found: list[Finding] = []
     try:
-        with at_hand(episode_place(check.root, row.index)) as local, local.open("rb") as file:
+        with opened(episode_place(check.root, row.index)) as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            size = file.tell()
+            size = file.seek(0, os.SEEK_END)
             if size != row.file_bytes:
                 found.append(Finding(Kind.TRUNCATED, row.file_name, f"{size} bytes, recorded {row.file_bytes}"))
             elif sha256 != row.file_sha256:

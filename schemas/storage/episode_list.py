@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 
@@ -55,8 +56,9 @@ def list_episodes(root: Place) -> EpisodeList:
             foreign.append(path)
     packed = ShardIndex.of(folder, shards)
     found = files | dict(reversed(list(packed))) if len(packed) else files
-    twice = list(_find_twice(files, packed))
-    return EpisodeList(dict(sorted(found.items())), len(shards), foreign, damaged, twice, _index_fault(root, packed))
+    ordered = dict(sorted(found.items(), key=itemgetter(0)))
+    twice, index_fault = list(_find_twice(files, packed)), _index_fault(root, packed)
+    return EpisodeList(ordered, len(shards), foreign, damaged, twice, index_fault)
 
 
 def _read_shard(path: Place) -> tuple[Shard, str]:

@@ -89,6 +89,21 @@ def at_hand(place: FilePlace) -> Iterator[Path]:
         yield copy
 
 
+@contextlib.contextmanager
+def opened(place: FilePlace) -> Iterator[BinaryIO]:
+    """Yields an open file with the content of a file: the file itself, a temporary copy of an object, or memory.
+
+    Raises:
+        FileNotFoundError: the file does not exist.
+        WorldError: the store does not answer, or the disk is full.
+    """
+    if isinstance(place, PackedPath):
+        yield place.open("rb")
+        return
+    with at_hand(place) as local, local.open("rb") as file:
+        yield file
+
+
 def table_of(place: Place) -> Path | BinaryIO:
     """Returns a table file as an argument for `pyarrow`: a local path, or an open file object.
 

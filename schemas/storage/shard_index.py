@@ -76,9 +76,13 @@ class ShardIndex:
     def __len__(self) -> int:
         return len(self.numbers)
 
+    @functools.cached_property
+    def _paths(self) -> tuple[Place, ...]:
+        return tuple(self.folder / name for name in self.names)
+
     def at(self, position: int) -> PackedPath:
         """Returns the path of the episode at a position in the columns."""
-        shard = self.folder / self.names[self.shards[position]]
+        shard = self._paths[self.shards[position]]
         name = f"{episode_id(int(self.numbers[position]))}.zip"
         return PackedPath(shard, name, int(self.offsets[position]), int(self.sizes[position]))
 

@@ -1,20 +1,28 @@
-"""Packing under kill -9 before every step that changes a file: each episode is stored once, with its bytes.
+"""Packing under kill -9 at every step that changes a file or an object: each episode is stored once, with its bytes.
 
-The killed process counts its file operations with an audit hook, which kills it before the n-th.
+In a directory, the killed process counts its file operations with an audit hook, which kills it before the n-th. In
+object storage, a relay kills it at a stage of a request.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from coordinator.archive.opening import open_archive
 from schemas.storage.episode_list import list_episodes
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place
+from tests.builders.object_server import ObjectServer
+from tests.builders.store_relay import Moment, StoreRelay
 
 EPISODES = {number: hashlib.sha256(b"%d" % number).digest() * (10 + number) for number in (1, 2, 5, 9)}
 DIGESTS = {number: hashlib.sha256(data).hexdigest() for number, data in EPISODES.items()}
@@ -66,15 +74,14 @@ def kill_at_each_step(folder: Path, template: Path, work: str) -> int:
     return int(done.stdout.splitlines()[-1])  # log lines precede it
 
 
-def contents(root: Path) -> dict[int, bytes]:
+def contents(root: Place) -> dict[int, bytes]:
     return {number: path.read_bytes() for number, path in list_episodes(root).episodes.items()}
 
 
-def require_sound(root: Path, episodes: dict[int, bytes]) -> None:
+def require_sound(root: Place, episodes: dict[int, bytes]) -> None:
     listed = list_episodes(root)
     assert contents(root) == episodes
     assert (listed.foreign, listed.damaged, listed.twice, listed.index_fault) == ([], {}, [], "")
-    assert list((root / ".staging").iterdir()) == []
 
 
 def quarantined(root: Path) -> list[bytes]:
@@ -165,3 +172,45 @@ def test_the_replacement_of_a_damaged_shard_killed_at_any_step_loses_no_intact_e
         with open_archive(root):
             pass
         require_sound(root, rest)
+
+
+_PACK_IN_BUCKET = """
+import sys
+from pathlib import Path
+from coordinator.archive.opening import open_archive
+from schemas.storage.object_path import ObjectPath
+archive = open_archive(Path(sys.argv[1]), ObjectPath.at(sys.argv[2]))
+digests = {digests}
+{pack}
+"""
+
+
+@pytest.mark.parametrize("moment", [Moment.BEGUN, Moment.PASSED_ON])
+@pytest.mark.parametrize(("method", "key"), [("PUT", "/shard_"), ("POST", "delete"), ("PUT", "/shards.parquet")])
+def test_a_packing_killed_at_a_request_to_the_store_loses_and_doubles_nothing(
+    bucket_url: Callable[[], str], object_store: ObjectServer, tmp_path: Path, moment: Moment, method: str, key: str
+) -> None:
+    store = ObjectPath.at(f"{bucket_url()}/run")
+    for number, data in EPISODES.items():
+        store.objects.put(f"episodes/ep_{number:06d}.zip", data)
+    script = _PACK_IN_BUCKET.format(digests=DIGESTS, pack=_PACK)
+    with StoreRelay(object_store.endpoint) as relay:
+        victim = subprocess.Popen(
+            [sys.executable, "-c", script, str(tmp_path), str(store)],
+            env=os.environ | {"AWS_ENDPOINT_URL": relay.endpoint},
+        )
+
+        def kill(at: Moment, command: str, path: str) -> bool:
+            if (at, command) == (moment, method) and key in path:
+                victim.kill()
+                victim.wait()
+            return victim.poll() is not None
+
+        relay.watch = kill
+        assert victim.wait() == -signal.SIGKILL
+    assert contents(store) == EPISODES
+    with open_archive(tmp_path, store) as archive:
+        archive.pack(DIGESTS, 1, 10)
+        archive.write_shard_index()
+        assert list(archive.unpacked()) == []
+    require_sound(store, EPISODES)
