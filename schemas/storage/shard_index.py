@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from schemas.dataset_files import EPISODES, SHARDS_FILE
@@ -25,14 +23,7 @@ from schemas.storage.place import FilePlace, Place, children, table_of
 from schemas.storage.shards import MAX_PACKED_BYTES, Shard, is_shard, read_shard, salvage_shard
 from schemas.support.foreign import PARSER_ERRORS
 
-_SCHEMA = pa.schema(
-    [
-        ("episode", pa.int32()),
-        ("shard", pa.dictionary(pa.int32(), pa.string())),
-        ("offset", pa.int64()),
-        ("size", pa.int32()),
-    ]
-)
+_COLUMNS = ("episode", "shard", "offset", "size")
 
 
 @dataclass(frozen=True)
@@ -93,16 +84,25 @@ def _joined(arrays: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 def write_index(path: Path, index: ShardIndex) -> None:
     """Writes the index as a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     shards = pa.DictionaryArray.from_arrays(index.shards.astype(np.int32), pa.array(index.names, pa.string()))
     columns = [index.numbers.astype(np.int32), shards, index.offsets, index.sizes.astype(np.int32)]
-    pq.write_table(pa.table(columns, schema=_SCHEMA), path, compression="zstd", write_page_checksum=True)
+    pq.write_table(pa.table(columns, names=_COLUMNS), path, compression="zstd", write_page_checksum=True)
 
 
 def read_index(root: Place) -> ShardIndex | None:
     """Returns the index of a dataset as stored, or `None` if it is missing or damaged."""
+    path = root / SHARDS_FILE
+    if isinstance(path, Path) and not path.exists():
+        return None
+    import pyarrow as pa  # not at the start of each process that reads a dataset without shards
+    import pyarrow.parquet as pq
+
     try:
-        table = pq.read_table(table_of(root / SHARDS_FILE), columns=_SCHEMA.names, page_checksum_verification=True)
-        numbers, shards, offsets, sizes = (table[name].combine_chunks() for name in _SCHEMA.names)
+        table = pq.read_table(table_of(path), columns=list(_COLUMNS), page_checksum_verification=True)
+        numbers, shards, offsets, sizes = (table[name].combine_chunks() for name in _COLUMNS)
         shards = shards.dictionary_encode()
         columns = (numbers, shards.indices, offsets, sizes)
         names = tuple(shards.dictionary.to_pylist())

@@ -50,7 +50,7 @@ class ArchivedRun:
             for _ in range(misses):
                 assert self.desk.fail(self.lease_of(1), FailReason.TIMEOUT)
             for index in range(1, done + 1):
-                self._archive_episode(archive, index)
+                self.archive_episode(archive, index)
             self._write_tables(archive)
         self.desk.engine.dispose()
 
@@ -97,7 +97,8 @@ class ArchivedRun:
         """Returns the state of the current draw of each episode."""
         return {row.idx: row.state for row in self.desk.rows() if not row.superseded}
 
-    def _archive_episode(self, archive: Archive, index: int) -> None:
+    def archive_episode(self, archive: Archive, index: int) -> None:
+        """Claims, announces and archives an episode."""
         lease = self.lease_of(index)
         data = self.bundle(index)
         digest = hashlib.sha256(data).hexdigest()
