@@ -5,6 +5,7 @@ Writes and reads the format on open binary files; a reader accepts hostile files
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterable, Iterator
 from typing import BinaryIO, NamedTuple
@@ -24,7 +25,7 @@ from schemas.errors import InvalidBundle
 from schemas.job import episode_id, index_of_file
 
 MAX_SHARD_EPISODES = 1000
-MAX_PACKED_BYTES = 4 << 20
+MAX_PACKED_BYTES = 1 << 20
 """Largest episode that is packed, bytes. A shard of the largest episodes needs no zip64 records."""
 _LIMITS = ContainerLimits(MAX_SHARD_EPISODES, MAX_PACKED_BYTES)
 _MAX_SHARD_BYTES = MAX_SHARD_EPISODES * (MAX_PACKED_BYTES + 256)
@@ -111,8 +112,9 @@ def salvage_shard(file: BinaryIO, name: str) -> Shard:
         file: seekable file, opened for reading.
         name: file name of the shard.
     """
+    size = file.seek(0, io.SEEK_END)
     file.seek(0)
-    data = file.read(_MAX_SHARD_BYTES)
+    data = file.read(min(size, _MAX_SHARD_BYTES))
     first, last = range_of_shard(name)
     found = {number: place for number, *place in _scan(data) if first <= number <= last}
     numbers = sorted(found)[:MAX_SHARD_EPISODES]
