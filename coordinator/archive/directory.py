@@ -106,7 +106,7 @@ class DirectoryArchive(PackingArchive, Closing):
         return set_aside(path, self.root / QUARANTINE, reason)
 
     def _keep_copy(self, path: PackedPath, reason: str) -> Path:
-        return set_copy_aside(path.read_bytes(checked=False), path, self.root / QUARANTINE, reason)
+        return set_copy_aside(path.read_bytes(checked=False), str(path), self.root / QUARANTINE, reason)
 
     def restore(self, path: Place, index: int) -> Path:
         """See `Archive.restore`."""

@@ -33,7 +33,7 @@ from schemas.storage.place import FilePlace, Place
 from schemas.storage.shard_index import ShardIndex, open_shard, read_index, write_index
 from schemas.storage.shards import (
     MAX_PACKED_BYTES,
-    Shard,
+    ShardDirectory,
     is_shard,
     range_of_shard,
     read_shard,
@@ -58,7 +58,7 @@ class PackingArchive(ABC):
 
     def __init__(self) -> None:
         self._packing = threading.RLock()
-        self._directories: dict[str, Shard] = {}
+        self._directories: dict[str, ShardDirectory] = {}
         self._index: ShardIndex | None = None
 
     @abstractmethod
@@ -183,7 +183,7 @@ class PackingArchive(ABC):
         except OSError as error:
             return f"cannot be read: {error.strerror}"
 
-    def _write_shard(self, episodes: Iterable[tuple[int, bytes]], first: int, last: int) -> Shard:
+    def _write_shard(self, episodes: Iterable[tuple[int, bytes]], first: int, last: int) -> ShardDirectory:
         """Publishes a shard of a range and returns its directory; publishes nothing if there are no episodes."""
         part = self._staging.part(f"shard_{first:06d}")
         try:
@@ -232,7 +232,7 @@ class PackingArchive(ABC):
         if set(stored.names if stored is not None else ()) != self._directories.keys():
             self.write_shard_index()
 
-    def _replace_damaged(self, place: Place, found: Shard, damage: str) -> None:
+    def _replace_damaged(self, place: Place, found: ShardDirectory, damage: str) -> None:
         """Writes a shard of the intact episodes of a damaged one, which is moved to the quarantine folder."""
         intact = ShardIndex.of(self.root / EPISODES, [found])
         shard = self._write_shard(((index, path.read_bytes()) for index, path in intact), *range_of_shard(place.name))

@@ -10,13 +10,8 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from schemas.errors import WorldError
-
-if TYPE_CHECKING:
-    from schemas.storage.packed_path import PackedPath
-    from schemas.storage.place import Place
 
 _COPY_BYTES = 1 << 20
 _REMEDIES = {
@@ -74,13 +69,19 @@ def set_aside(path: Path, folder: Path, reason: str) -> Path:
     place = folder / f"{path.name}.{secrets.token_hex(4)}"
     with translated("move into", folder):
         path.rename(place)
-        _explain(place, path, reason)
+        _explain(place, str(path), reason)
         sync_directory(path.parent)
     return place
 
 
-def set_copy_aside(data: bytes, origin: PackedPath, folder: Path, reason: str) -> Path:
-    """Writes the content of a packed file into a folder under a unique name, and the reason to a file beside it.
+def set_copy_aside(data: bytes, origin: str, folder: Path, reason: str) -> Path:
+    """Writes the content of a file into a folder under a unique name, and the reason to a file beside it.
+
+    Args:
+        data: content of the file.
+        origin: path of the file, which need not be a path of the file system.
+        folder: folder of the copy.
+        reason: why the file is set aside.
 
     Returns:
         The path of the copy.
@@ -88,7 +89,7 @@ def set_copy_aside(data: bytes, origin: PackedPath, folder: Path, reason: str) -
     Raises:
         WorldError: the folder cannot be written.
     """
-    place = folder / f"{origin.name}.{secrets.token_hex(4)}"
+    place = folder / f"{origin.rpartition('/')[2]}.{secrets.token_hex(4)}"
     with replacing(place, durable=True) as part:
         part.write_bytes(data)
     with translated("write into", folder):
@@ -96,13 +97,13 @@ def set_copy_aside(data: bytes, origin: PackedPath, folder: Path, reason: str) -
     return place
 
 
-def _explain(place: Path, origin: Path | PackedPath, reason: str) -> None:
+def _explain(place: Path, origin: str, reason: str) -> None:
     """Writes the origin and the reason to a file beside a quarantined file, and logs them."""
     place.with_name(f"{place.name}.reason.txt").write_text(f"{origin}\n{reason}\n", encoding="utf-8")
     sync_directory(place.parent)
     import structlog  # not at the start of each process that reads a dataset, which it would slow down
 
-    structlog.get_logger(__name__).warning("quarantined", file=str(origin), moved_to=str(place), reason=reason)
+    structlog.get_logger(__name__).warning("quarantined", file=origin, moved_to=str(place), reason=reason)
 
 
 def sync_file(path: Path) -> None:
@@ -150,7 +151,7 @@ def replacing(path: Path, *, part: Path | None = None, durable: bool = False) ->
 
 
 @contextlib.contextmanager
-def translated(what: str, where: Place) -> Iterator[None]:
+def translated(what: str, where: object) -> Iterator[None]:
     """Converts an `OSError` of the block to a `WorldError` that names the path and the remedy."""
     try:
         yield
@@ -158,7 +159,7 @@ def translated(what: str, where: Place) -> Iterator[None]:
         raise world_error(what, where, error) from error
 
 
-def world_error(what: str, where: Place, error: OSError) -> WorldError:
+def world_error(what: str, where: object, error: OSError) -> WorldError:
     """Returns the error to raise: `cannot <what> <where>`, the reason and the remedy."""
     remedy = _REMEDIES.get(error.errno or 0, "check the disk, or choose another --out")
     return WorldError(f"cannot {what} {where}: {error.strerror or error}; {remedy}")

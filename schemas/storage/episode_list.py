@@ -13,7 +13,7 @@ from schemas.job import episode_id, index_of_file
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import FilePlace, Place, children
 from schemas.storage.shard_index import ShardIndex, open_shard, read_index
-from schemas.storage.shards import Shard, is_shard
+from schemas.storage.shards import ShardDirectory, is_shard
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def list_episodes(root: Place) -> EpisodeList:
     """
     folder = root / EPISODES
     files: dict[int, FilePlace] = {}
-    foreign, damaged, shards = list[Place](), dict[str, str](), list[Shard]()
+    foreign, damaged, shards = list[Place](), dict[str, str](), list[ShardDirectory]()
     for path in sorted(folder.walk()) if isinstance(folder, ObjectPath) else children(folder):
         is_regular = path.parent == folder and path.is_file() and not path.is_symlink()
         index = index_of_file(path.name) if is_regular else None
@@ -61,11 +61,13 @@ def list_episodes(root: Place) -> EpisodeList:
     return EpisodeList(ordered, len(shards), foreign, damaged, twice, index_fault)
 
 
-def _read_shard(path: Place) -> tuple[Shard, str]:
+def _read_shard(path: Place) -> tuple[ShardDirectory, str]:
     try:
         return open_shard(path)
     except OSError as error:
-        return Shard(path.name, *(np.empty(0, np.int64) for _ in range(3))), f"cannot be read: {error.strerror}"
+        return ShardDirectory(
+            path.name, *(np.empty(0, np.int64) for _ in range(3))
+        ), f"cannot be read: {error.strerror}"
 
 
 def _find_twice(files: dict[int, FilePlace], packed: ShardIndex) -> Iterator[str]:

@@ -20,7 +20,7 @@ from schemas.job import episode_id
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import FilePlace, Place, children, table_of
-from schemas.storage.shards import MAX_PACKED_BYTES, Shard, is_shard, read_shard, salvage_shard
+from schemas.storage.shards import MAX_PACKED_BYTES, ShardDirectory, is_shard, read_shard, salvage_shard
 from schemas.support.foreign import PARSER_ERRORS
 
 _COLUMNS = ("episode", "shard", "offset", "size")
@@ -44,7 +44,7 @@ class ShardIndex:
     """Size of each episode file, bytes."""
 
     @classmethod
-    def of(cls, folder: Place, shards: Iterable[Shard]) -> ShardIndex:
+    def of(cls, folder: Place, shards: Iterable[ShardDirectory]) -> ShardIndex:
         """Returns the index of shards from their directories."""
         found = sorted(shards, key=lambda shard: shard.name)
         positions = [np.full(len(shard.numbers), position, np.int64) for position, shard in enumerate(found)]
@@ -127,7 +127,7 @@ def shard_places(root: Place) -> list[Place]:
     return sorted(place for place in found if is_shard(place.name) and place.parent == folder)
 
 
-def open_shard(place: Place) -> tuple[Shard, str]:
+def open_shard(place: Place) -> tuple[ShardDirectory, str]:
     """Reads the directory of a shard, or finds the intact episodes of a damaged shard.
 
     Returns:
@@ -150,12 +150,12 @@ def list_shards(root: Place) -> ShardIndex:
 
 
 @functools.lru_cache(maxsize=4096)
-def _directory(place: Place) -> Shard:
+def _directory(place: Place) -> ShardDirectory:
     """Returns the directory of a shard; a shard of this name has this content, so that it is read once."""
     try:
         return open_shard(place)[0]
     except OSError:
-        return Shard(place.name, *(np.empty(0, np.int64) for _ in range(3)))
+        return ShardDirectory(place.name, *(np.empty(0, np.int64) for _ in range(3)))
 
 
 _known: dict[str, ShardIndex] = {}

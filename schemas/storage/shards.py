@@ -33,7 +33,7 @@ _NAME = re.compile(r"shard_(\d{6,7})-(\d{6,7})-[0-9a-f]{8}\.zip", re.ASCII)
 _HEADER = b"PK\x03\x04"
 
 
-class Shard(NamedTuple):
+class ShardDirectory(NamedTuple):
     """Directory of a shard, by ascending episode number."""
 
     name: str
@@ -86,7 +86,7 @@ def write_shard(file: BinaryIO, episodes: Iterable[tuple[int, bytes]]) -> None:
             out.add(f"{episode_id(number)}.zip", data)
 
 
-def read_shard(file: BinaryIO, name: str) -> Shard:
+def read_shard(file: BinaryIO, name: str) -> ShardDirectory:
     """Reads the directory of a shard; does not read its episodes.
 
     Args:
@@ -105,7 +105,7 @@ def read_shard(file: BinaryIO, name: str) -> Shard:
     return _shard(name, numbers, starts, map(members.size, members.names))
 
 
-def salvage_shard(file: BinaryIO, name: str) -> Shard:
+def salvage_shard(file: BinaryIO, name: str) -> ShardDirectory:
     """Returns the intact episodes of a damaged shard, found by their headers and checksums instead of its directory.
 
     Args:
@@ -137,5 +137,5 @@ def _scan(data: bytes) -> Iterator[tuple[int, int, int]]:
         at = data.find(_HEADER, after)
 
 
-def _shard(name: str, numbers: Iterable[int], offsets: Iterable[int], sizes: Iterable[int]) -> Shard:
-    return Shard(name, *(np.fromiter(values, np.int64) for values in (numbers, offsets, sizes)))
+def _shard(name: str, numbers: Iterable[int], offsets: Iterable[int], sizes: Iterable[int]) -> ShardDirectory:
+    return ShardDirectory(name, *(np.fromiter(values, np.int64) for values in (numbers, offsets, sizes)))

@@ -25,7 +25,7 @@ from schemas.storage.shard_index import (
 )
 from schemas.storage.shards import (
     MAX_SHARD_EPISODES,
-    Shard,
+    ShardDirectory,
     is_shard,
     range_of,
     read_shard,
@@ -51,7 +51,7 @@ def dataset(root: Path, episodes: dict[int, bytes] = EPISODES, name: str = NAME)
     return shard
 
 
-def contents(shard: Shard, data: bytes) -> dict[int, bytes]:
+def contents(shard: ShardDirectory, data: bytes) -> dict[int, bytes]:
     return {
         int(number): data[offset : offset + size]
         for number, offset, size in zip(shard.numbers, shard.offsets, shard.sizes, strict=True)
