@@ -13,7 +13,7 @@ from schemas.job import episode_id, index_of_file
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import FilePlace, Place, children
 from schemas.storage.shard_index import ShardIndex, open_shard, read_index
-from schemas.storage.shards import ShardDirectory, is_shard
+from schemas.storage.shards import ShardDirectory, empty_directory, is_shard
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,7 @@ def _read_shard(path: Place) -> tuple[ShardDirectory, str]:
     try:
         return open_shard(path)
     except OSError as error:
-        return ShardDirectory(
-            path.name, *(np.empty(0, np.int64) for _ in range(3))
-        ), f"cannot be read: {error.strerror}"
+        return empty_directory(path.name), f"cannot be read: {error.strerror}"
 
 
 def _find_twice(files: dict[int, FilePlace], packed: ShardIndex) -> Iterator[str]:

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import Literal
 
 from schemas.encoding.container import local_header_bytes, read_local_header
 from schemas.storage.object_path import ObjectPath, Stat
@@ -45,7 +45,7 @@ class PackedPath:
         """All folders that contain the shard, the innermost first."""
         return tuple(self.shard.parents)
 
-    def open(self, mode: Literal["rb"] = "rb") -> BinaryIO:
+    def open(self, mode: Literal["rb"] = "rb") -> io.BytesIO:
         """Opens the file for reading; see `read_bytes` for the errors."""
         assert mode == "rb"
         return io.BytesIO(self.read_bytes())

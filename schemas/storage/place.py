@@ -6,8 +6,9 @@ import contextlib
 import hashlib
 import tempfile
 from collections.abc import Iterator
+from io import BufferedReader, BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 from urllib.parse import unquote, urlsplit
 
 from schemas.errors import UsageError
@@ -93,7 +94,7 @@ def at_hand(place: FilePlace) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def opened(place: FilePlace) -> Iterator[BinaryIO]:
+def opened(place: FilePlace) -> Iterator[BufferedReader | BytesIO]:
     """Yields an open file with the content of a file: the file itself, a temporary copy of an object, or memory.
 
     Raises:

@@ -20,7 +20,14 @@ from schemas.job import episode_id
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import FilePlace, Place, children, table_of
-from schemas.storage.shards import MAX_PACKED_BYTES, ShardDirectory, is_shard, read_shard, salvage_shard
+from schemas.storage.shards import (
+    MAX_PACKED_BYTES,
+    ShardDirectory,
+    empty_directory,
+    is_shard,
+    read_shard,
+    salvage_shard,
+)
 from schemas.support.foreign import PARSER_ERRORS
 
 _COLUMNS = ("episode", "shard", "offset", "size")
@@ -155,7 +162,7 @@ def _directory(place: Place) -> ShardDirectory:
     try:
         return open_shard(place)[0]
     except OSError:
-        return ShardDirectory(place.name, *(np.empty(0, np.int64) for _ in range(3)))
+        return empty_directory(place.name)
 
 
 _known: dict[str, ShardIndex] = {}

@@ -121,6 +121,11 @@ def salvage_shard(file: BinaryIO, name: str) -> ShardDirectory:
     return _shard(name, numbers, (found[number][0] for number in numbers), (found[number][1] for number in numbers))
 
 
+def empty_directory(name: str) -> ShardDirectory:
+    """Returns the directory of a shard without episodes."""
+    return _shard(name, (), (), ())
+
+
 def _scan(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yields number, offset and size of each intact episode; skips damaged parts."""
     at = data.find(_HEADER)
