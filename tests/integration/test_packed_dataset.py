@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from coordinator.archive.opening import open_archive
+from coordinator.gateway.gather import gather
+from coordinator.ledger.gateway_episodes import record_at_gateway
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile
 from coordinator.recovery.repair_dataset import repair
@@ -183,6 +185,24 @@ def test_a_start_finds_a_lost_shard_and_queues_its_episodes(packed: ArchivedRun,
         result = reconcile(archive, packed.desk.engine, terms, validator, packed.desk.now)
     packed.desk.engine.dispose()
     assert (result.requeued, result.adopted, result.quarantined) == ([1, 2], [], [])
+
+
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_gather_packs_what_it_copies_from_files_and_from_shards(run: ArchivedRun, is_packed: bool) -> None:
+    source, digests = run.root.with_name("gw1"), run.digests()
+    shutil.move(run.root / "episodes", source / "episodes")
+    if is_packed:
+        with open_archive(source) as archive:
+            archive.pack(digests, 1, 10)
+    with run.desk.engine.begin() as connection:
+        for index in digests:
+            record_at_gateway(connection, index, "gw1")
+    run.desk.engine.dispose()
+    for gathered in (EPISODES, 0):
+        report = gather(run.repair_input(), [source], run.desk.now, shard_episodes=SIZE)
+        assert (report.gathered, report.missing, report.episodes) == (gathered, (), EPISODES)
+    assert len(after_names(run)) == 3
+    assert findings(run.root) == []
 
 
 def test_the_command_packs_an_existing_dataset(run: ArchivedRun, capsys: pytest.CaptureFixture[str]) -> None:
