@@ -218,7 +218,8 @@ class PackingArchive(ABC):
             WorldError: a shard cannot be read, or a file cannot be written.
         """
         listed = list(self._listing())
-        for place in [path for index, path in listed if index is None and _is_regular_shard(path)]:
+        folder = self.root / EPISODES
+        for place in [path for _, path in listed if path.parent == folder and _is_regular_shard(path)]:
             with translated("read", place):
                 shard, damage = open_shard(place)
             if damage:

@@ -258,6 +258,19 @@ def test_a_file_with_the_name_of_a_shard_and_other_content_is_quarantined(kind: 
         assert (kept.name[: len(name)], kept.read_bytes()) == (name, b"no shard")
 
 
+def test_a_shard_in_another_folder_is_foreign(kind: Kind) -> None:
+    with kind.open() as archive:
+        fill(archive)
+        pack(archive)
+        name = archive.shards()[0]
+        kind.lay(f"episodes/sub/{name}", shard_of(kind).read_bytes())
+    with kind.open() as archive:
+        assert contents(archive) == EPISODES
+        assert archive.shards() == (name,)
+        assert len(archive.foreign()) == 1
+    assert [path.name for path in list_episodes(kind.root).foreign] == [path.name for path in archive.foreign()]
+
+
 def test_a_full_disk_loses_nothing_and_leaves_no_part_file(kind: Kind) -> None:
     with kind.open() as archive:
         fill(archive)
