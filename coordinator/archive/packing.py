@@ -110,8 +110,8 @@ class PackingArchive(ABC):
 
     def foreign(self) -> list[Place]:
         """See `Archive.foreign`."""
-        known = self._directories.keys()
-        return sorted(path for index, path in self._listing() if index is None and path.name not in known)
+        known = {self.root / EPISODES / name for name in self._directories}
+        return sorted(path for index, path in self._listing() if index is None and path not in known)
 
     def shards(self) -> Sequence[str]:
         """See `Archive.shards`."""
