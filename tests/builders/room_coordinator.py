@@ -1,7 +1,7 @@
 """Coordinator of a minimal run as a process for kill tests.
 
-`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [STORE [RECORD]]]]`; an empty STORE is none. Episodes of states
-are packed by ranges of `SHARD_EPISODES`.
+`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [RECORD [STORE]]]]`. Episodes of states are packed by ranges of
+`SHARD_EPISODES`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
     checkpoint_s = float(sys.argv[5]) if len(sys.argv) > 5 else 30.0
     crashes = int(sys.argv[6]) if len(sys.argv) > 6 else 20
-    store = ObjectPath.at(sys.argv[7]) if len(sys.argv) > 7 and sys.argv[7] else None
-    record = Recording(sys.argv[8]) if len(sys.argv) > 8 else Recording.FRAMES
+    record = Recording(sys.argv[7]) if len(sys.argv) > 7 else Recording.FRAMES
+    store = ObjectPath.at(sys.argv[8]) if len(sys.argv) > 8 else None
     root.mkdir(parents=True, exist_ok=True)
     settings = CoordinatorSettings(
         lease_ttl_s=lease_s,

@@ -136,13 +136,6 @@ def main() -> int:
         default=True,
         help="Adds a hostile peer and a faulty host to every round (default; not with --simulation real).",
     )
-    parser.add_argument(
-        "--record",
-        type=Recording,
-        choices=tuple(Recording),
-        default=Recording.FRAMES,
-        help="What the episodes store (default frames); episodes of states are packed (not with --simulation real).",
-    )
     parser.add_argument("--at-once", type=int, default=2, help="Concurrent rounds (default 2).")
     parser.add_argument(
         "--longest", type=float, help="Timeout of a round, seconds (default: a multiple of the expected time)."
@@ -157,6 +150,12 @@ def main() -> int:
         choices=("fake", "real"),
         default="fake",
         help="fake: no physics, tests the protocol; real: the installed command line.",
+    )
+    parser.add_argument(
+        "--record",
+        choices=tuple(Recording),
+        default=Recording.FRAMES,
+        help="What the episodes of a fake simulation store (default frames); episodes of states are packed.",
     )
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     parser.add_argument("--root", type=Path, help="Working directory (default: a temporary folder).")
@@ -197,10 +196,10 @@ def _command_sets(options: argparse.Namespace, root: Path) -> tuple[ClusterComma
     else:
         budgets = (LARGE_CRASH_BUDGET, Budget().crashes) if options.peers else (LARGE_CRASH_BUDGET,)
         choices = itertools.product(budgets, sorted({0, options.gateways}))
-        checkpoint_s = _PACKING_S if options.record is Recording.STATES else 30.0
+        record = Recording(options.record)
+        checkpoint_s = _PACKING_S if record is Recording.STATES else 30.0
         command_sets = [
-            fake_commands(options.episodes, 2.0, number, checkpoint_s, crashes, options.record)
-            for crashes, number in choices
+            fake_commands(options.episodes, 2.0, number, checkpoint_s, crashes, record) for crashes, number in choices
         ]
     return tuple(replace(commands, longest_s=options.longest or commands.longest_s) for commands in command_sets)
 

@@ -16,9 +16,11 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from schemas.plan import Plan
 from schemas.support.closing import Closing
 from schemas.terms import Recording
 from tests.builders.fork_server import Child, ForkServer
+from tests.builders.ledger import room_plan
 from tests.builders.ports import free_endpoint
 from tests.chaos.bundle_maker import BundleMaker
 from tests.chaos.disk import Disk
@@ -60,7 +62,12 @@ class ClusterCommands:
     crashes: int = LARGE_CRASH_BUDGET
     """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
     record: Recording = Recording.FRAMES
-    """What the episodes store; episodes of states are packed into shards."""
+    """What an episode stores; episodes of states are packed into shards."""
+
+    @property
+    def plan(self) -> Plan:
+        """Plan of a run with a synthetic scene."""
+        return room_plan(self.episodes, self.record, crashes=self.crashes)
 
 
 def fake_commands(
@@ -79,7 +86,7 @@ def fake_commands(
         gateways: number of gateways; with 0 the workers connect to the coordinator.
         checkpoint_s: interval between two writes of the tables, seconds.
         crashes: budget of crashes of a job.
-        record: what the episodes store.
+        record: what an episode stores.
     """
 
     def worker(folder: Path, endpoints: str, script: str, *words: object) -> list[str]:
@@ -89,8 +96,7 @@ def fake_commands(
     return ClusterCommands(
         episodes,
         lambda root, endpoint: _module(
-            *("tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S),
-            *(checkpoint_s, crashes, "", record),
+            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s, crashes, record
         ),
         lambda folder, endpoints, bundle_maker: worker(folder, endpoints, "light_simulation.py", bundle_maker),
         longest_s=_BASE_S + _EPISODE_S * episodes,

@@ -166,5 +166,5 @@ def _hostile_peer(cluster: ChaosCluster, load: FaultLoad, rng: random.Random, st
 def _topology(commands: ClusterCommands, load: FaultLoad) -> str:
     where = f"with {commands.gateways} gateways" if commands.gateways else "without gateways"
     budget = f" and a budget of {commands.crashes} crashes" if commands.crashes < LARGE_CRASH_BUDGET else ""
-    where += ", states packed" if commands.record is Recording.STATES else ""
-    return where + (" with peers" if load.peers is not None else "") + budget
+    states = " of states" if commands.record is Recording.STATES else ""
+    return where + (" with peers" if load.peers is not None else "") + budget + states

@@ -14,7 +14,7 @@ from schemas.encoding.digest import dataset_digest
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.packed_path import PackedPath
 from schemas.terms import Recording
-from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ledger import room_catalog
 from tests.builders.room_coordinator import SHARD_EPISODES
 from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.hostile_peer import HOSTILE_HOST
@@ -89,6 +89,5 @@ def _inconsistencies(cluster: ChaosCluster) -> Iterator[str]:
 
 
 def _repair_input(cluster: ChaosCluster) -> RepairInput:
-    commands = cluster.commands
-    plan, catalog = room_plan(commands.episodes, commands.record, crashes=commands.crashes), room_catalog(cluster.place)
-    return RepairInput(cluster.out, cluster.out, f"sqlite:///{cluster.out / 'ledger.db'}", plan, catalog, {})
+    url, catalog = f"sqlite:///{cluster.out / 'ledger.db'}", room_catalog(cluster.place)
+    return RepairInput(cluster.out, cluster.out, url, cluster.commands.plan, catalog, {})
