@@ -34,7 +34,7 @@ from schemas.storage.place import Place, children
 from schemas.terms import Recording, RendererKind
 from schemas.wire import MAX_STATES_CHARS
 from workers.geometry.pose import Pose
-from workers.render.choose import open_renderer
+from workers.render.choose import open_apart
 from workers.render.differing import differing_frame
 
 _LEAST_FRAME_BYTES = 150_000
@@ -99,9 +99,9 @@ def prepare_rendering(root: Place, site: Site, renderer: RendererKind | None = N
 
 def _require_recorded_frame(episode: Episode, kind: RendererKind) -> None:
     """Raises `WorldError` if a renderer gives another frame 0 than the recorded one."""
-    with episode, open_renderer(kind, apart=True) as renderer:
-        meta = episode.meta
-        renderer.load(episode.package.decode(), meta.job.camera)
+    with episode, open_apart(kind) as renderer:
+        meta, package = episode.meta, episode.package
+        renderer.load_package(package.sha256, package.read, meta.job.camera)
         frame = renderer.render(Pose.of(episode.poses[0]))
         if frame_digest(frame.rgb, frame.depth, frame.ids) != meta.sampled_digests[0]:
             raise differing_frame(meta, 0, renderer.description)
