@@ -22,7 +22,6 @@ from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.ledger import plan_of, require_outside_datasets
-from schemas.dataset import file_name_of
 from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
 from schemas.dataset_meta import DatasetMeta, described_as_frames
 from schemas.encoding.digest import frame_digest
@@ -31,6 +30,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.storage.place import Place, children
+from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
 from schemas.wire import MAX_STATES_CHARS
 from workers.geometry.pose import Pose
@@ -157,7 +157,7 @@ class StatesSource:
         draw, attempt, sha256 = self._files.get(job.index, (-1, -1, b""))
         if (draw, attempt) != (job.draw, job.attempt):
             return None
-        path = self._root / file_name_of(job.episode_id)
+        path = episode_place(self._root, job.index)
         try:
             data = path.read_bytes()
         except OSError as error:
