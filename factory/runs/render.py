@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -30,13 +29,12 @@ from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from schemas.scene import decode_scene
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
 from schemas.wire import MAX_STATES_CHARS
 from workers.geometry.pose import Pose
-from workers.render.choose import open_renderer
+from workers.render.choose import open_apart
 from workers.render.differing import differing_frame
 
 _LEAST_FRAME_BYTES = 150_000
@@ -101,9 +99,9 @@ def prepare_rendering(root: Place, site: Site, renderer: RendererKind | None = N
 
 def _require_recorded_frame(episode: Episode, kind: RendererKind) -> None:
     """Raises `WorldError` if a renderer gives another frame 0 than the recorded one."""
-    with episode, open_renderer(kind, apart=True) as renderer:
-        meta = episode.meta
-        renderer.load(decode_scene(io.BytesIO(episode.package.read())), meta.job.camera)
+    with episode, open_apart(kind) as renderer:
+        meta, package = episode.meta, episode.package
+        renderer.load_package(package.sha256, package.read, meta.job.camera)
         frame = renderer.render(Pose.of(episode.poses[0]))
         if frame_digest(frame.rgb, frame.depth, frame.ids) != meta.sampled_digests[0]:
             raise differing_frame(meta, 0, renderer.description)

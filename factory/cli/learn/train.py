@@ -66,7 +66,8 @@ def command() -> None:
     type=click.Choice([str(size) for size in SIZES]),
     default="128",
     show_default=True,
-    help="Width and height of the input image, pixels.",
+    metavar="N",
+    help=f"Width and height of the input image, pixels: {', '.join(map(str, SIZES))}.",
 )
 @count_option(
     "--antialias",
