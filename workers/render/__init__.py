@@ -5,6 +5,7 @@ Does not render and imports no graphics library.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -81,6 +82,15 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera. Recently used scenes stay prepared, so that their next use is fast."""
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene as `load`, without a reference to it.
+
+        Args:
+            key: key of the scene; equal keys are the same scene.
+            read: returns the scene; called if it is not prepared.
+            camera: camera of the robot.
+        """
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.

@@ -7,7 +7,12 @@ before it opens the renderer.
 from __future__ import annotations
 
 import os
+<<<<<<< HEAD
 from typing import Any, NamedTuple
+=======
+from collections.abc import Callable, Hashable
+from typing import Any
+>>>>>>> main
 
 import moderngl
 import numpy as np
@@ -26,10 +31,9 @@ from workers.render import DepthAndIds, RenderedFrame, Window
 from workers.render.cull import edges_of
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
-from workers.render.shelf import SceneShelf
+from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
-_KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
@@ -52,12 +56,15 @@ class _View(NamedTuple):
 class GlRenderer(Closing):
     """`Renderer` with a separate OpenGL 4.5 context; every call makes that context current."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
+    def __init__(
+        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+    ) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
             lap: called at the end of the stages `render` and `read-back` of every frame.
+            kept_scenes: number of scenes that stay on the device.
 
         Raises:
             UsageError: OpenGL was used before this process was forked.
@@ -71,7 +78,7 @@ class GlRenderer(Closing):
         self._pid = os.getpid()
         self._is_open = True
         self.description = _describe(self._context)
-        self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
+        self._shelf = SceneShelf(self._prepare, kept_scenes)
         self._scene: GpuScene | None = None
         self._sky = SkyPainter(None, self._camera)
         with self._context:
@@ -93,12 +100,21 @@ class GlRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; the most recently used scenes stay on the device."""
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
+<<<<<<< HEAD
         self._sky = SkyPainter(scene.info.sky, camera)
+=======
+        self._looked = None
+>>>>>>> main
         with self._context:
-            self._scene = self._shelf.take(scene)
+            self._scene = self._shelf.take(key, read)
+        self._sky = SkyPainter(self._scene.sky, camera)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.

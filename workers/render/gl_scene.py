@@ -98,6 +98,8 @@ class GpuScene:
             programs: programs of the same context.
             scene: scene to upload.
         """
+        self.sky = scene.info.sky
+        """Background of the scene; `None` is black."""
         self._is_textured = scene.part_texture >= 0
         self._bounds, self._occluders = PartBounds.of(scene), Occluders.of(scene)
         self._instances = scene.part_instance

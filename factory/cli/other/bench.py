@@ -53,10 +53,12 @@ from factory.runs.catalog import open_catalog
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.plan import Plan
 from schemas.storage.place import Place
 from schemas.terms import ExpertName, Recording, RendererKind
 from workers.client.settings import WorkerSettings
+from workers.render.process_wire import MAX_SIZE_PX
 from workers.sim.scene_renderer import SceneRenderer
 
 _PLAIN_FRAMES = 24
@@ -66,6 +68,8 @@ _MEMORY_JOBS = 25
 
 
 _repeats_option = count_option("--repeats", 3, "Number of timed runs; the result is their median.")
+_size_option = count_option("--size", FRAME_SIZE_PX, "Width and height of the frames, pixels.", most=MAX_SIZE_PX)
+_antialias_option = count_option("--antialias", 1, "Samples per pixel and axis; colours are their mean.", most=16)
 
 
 @click.group("bench", cls=CommandGroup)
@@ -181,13 +185,23 @@ def collect(
 @command.command("render")
 @scene_filter()
 @count_option("--frames", 60, "Number of poses in each scene.")
+@_size_option
+@_antialias_option
 @_repeats_option
 @renderer_option
 @json_option
-def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: RendererKind, as_json: bool) -> None:
+def render(
+    scenes: tuple[str, ...] | None,
+    frames: int,
+    size: int,
+    antialias: int,
+    repeats: int,
+    renderer: RendererKind,
+    as_json: bool,
+) -> None:
     """Measure the speed of rendering.
 
-    All runs render the same random poses of each scene.
+    All runs render the same random poses of each scene, on one core: colour, depth and ids.
     """
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
     machine, recorder = describe_machine(), StageRecorder()
@@ -197,12 +211,15 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
         for name, entry in catalog.items():
             with SceneRenderer(renderer, recorder) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
-                results[name] = bench_render(scene, stage.renderer, recorder, CameraConfig(), frames, repeats)
+                results[name] = bench_render(
+                    scene, stage.renderer, recorder, CameraConfig(), frames, repeats, size, antialias
+                )
                 described = stage.renderer.description
             tell()
-    print_result(
-        RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render
+    report = RenderBench(
+        machine=machine, renderer=described, size=size, antialias=antialias, repeats=repeats, scenes=results
     )
+    print_result(report, as_json, show_render)
 
 
 @command.command("memory")
@@ -262,11 +279,20 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
 @click.argument("root", metavar="[DIR|URL]", required=False, type=PLACE)
 @scene_filter()
 @count_option("--frames", 500, "Number of random frames per run.")
+@_size_option
+@_antialias_option
 @workers_option("Number of worker processes of the PyTorch DataLoader.", default=2, least=0)
 @_repeats_option
 @json_option
 def read(
-    root: Place | None, scenes: tuple[str, ...] | None, frames: int, workers: int, repeats: int, as_json: bool
+    root: Place | None,
+    scenes: tuple[str, ...] | None,
+    frames: int,
+    size: int,
+    antialias: int,
+    workers: int,
+    repeats: int,
+    as_json: bool,
 ) -> None:
     """Measure random access to the frames of a dataset.
 
@@ -276,7 +302,8 @@ def read(
         if root is None:
             root = made = folder / "sample"
             _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), folder)
-        report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
+        chosen = Dataset(root).filter(**({"scene": scenes} if scenes else {}))
+        report = bench_read(chosen, frames, repeats, workers, size, antialias)
     print_result(report, as_json, show_read)
 
 
