@@ -39,13 +39,6 @@ def compare_rendered(
         if t == 0 and not bundle.has_frames:  # the validator has checked stored frames
             found += start_findings(bundle.meta, bundle.arrays, frame.ids)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
-<<<<<<< HEAD
-        if frame_digest(frame.rgb, frame.depth, frame.ids) != recorded:
-            differing.append(t)
-            if bundle.has_frames:
-                _add_distances(distances, bundle, t, frame)
-    found += visibility_findings(bundle.meta, target_pixels)
-=======
         if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:
             difference.add_equal(frame.depth.size, bundle.has_frames or reference is not None)
             continue
@@ -55,8 +48,7 @@ def compare_rendered(
             found.append(f"frame {t} of the reference {reference.path} is not the recorded one")
             stored = None
         difference.add_differing(stored, Frame(frame.rgb, frame.depth, frame.ids))
-    found += _visibility_findings(bundle.meta, target_pixels)
->>>>>>> main
+    found += visibility_findings(bundle.meta, target_pixels)
     if not bundle.has_frames and bundle.length - 1 in target_pixels:
         found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
     difference.recorded_with.add(bundle.meta.provenance.fingerprint.renderer)
@@ -77,43 +69,3 @@ def _digest_finding(bundle: EpisodeBundle, differing: list[int]) -> str:
         f"{differing[0]}; recorded with {bundle.meta.provenance.fingerprint.renderer}, rendered with "
         f"{shared_renderer().description}"
     )
-
-
-<<<<<<< HEAD
-def _add_distances(distances: dict[str, _Distance], bundle: EpisodeBundle, t: int, frame: RenderedFrame) -> None:
-    distances["rgb"].add(bundle.rgb(t), frame.rgb)
-    distances["depth"].add(bundle.depth(t), frame.depth)
-    distances["ids"].add(bundle.ids(t), frame.ids)
-
-
-class _Distance:
-    """Distance between recorded and rendered images of one modality."""
-
-    def __init__(self) -> None:
-        self._largest = self._sum = 0.0
-        self._unequal = self._values = 0
-
-    def add(self, recorded: NDArray[np.generic], rendered: NDArray[np.generic]) -> None:
-        apart = np.abs(recorded.astype(np.float64) - rendered.astype(np.float64))
-        self._largest = max(self._largest, float(apart.max()))
-        self._sum += float(apart.sum())
-        self._unequal += int(np.count_nonzero(apart))
-        self._values += apart.size
-
-    def __str__(self) -> str:
-        share, mean = 100 * self._unequal / self._values, self._sum / self._values
-        return f"largest difference {self._largest:.4g}, {share:.3g} % of the values, mean {mean:.3g}"
-=======
-def _visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> list[str]:
-    """Returns a finding if the recorded visibility of the target contradicts the rendered frames.
-
-    Args:
-        meta: metadata of the episode.
-        target_pixels: number of pixels of the target by rendered step.
-    """
-    seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
-    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
-    if said is None or seen <= said <= most:
-        return []
-    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} rendered frames show the target"]
->>>>>>> main

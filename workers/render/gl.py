@@ -7,12 +7,8 @@ before it opens the renderer.
 from __future__ import annotations
 
 import os
-<<<<<<< HEAD
-from typing import Any, NamedTuple
-=======
 from collections.abc import Callable, Hashable
-from typing import Any
->>>>>>> main
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -107,11 +103,6 @@ class GlRenderer(Closing):
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
-<<<<<<< HEAD
-        self._sky = SkyPainter(scene.info.sky, camera)
-=======
-        self._looked = None
->>>>>>> main
         with self._context:
             self._scene = self._shelf.take(key, read)
         self._sky = SkyPainter(self._scene.sky, camera)
