@@ -125,10 +125,11 @@ _RENDERED = """ This dataset records states:
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
 _DRAWN_THUMBNAIL = ", with a `thumbnail` of frame 0 where `factory push --thumbnails` has rendered it"
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
+_SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
-    'screened by `spawn.screening = "{}"` of the plan.'
+    "screened by `spawn.screening` of the plan: {}."
 )
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
@@ -167,9 +168,17 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         frames=_FRAMES if stores_frames else "",
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
-        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
+        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
         templates=len(TEMPLATES),
     )
+
+
+def with_shards(card: str, shards: int) -> str:
+    """Returns a card that states the number of shards; a card without shards has no such line."""
+    lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
+    at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
+    said = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"
+    return "".join([*lines[:at], said, *lines[at:]] if shards else lines)
 
 
 def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:

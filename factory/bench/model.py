@@ -10,7 +10,7 @@ from statistics import median
 from typing import Self
 
 from schemas.base import Model
-from schemas.terms import ExpertName, Recording, Screening
+from schemas.terms import ExpertName, Recording
 
 
 class Spread(Model):
@@ -123,7 +123,8 @@ class CollectBench(Model):
     bench: str = "collect"
     machine: Machine
     plan: str
-    screening: Screening
+    screening: str
+    """Selection of the starts of the plan."""
     workers: int
     """Number of simulation processes."""
     repeats: int
@@ -158,7 +159,8 @@ class RolloutBench(Model):
     machine: Machine
     renderer: str
     plan: str
-    screening: Screening
+    screening: str
+    """Selection of the starts of the plan."""
     repeats: int
     scenes: dict[str, SceneRollout]
 

@@ -23,7 +23,8 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Instance
-from schemas.storage.place import Place
+from schemas.storage.place import FilePlace
+from schemas.storage.shard_index import episode_place
 from schemas.support.closing import Closing
 
 
@@ -49,7 +50,7 @@ class Episode(Closing):
         ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
-    def __init__(self, path: Place, summary: EpisodeSummary) -> None:
+    def __init__(self, path: FilePlace, summary: EpisodeSummary) -> None:
         self.path = path
         self.summary = summary
         """Row of the episode in the metadata table."""
@@ -158,8 +159,18 @@ class Episode(Closing):
     def _bundle(self) -> EpisodeBundle:
         with self._opening:
             if self._opened is None or self._opened.pid != os.getpid():  # a forked process shares the file position
-                self._opened = _Opened(self.path, len(self))
+                self._opened = self._open()
             return self._opened.bundle
+
+    def _open(self) -> _Opened:
+        try:
+            return _Opened(self.path, len(self))
+        except FileNotFoundError:  # the coordinator of a run may have packed the episode meanwhile
+            self.path = episode_place(self.path.parents[1], self.summary.index)
+        try:
+            return _Opened(self.path, len(self))
+        except FileNotFoundError as error:
+            raise ArchiveCorrupt(f"{self.path} is missing: run `factory verify`") from error
 
     @contextmanager
     def _reading(self) -> Iterator[EpisodeBundle]:
@@ -174,18 +185,23 @@ class Episode(Closing):
             self._opened.close()
             self._opened = None
 
-    def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary]]:
+    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary]]:
         return type(self), (self.path, self.summary)
 
 
 class _Opened:
-    """Open bundle with its file and the id of the process that opened it; garbage collection closes the file."""
+    """Open bundle with its file and the id of the process that opened it; garbage collection closes the file.
 
-    def __init__(self, path: Place, steps: int) -> None:
+    Raises:
+        FileNotFoundError: the file does not exist.
+        ArchiveCorrupt: the file cannot be read or is damaged.
+    """
+
+    def __init__(self, path: FilePlace, steps: int) -> None:
         try:
             file: BinaryIO = path.open("rb")
-        except FileNotFoundError as error:
-            raise ArchiveCorrupt(f"{path} is missing: run `factory verify`") from error
+        except FileNotFoundError:
+            raise
         except OSError as error:
             raise ArchiveCorrupt(f"{path} cannot be read: {error.strerror}") from error
         self.close = weakref.finalize(self, file.close)
@@ -198,7 +214,7 @@ class _Opened:
             raise refusal from error
 
 
-def _refusal(path: Place, file: BinaryIO, steps: int) -> ArchiveCorrupt:
+def _refusal(path: FilePlace, file: BinaryIO, steps: int) -> ArchiveCorrupt:
     """Returns the error for a bundle that does not have the expected number of steps."""
     try:
         own = BundleReader(file)
@@ -207,5 +223,5 @@ def _refusal(path: Place, file: BinaryIO, steps: int) -> ArchiveCorrupt:
     return ArchiveCorrupt(f"{path} has {own.length} steps, the metadata says {steps}: run `factory verify --deep`")
 
 
-def _corrupt(path: Place, error: InvalidBundle) -> ArchiveCorrupt:
+def _corrupt(path: FilePlace, error: InvalidBundle) -> ArchiveCorrupt:
     return ArchiveCorrupt(f"{path} is damaged ({'; '.join(error.findings)}): run `factory verify --deep`")

@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.cells import cells
 from coordinator.tables.card_configs import names_split_tables
@@ -33,13 +32,15 @@ from schemas.dataset_files import (
     META_FILE,
     METADATA_FILE,
     SCENES,
+    SHARDS_FILE,
     SPLITS_FOLDER,
     is_part,
 )
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.job import episode_id
-from schemas.storage.place import Place, at_hand, children, table_of
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import Place, at_hand, children, relative_name, table_of
 from schemas.terms import Recording
 
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
@@ -182,15 +183,20 @@ def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[EpisodeF
 
 
 def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
-    for entry in children(root / EPISODES):
-        name = f"{EPISODES}/{entry.name}"
-        index = index_of_file(entry.name) if entry.is_file() and not entry.is_symlink() else None
-        if index is None:
-            report.add(Kind.FOREIGN, name, "is not named like an episode")
-        elif episode_id(index) not in rows:
+    listed = list_episodes(root)
+    for foreign in listed.foreign:
+        report.add(Kind.FOREIGN, relative_name(foreign, root), "is not named like an episode")
+    for name, damage in listed.damaged.items():
+        report.add(Kind.DAMAGED, f"{EPISODES}/{name}", f"{damage}; `factory repair` keeps its intact episodes")
+    for text in listed.twice:
+        report.add(Kind.SURPLUS, EPISODES, f"{text}; `factory repair` keeps one of equal ones")
+    if listed.index_fault:
+        report.add(Kind.CONTRADICTION, SHARDS_FILE, f"{listed.index_fault}; rewrite it with `factory repair`")
+    for index, path in listed.episodes.items():
+        if episode_id(index) not in rows:
             report.add(
                 Kind.SURPLUS,
-                name,
+                relative_name(path, root),
                 f"{METADATA_FILE} does not list it (during a run, the table is updated with a delay)",
             )
     for entry in children(root):

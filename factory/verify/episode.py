@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,11 +15,12 @@ from factory.verify.difference import RenderDifference
 from factory.verify.rendering import compare_rendered
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
-from schemas.dataset import EpisodeSummary, file_name_of, summary_of
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
-from schemas.storage.place import Place, at_hand
+from schemas.storage.place import Place, opened
+from schemas.storage.shard_index import episode_place
 
 _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
 
@@ -55,12 +57,11 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
         WorldError: frames are to be rendered, and this machine cannot.
     """
     row, difference = check.row, RenderDifference()
-    path = check.root / file_name_of(row.episode_id)
     found: list[Finding] = []
     try:
-        with at_hand(path) as local, local.open("rb") as file:
+        with opened(episode_place(check.root, row.index)) as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            size = file.tell()
+            size = file.seek(0, os.SEEK_END)
             if size != row.file_bytes:
                 found.append(Finding(Kind.TRUNCATED, row.file_name, f"{size} bytes, recorded {row.file_bytes}"))
             elif sha256 != row.file_sha256:

@@ -180,6 +180,11 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     return None
 
 
+def is_way_straight(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig) -> bool:
+    """Returns whether the straight line from a start to the success region is free and ends in sight of the target."""
+    return _straight_m(grid, np.asarray(start_xy, float), target, Goal.of(target, task)) is not None
+
+
 def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
     """Returns the points (N, 2) of the path of cells; the first point is the start."""
     start = np.asarray(start_xy, float)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import functools
 import heapq
 import math
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple, Self, cast
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,8 @@ def _expand(
     Free poses are more than a step from the edge of the grid, so that all indices are valid.
     """
     grid, flags = table.grid, table.flags
-    ahead, goal, moving = (_values(field) for field in (to_go, ends.poses, ends.moving))
+    ahead: memoryview[Any] = to_go.reshape(-1).data
+    goal, moving = ends.poses.reshape(-1).data, ends.moving.reshape(-1).data
     weights = _weight_list(grid)
     (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
     width, area = int(grid.occupancy.shape[1]), grid.occupancy.size
@@ -169,7 +170,9 @@ def _expand(
 
     first = heading_of(start.yaw)
     cost_at = {key(start.x, start.y, first): 0.0}
-    heap = [(ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)]
+    heap: list[tuple[float, int, float, float, float, int, int]] = [
+        (ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)
+    ]
     nodes: list[Node] = []
     pushed = 0
     while heap and len(nodes) < max_expansions:
@@ -201,11 +204,6 @@ def _expand(
                 entry = (price + ahead[spot], pushed, price, x + end_x, y + end_y, turned, len(nodes) - 1)
                 heapq.heappush(heap, entry)
     return None
-
-
-def _values(field: NDArray[np.float64] | NDArray[np.bool_]) -> Sequence[float]:
-    """Returns the values in C order without copying them; single values are read faster than from the array."""
-    return cast(Sequence[float], field.reshape(-1).data)
 
 
 def _trace(nodes: list[Node]) -> list[Waypoint]:

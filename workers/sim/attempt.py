@@ -88,7 +88,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     attempt = _Attempt(job, target, place, stage, out, sid, on_step)
     rng = job.rng()
     stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
-    is_clear = partial(_is_view_clear, job, target, stage.renderer)
+    is_clear = partial(is_view_clear, job, target, stage.renderer)
     for draws, start in enumerate(draw_poses(job, target, place, rng, is_clear), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
@@ -108,7 +108,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     return AttemptFailure(FailReason.SPAWN, f"no valid start pose{conditions} for {job.target_id} {tries}", 0)
 
 
-def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
+def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
     """Returns whether heading and image of a pose meet the job's conditions; renders only if the job has any."""
     if job.start_view is None:
         return True

@@ -39,17 +39,18 @@ def render_recording(
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
         stage.renderer.load(place.scene, job.camera)
-        meta, writer = recorded.meta, BundleWriter(out, stage.lap)
-        sampled = meta.sampled_digests
+        writer, sampled = BundleWriter(out, stage.lap), recorded.meta.sampled_digests
 
-        def check(frames: int) -> None:
-            t = frames - 1
+        def check(count: int) -> None:
+            t = count - 1
             if t in sampled and writer.frame_digests[t] != sampled[t]:
-                raise differing_frame(meta, t, stage.renderer.description)
-            on_step(frames)
+                raise differing_frame(recorded.meta, t, stage.renderer.description)
+            on_step(count)
 
-        visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, meta.target_instance_id, check)
-        return Success(writer.finish(recorded.arrays, meta.with_frames(job, visible, place.scene.info.instances)))
+        target_id = recorded.meta.target_instance_id
+        visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, target_id, check)
+        meta = recorded.meta.with_frames(job, visible, place.scene.info.instances)
+        return Success(writer.finish(recorded.arrays, meta))
 
 
 def _require_job(recorded: Job, job: Job) -> None:

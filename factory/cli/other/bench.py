@@ -124,7 +124,7 @@ def rollout(
         machine=machine,
         renderer=described,
         plan=plan.name,
-        screening=plan.spawn.screening,
+        screening=plan.screening,
         repeats=repeats,
         scenes=results,
     )
@@ -174,7 +174,7 @@ def collect(
     report = CollectBench(
         machine=machine,
         plan=base.name,
-        screening=base.spawn.screening,
+        screening=base.screening,
         workers=processes,
         repeats=repeats,
         variants=paces,
