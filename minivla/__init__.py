@@ -5,6 +5,8 @@
 >>> dataset[0].frame(0).rgb.shape  # doctest: +SKIP
 (640, 640, 3)
 
+A dataset stores frames, or states only, from which its frames are rendered when they are read, bit by bit the same.
+
 Importing this package imports no large dependency; each name is loaded at its first use. It keeps working when another
 distribution overwrites `factory/__init__.py`, as factory_boy does. `minivla.gym` registers the Gymnasium environment.
 Raises `ImportError` when a foreign package named `factory`, `schemas`, `workers` or `coordinator` hides the product's
@@ -22,15 +24,18 @@ from minivla.packages import require_own_packages
 
 if TYPE_CHECKING:
     from factory.dataset.reader import Dataset, Episode, Frame
-    from factory.dataset.torch import FrameDataset, collate
+    from factory.dataset.sampler import SceneSampler
+    from factory.dataset.torch import ClipDataset, FrameDataset, collate
 
-__all__ = ["Dataset", "Episode", "Frame", "FrameDataset", "collate"]
+__all__ = ["ClipDataset", "Dataset", "Episode", "Frame", "FrameDataset", "SceneSampler", "collate"]
 
 _HOMES = {
+    "ClipDataset": "factory.dataset.torch",
     "Dataset": "factory.dataset.reader",
     "Episode": "factory.dataset.reader",
     "Frame": "factory.dataset.reader",
     "FrameDataset": "factory.dataset.torch",
+    "SceneSampler": "factory.dataset.sampler",
     "collate": "factory.dataset.torch",
 }
 

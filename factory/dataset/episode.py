@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.packages import ScenePackage
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -78,6 +79,12 @@ class Episode(Closing):
             return bundle.instances
 
     @property
+    def package(self) -> ScenePackage:
+        """Compiled scene of the episode."""
+        with self._reading() as bundle:
+            return bundle.package
+
+    @property
     def actions(self) -> NDArray[np.float32]:
         """(T, 2) commanded twists: v in m/s, w in rad/s."""
         return self._bundle().arrays.actions_continuous
@@ -91,6 +98,12 @@ class Episode(Closing):
     def poses(self) -> NDArray[np.float64]:
         """(T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z."""
         return self._bundle().arrays.poses
+
+    @property
+    def states_digest(self) -> str:
+        """XXH3-128 over the arrays and the metadata; equal in both recordings of an episode."""
+        with self._reading() as bundle:
+            return bundle.states_digest()
 
     def rgb(self, t: int) -> NDArray[np.uint8]:
         """Returns the colour image at step t, (640, 640, 3) sRGB; a negative t counts from the end."""
@@ -112,22 +125,24 @@ class Episode(Closing):
         with self._reading() as bundle:
             return bundle.stored(name)
 
-    def frame(self, t: int, size: int = FRAME_SIZE_PX) -> Frame:
+    def frame(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Frame:
         """Returns all images at step t; a negative t counts from the end.
 
         Args:
             t: step.
             size: width and height, pixels; frames of another size than the recorded 640 are rendered.
+            antialias: samples per pixel along each axis; with more than 1, frames are rendered. The colour of a pixel
+                is the mean of its samples, depth and id are those of the middle sample.
         """
         with self._reading() as bundle:
-            if bundle.has_frames and size == FRAME_SIZE_PX:
+            if bundle.has_frames and (size, antialias) == (FRAME_SIZE_PX, 1):
                 return Frame(self.rgb(t), self.depth(t), self.ids(t))
-            found = bundle.render(self._step(t), size)
+            found = bundle.render(self._step(t), size, antialias)
         return Frame(found.rgb, found.depth, found.ids)
 
-    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX) -> Iterator[Frame]:
+    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Iterator[Frame]:
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
-        return (self.frame(t, size) for t in range(0, len(self), stride))
+        return (self.frame(t, size, antialias) for t in range(0, len(self), stride))
 
     def __len__(self) -> int:
         return self.summary.num_steps

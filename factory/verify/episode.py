@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.episode import Episode
+from factory.verify.difference import RenderDifference
 from factory.verify.rendering import compare_rendered
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
@@ -31,17 +34,27 @@ class EpisodeCheck:
     deep: bool
     render: bool = False
     """Whether to render frames again and compare them with their digests."""
+    reference: Episode | None = None
+    """The same episode in a frames recording, to measure how far pixels differ."""
 
 
-def check_episode(check: EpisodeCheck) -> list[Finding]:
-    """Returns all findings of an episode file.
+class EpisodeFindings(NamedTuple):
+    """Result of the check of one episode."""
+
+    findings: list[Finding]
+    difference: RenderDifference
+    """Comparison of rendered frames; empty if none were rendered."""
+
+
+def check_episode(check: EpisodeCheck) -> EpisodeFindings:
+    """Returns all findings of an episode file, and the comparison of its rendered frames.
 
     They concern size and SHA-256, with `deep` every frame, the motion and the row, with `render` the rendered frames.
 
     Raises:
         WorldError: frames are to be rendered, and this machine cannot.
     """
-    row = check.row
+    row, difference = check.row, RenderDifference()
     path = check.root / file_name_of(row.episode_id)
     found: list[Finding] = []
     try:
@@ -60,7 +73,8 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
             if check.render:
                 with EpisodeBundle(file, check.root) as episode:
-                    found += [Finding(Kind.RENDERED, row.file_name, text) for text in compare_rendered(episode)]
+                    texts = compare_rendered(episode, difference, check.reference)
+                found += [Finding(Kind.RENDERED, row.file_name, text) for text in texts]
     except FileNotFoundError:
         found.append(Finding(Kind.MISSING, row.file_name, "is missing"))
     except InvalidBundle as error:
@@ -69,7 +83,7 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be rendered: {error}"))
     except OSError as error:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
-    return found
+    return EpisodeFindings(found, difference)
 
 
 def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | None, list[Finding]]:
