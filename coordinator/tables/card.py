@@ -129,7 +129,7 @@ _SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
-    'screened by `spawn.screening = "{}"` of the plan.'
+    "screened by `spawn.screening` of the plan: {}."
 )
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
@@ -168,7 +168,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         frames=_FRAMES if stores_frames else "",
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
-        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
+        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
         templates=len(TEMPLATES),
     )
 

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Self
 
 from schemas.base import Model
-from schemas.terms import Screening
+from schemas.terms import ExpertName, Recording
 
 
 class Spread(Model):
@@ -102,6 +102,36 @@ class SceneRollout(Model):
     """Frames per second of wall time, divided by those of the plain pipeline."""
 
 
+class CollectPace(Model):
+    """Pace of whole runs of one plan."""
+
+    record: Recording
+    expert: ExpertName
+    episodes: int
+    """Number of archived episodes of each run."""
+    attempts: int
+    """Number of attempts of the first run, failed ones included."""
+    episodes_per_hour: Spread
+    """Archived episodes per hour of wall time, start and end of the run included."""
+    cpu_s_per_episode: Spread
+    """CPU time of all processes of the run per archived episode, seconds."""
+
+
+class CollectBench(Model):
+    """Result of `factory bench collect`."""
+
+    bench: str = "collect"
+    machine: Machine
+    plan: str
+    screening: str
+    """Selection of the starts of the plan."""
+    workers: int
+    """Number of simulation processes."""
+    repeats: int
+    variants: dict[str, CollectPace]
+    """Pace by recording and expert."""
+
+
 class MemoryBench(Model):
     """Result of `factory bench memory`."""
 
@@ -129,7 +159,8 @@ class RolloutBench(Model):
     machine: Machine
     renderer: str
     plan: str
-    screening: Screening
+    screening: str
+    """Selection of the starts of the plan."""
     repeats: int
     scenes: dict[str, SceneRollout]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +30,7 @@ from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
+from schemas.scene import decode_scene
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
@@ -101,7 +103,7 @@ def _require_recorded_frame(episode: Episode, kind: RendererKind) -> None:
     """Raises `WorldError` if a renderer gives another frame 0 than the recorded one."""
     with episode, open_renderer(kind, apart=True) as renderer:
         meta = episode.meta
-        renderer.load(episode.package.decode(), meta.job.camera)
+        renderer.load(decode_scene(io.BytesIO(episode.package.read())), meta.job.camera)
         frame = renderer.render(Pose.of(episode.poses[0]))
         if frame_digest(frame.rgb, frame.depth, frame.ids) != meta.sampled_digests[0]:
             raise differing_frame(meta, 0, renderer.description)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from coordinator.validation.rollout import arrival_findings
+from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode, Frame
 from factory.dataset.shared_renderer import shared_renderer
 from factory.verify.difference import RenderDifference
 from schemas.encoding.digest import frame_digest
-from schemas.episode import EpisodeMeta
 from schemas.terms import Recording
 
 
@@ -51,7 +48,7 @@ def compare_rendered(
             found.append(f"frame {t} of the reference {reference.path} is not the recorded one")
             stored = None
         difference.add_differing(stored, Frame(frame.rgb, frame.depth, frame.ids))
-    found += _visibility_findings(bundle.meta, target_pixels)
+    found += visibility_findings(bundle.meta, target_pixels)
     if not bundle.has_frames and bundle.length - 1 in target_pixels:
         found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
     difference.recorded_with.add(bundle.meta.provenance.fingerprint.renderer)
@@ -72,17 +69,3 @@ def _digest_finding(bundle: EpisodeBundle, differing: list[int]) -> str:
         f"{differing[0]}; recorded with {bundle.meta.provenance.fingerprint.renderer}, rendered with "
         f"{shared_renderer().description}"
     )
-
-
-def _visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> list[str]:
-    """Returns a finding if the recorded visibility of the target contradicts the rendered frames.
-
-    Args:
-        meta: metadata of the episode.
-        target_pixels: number of pixels of the target by rendered step.
-    """
-    seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
-    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
-    if said is None or seen <= said <= most:
-        return []
-    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} rendered frames show the target"]

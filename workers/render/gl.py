@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -21,11 +21,11 @@ from schemas.scene import CompiledScene
 from schemas.support.closing import Closing
 from schemas.support.portable import product
 from schemas.support.stage_timer import StageTimer, no_stage_timer
-from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.camera import OpticalPose, optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
 from workers.render import DepthAndIds, RenderedFrame, Window
-from workers.render.cull import window_of_corners
-from workers.render.gl_scene import GpuScene, Programs
+from workers.render.cull import edges_of
+from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
@@ -36,6 +36,17 @@ _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'f
 """Remedy for a forked process, which has the driver's memory without its threads: rendering would wait forever."""
 _used_by: set[int] = set()
 """Id of the process that opened a context; a forked process has another id."""
+
+
+class _View(NamedTuple):
+    """View of a scene from one pose."""
+
+    optical: OpticalPose
+    clip: NDArray[np.float64]
+    """(4, 4) matrix from world to OpenGL clip space, for column vectors."""
+    matrix: bytes
+    """Matrix of the shader programs."""
+    drawn: DrawOrder
 
 
 class GlRenderer(Closing):
@@ -65,8 +76,6 @@ class GlRenderer(Closing):
         self.description = _describe(self._context)
         self._shelf = SceneShelf(self._prepare, kept_scenes)
         self._scene: GpuScene | None = None
-        self._looked: tuple[Pose, tuple[bytes, NDArray[np.intp]]] | None = None
-        """Last pose and what `_look` returned for it; windows of one image have one pose."""
         self._sky = SkyPainter(None, self._camera)
         with self._context:
             self._programs = Programs(self._context)
@@ -94,7 +103,6 @@ class GlRenderer(Closing):
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
-        self._looked = None
         with self._context:
             self._scene = self._shelf.take(key, read)
         self._sky = SkyPainter(self._scene.sky, camera)
@@ -110,16 +118,16 @@ class GlRenderer(Closing):
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
         scene = self._loaded()
-        clip, parts = self._look(scene, pose)
+        view = self._look(scene, pose)
         with self._context:
             target = self._target(size or self._size)
             target.begin()
-            scene.draw(parts, clip)
+            scene.draw(view.drawn, view.matrix)
             self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
             self._lap("render")
             rgb = target.read_colour()
             relief = target.read_relief(self._camera, rgb)
-        self._sky.paint(rgb, relief.depth, optical_pose(pose, self._camera))
+        self._sky.paint(rgb, relief.depth, view.optical)
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
 
@@ -130,40 +138,47 @@ class GlRenderer(Closing):
             UsageError: no scene was loaded.
         """
         scene = self._loaded()
-        clip, parts = self._look(scene, pose)
-        with self._context:
-            target = self._target(self._size)
-            target.begin()
-            scene.draw_bare(parts, clip)
-            self._context.finish()
-            self._lap("render")
-            relief = target.read_relief(self._camera)
-        self._lap("read-back")
-        return relief
+        view = self._look(scene, pose)
+        return self._render_bare(scene, view.matrix, view.drawn.parts)
 
-    def window_of(self, pose: Pose, instance_id: int) -> Window:
-        """Returns a window that contains all pixels of an instance; the whole image if a part may be behind the camera.
+    def render_instance(self, pose: Pose, instance_id: int) -> tuple[Window, DepthAndIds]:
+        """Returns a window that contains all pixels of an instance, and that part of the image.
+
+        Draws what is in the window and not behind the instance.
 
         Raises:
             UsageError: no scene was loaded.
         """
-        clip = product(self._projection, view_matrix(optical_pose(pose, self._camera)))
-        return window_of_corners(self._loaded().corners_of(instance_id), clip, self._camera.near_m, self._size)
-
-    def render_window(self, pose: Pose, window: Window) -> DepthAndIds:
-        """Returns depth and ids of a part of the frame, bit-identical to those of `render`.
-
-        Raises:
-            UsageError: no scene was loaded.
-        """
-        if window.is_empty:
-            return DepthAndIds(np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16))
         scene = self._loaded()
-        clip, parts = self._look(scene, pose)
+        view = self._look(scene, pose)
+        window, depth_m = scene.window_of(view.drawn, instance_id, view.clip, self._camera, self._size)
+        if window.is_empty:
+            return window, DepthAndIds(np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16))
+        parts = scene.parts_before(view.drawn, view.optical, edges_of(window, self._size, self._camera), depth_m)
+        return window, self._render_bare(scene, view.matrix, parts, window)
+
+    def count_within(self, pose: Pose, window: Window, depth_m: float) -> int:
+        """Returns the number of pixels in a window of the image with a depth above 0 and below `depth_m`.
+
+        Draws what may be so near, usually nothing.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+        scene, optical = self._loaded(), optical_pose(pose, self._camera)
+        parts = scene.parts_within(optical, edges_of(window, self._size, self._camera), depth_m)
+        if not len(parts):
+            return 0
+        depth = self._render_bare(scene, self._matrix(optical)[1], parts, window).depth
+        return int(np.count_nonzero(depth < depth_m)) - int(np.count_nonzero(depth == 0.0))
+
+    def _render_bare(
+        self, scene: GpuScene, matrix: bytes, parts: NDArray[np.intp], window: Window | None = None
+    ) -> DepthAndIds:
         with self._context:
             target = self._target(self._size)
             target.begin(window)
-            scene.draw_bare(parts, clip)
+            scene.draw_bare(parts, matrix)
             self._context.finish()
             self._lap("render")
             relief = target.read_relief(self._camera, window=window)
@@ -186,14 +201,15 @@ class GlRenderer(Closing):
             raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
         return self._scene
 
-    def _look(self, scene: GpuScene, pose: Pose) -> tuple[bytes, NDArray[np.intp]]:
-        """Returns the matrix of the shader programs for a pose, and the parts to draw."""
-        if self._looked is None or self._looked[0] != pose:
-            optical = optical_pose(pose, self._camera)
-            clip = product(self._projection, view_matrix(optical))
-            matrix = onto_target(clip, self._camera).T.astype(np.float32).tobytes()
-            self._looked = pose, (matrix, scene.parts_to_draw(clip, optical, self._camera))
-        return self._looked[1]
+    def _look(self, scene: GpuScene, pose: Pose) -> _View:
+        optical = optical_pose(pose, self._camera)
+        clip, matrix = self._matrix(optical)
+        return _View(optical, clip, matrix, scene.order(clip, optical, self._camera))
+
+    def _matrix(self, optical: OpticalPose) -> tuple[NDArray[np.float64], bytes]:
+        """Returns the matrix from world to OpenGL clip space, and that of the shader programs."""
+        clip = product(self._projection, view_matrix(optical))
+        return clip, onto_target(clip, self._camera).T.astype(np.float32).tobytes()
 
     def _prepare(self, scene: CompiledScene) -> GpuScene:
         return GpuScene(self._context, self._programs, scene)

@@ -17,10 +17,11 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
+from factory.bench.collect import bench_collect
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.machine import StageRecorder, describe_machine
 from factory.bench.memory import bench_memory
-from factory.bench.model import RenderBench, RolloutBench
+from factory.bench.model import CollectBench, RenderBench, RolloutBench
 from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
@@ -39,7 +40,14 @@ from factory.cli.common.options import (
 )
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
-from factory.cli.other.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
+from factory.cli.other.bench_tables import (
+    show_collect,
+    show_coordinator,
+    show_memory,
+    show_read,
+    show_render,
+    show_rollout,
+)
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.support.logs import configure_logs
@@ -48,7 +56,7 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.plan import Plan
 from schemas.storage.place import Place
-from schemas.terms import RendererKind
+from schemas.terms import ExpertName, Recording, RendererKind
 from workers.client.settings import WorkerSettings
 from workers.render.process_wire import MAX_SIZE_PX
 from workers.sim.scene_renderer import SceneRenderer
@@ -116,11 +124,62 @@ def rollout(
         machine=machine,
         renderer=described,
         plan=plan.name,
-        screening=plan.spawn.screening,
+        screening=plan.screening,
         repeats=repeats,
         scenes=results,
     )
     print_result(report, as_json, show_rollout)
+
+
+@command.command("collect")
+@plan_argument(default="paper")
+@scene_filter()
+@count_option("--episodes", 100, "Number of episodes of each run.")
+@click.option(
+    "--record", "records", type=click.Choice(list(Recording)), multiple=True, help="Recording to run; repeatable."
+)
+@click.option(
+    "--expert", "experts", type=click.Choice(list(ExpertName)), multiple=True, help="Expert to run; repeatable."
+)
+@workers_option("Number of simulation processes")
+@_repeats_option
+@renderer_option
+@json_option
+def collect(
+    plan_name: str,
+    scenes: tuple[str, ...] | None,
+    episodes: int,
+    records: tuple[Recording, ...],
+    experts: tuple[ExpertName, ...],
+    workers: int | None,
+    repeats: int,
+    renderer: RendererKind,
+    as_json: bool,
+) -> None:
+    """Measure whole runs: episodes per hour and CPU time per episode.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Every combination of --record and
+    --expert is run, in turns; by default those of the plan.
+    """
+    base = shrunk_plan(load_plan(plan_name), {"scenes": scenes, "episodes": episodes})
+    variants = {
+        f"{record}, {expert}": shrunk_plan(base, {"record": record, "expert": expert})
+        for record in records or (base.record,)
+        for expert in experts or (base.expert,)
+    }
+    machine, processes = describe_machine(), workers or os.cpu_count() or 1
+    with _bar("collect", len(variants) * repeats) as tell, _temporary_folder() as folder:
+        catalog = open_catalog(base, folder, scene_cache())
+        paces = bench_collect(variants, catalog, folder, processes, repeats, renderer, tell)
+    report = CollectBench(
+        machine=machine,
+        plan=base.name,
+        screening=base.screening,
+        workers=processes,
+        repeats=repeats,
+        variants=paces,
+    )
+    print_result(report, as_json, show_collect)
 
 
 @command.command("render")

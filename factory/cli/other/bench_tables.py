@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from factory.bench.model import (
+    CollectBench,
     CoordinatorBench,
     Machine,
     MemoryBench,
@@ -56,6 +57,22 @@ def show_rollout(report: RolloutBench) -> None:
         for name, found in report.scenes.items()
     ]
     print_table("\nResident memory, MiB", ("scene", "after 1 episode", "at the end", "peak"), memory)
+
+
+def show_collect(report: CollectBench) -> None:
+    """Prints the pace of whole runs."""
+    _say_machine(report.machine)
+    rows = [
+        (
+            *(name, pace.episodes, pace.attempts),
+            *(round(pace.episodes_per_hour.median), _range(pace.episodes_per_hour)),
+            *(_round(pace.cpu_s_per_episode.median), _range(pace.cpu_s_per_episode)),
+        )
+        for name, pace in report.variants.items()
+    ]
+    work = f"screening {report.screening}, {report.workers} workers, {report.repeats} runs each"
+    columns = ("variant", "episodes", "attempts", "episodes/h", "range", "CPU s/episode", "range")
+    print_table(f"Runs of plan {report.plan}, {work}", columns, rows)
 
 
 def show_render(report: RenderBench) -> None:
