@@ -29,7 +29,7 @@ MAX_PACKED_BYTES = 1 << 20
 """Largest episode that is packed, bytes. A shard of the largest episodes needs no zip64 records."""
 _LIMITS = ContainerLimits(MAX_SHARD_EPISODES, MAX_PACKED_BYTES)
 _MAX_SHARD_BYTES = MAX_SHARD_EPISODES * (MAX_PACKED_BYTES + 256)
-_NAME = re.compile(r"shard_(\d{6,7})-(\d{6,7})-[0-9a-f]{8}\.zip", re.ASCII)
+_NAME = re.compile(r"shard_(\d{6,7})-(\d{6,8})-[0-9a-f]{8}\.zip", re.ASCII)
 _HEADER = b"PK\x03\x04"
 
 

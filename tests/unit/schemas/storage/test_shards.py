@@ -77,6 +77,7 @@ def test_the_directory_gives_the_place_of_each_episode() -> None:
     [
         ("shard_000001-001000-0123abcd.zip", True),
         ("shard_999001-1000000-0123abcd.zip", True),
+        (shard_name(*range_of(9_999_999), "0123abcd"), True),
         ("shard_000001-001000-0123ABCD.zip", False),
         ("shard_000001-001000-0123abcd.zip.part", False),
         ("shard_1-1000-0123abcd.zip", False),
