@@ -214,7 +214,9 @@ class EquirectangularCamera(_Camera):
     @model_validator(mode="after")
     def _is_upright(self) -> Self:
         if self.bottom_deg >= self.top_deg:
-            raise ValueError(f"bottom_deg {self.bottom_deg:g} must be less than top_deg {self.top_deg:g}: exchange them")
+            raise ValueError(
+                f"bottom_deg {self.bottom_deg:g} must be less than top_deg {self.top_deg:g}: exchange them"
+            )
         return self
 
 

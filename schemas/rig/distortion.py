@@ -58,8 +58,10 @@ def undistort(points: Floats, coefficients: Sequence[float]) -> Floats:
             gain = a * d - b * b
             whole &= (gain > _LEAST_GAIN) & (a + d > 0)
             safe = np.where(whole, gain, 1.0)
-            found = found - np.stack(((d * error[..., 0] - b * error[..., 1]) / safe,
-                                      (a * error[..., 1] - b * error[..., 0]) / safe), axis=-1)
+            found = found - np.stack(
+                ((d * error[..., 0] - b * error[..., 1]) / safe, (a * error[..., 1] - b * error[..., 0]) / safe),
+                axis=-1,
+            )
             found[~whole] = 0.0
     whole &= np.abs(distort(found, coefficients) - points).max(axis=-1) < 1e-9 * (1 + np.abs(points).max(axis=-1))
     return np.where(whole[..., None], found, np.nan)
