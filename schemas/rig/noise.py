@@ -6,8 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from schemas.base import Fraction, Model, NonNegative, Positive
-
+from schemas.base import Fraction, Model, Positive
 
 _Gain = Annotated[float, Field(ge=0.01, le=100)]
 
@@ -41,8 +40,8 @@ class StereoDepthNoise(_TriangulationNoise):
     baseline_m: Positive = 0.15
     """Distance between the two cameras, metres."""
     disparity_std_px: Annotated[float, Field(ge=0, le=16)] = 0.1
-    """Standard deviation of the disparity, pixels; the usual value of a textured surface (Grunnet-Jepsen et al., "Tuning
-    depth cameras for best performance", Intel RealSense)."""
+    """Standard deviation of the disparity, pixels; the usual value of a textured surface (Grunnet-Jepsen et al.,
+    "Tuning depth cameras for best performance", Intel RealSense)."""
     disparity_step_px: Annotated[float, Field(ge=0, le=16)] = 0.03125
     """Resolution of the disparity, pixels; 1/32 (Grunnet-Jepsen et al., "Subpixel linearity improvement", Intel
     RealSense); 0 does not round."""
@@ -101,8 +100,8 @@ class ColourNoise(Model):
     has_electrons: bool = True
     """Whether the image has shot noise and read noise."""
     full_well_e: Annotated[float, Field(ge=10, le=1e7)] = 10_700
-    """Electrons of a saturated pixel at a gain of 0 dB; of a Sony IMX255, whose signal-to-noise ratio is 40.3 dB (Matrix
-    Vision, mvBlueFOX3 technical manual)."""
+    """Electrons of a saturated pixel at a gain of 0 dB; of a Sony IMX255, whose signal-to-noise ratio is 40.3 dB
+    (Matrix Vision, mvBlueFOX3 technical manual)."""
     read_noise_e: Annotated[float, Field(ge=0, le=1e5)] = 2.9
     """Standard deviation of the read noise, electrons; of the same sensor, whose dynamic range is 71.3 dB."""
     gain_db: Annotated[float, Field(ge=0, le=60)] = 12.0
@@ -130,13 +129,13 @@ class LidarNoise(Model):
     range_step_m: Annotated[float, Field(ge=0, le=1)] = 0.002
     """Resolution of the range, metres (VLP-16 User Manual 63-9243, Sec. 9.3); 0 does not round."""
     matt_range_m: Positive | None = 100.0
-    """Longest range of a matt surface that faces the lidar, metres (the same manual); it decreases with the square root of
-    the cosine of the angle of incidence. Null has no such limit."""
+    """Longest range of a matt surface that faces the lidar, metres (the same manual); it decreases with the square
+    root of the cosine of the angle of incidence. Null has no such limit."""
     dropout: Fraction = 0.0
     """Share of the rays without a measurement."""
     sweep_s: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Duration of a scan, during which the robot moves, seconds; 0 casts all rays from the pose at the end of the scan, as
-    after a correction of the motion."""
+    """Duration of a scan, during which the robot moves, seconds; 0 casts all rays from the pose at the end of the
+    scan, as after a correction of the motion."""
 
 
 class ImuNoise(Model):
@@ -160,6 +159,7 @@ class OdometryNoise(Model):
     """Noise of wheel odometry; the defaults are assumed, no source has them for this robot."""
 
     slip_std_m: Annotated[float, Field(ge=0, le=1)] = 0.001
-    """Standard deviation of the slip of each wheel after one metre, metres; it grows with the square root of the distance."""
+    """Standard deviation of the slip of each wheel after one metre, metres; it grows with the square root of the
+    distance."""
     radius_error_std: Annotated[float, Field(ge=0, le=0.2)] = 0.001
     """Standard deviation of the wheel radii between episodes, share of the radius."""

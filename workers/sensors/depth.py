@@ -21,8 +21,8 @@ _BAND = 32
 _LEAST_PX = np.float32(1e-6)
 """Disparity that replaces those at and below 0, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
-"""Side of the blocks of which holes consist, pixels, and distance of the random values between which the field of holes is
-interpolated, blocks."""
+"""Side of the blocks of which holes consist, pixels, and distance of the random values between which the field of
+holes is interpolated, blocks."""
 
 
 def noisy_depth(
@@ -60,10 +60,10 @@ def noisy_depth(
 def noisy_disparity(disparity: Singles, std_px: float, step_px: float, key: NoiseKey, step: int) -> Singles:
     """Returns disparities (H, W) with Gaussian noise, rounded to the resolution of the matcher, pixels.
 
-    A disparity d = f b / z with the standard deviation s gives z a standard deviation of z^2 s / (f b) (K. Khoshelham and
-    S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2), 2012;
-    A. Grunnet-Jepsen et al., "Tuning depth cameras for best performance", Intel RealSense). The rounding is that of A.
-    Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
+    A disparity d = f b / z with the standard deviation s gives z a standard deviation of z^2 s / (f b) (K. Khoshelham
+    and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2),
+    2012; A. Grunnet-Jepsen et al., "Tuning depth cameras for best performance", Intel RealSense). The rounding is that
+    of A. Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
     """
     values = key.normals(Effect.DISPARITY, disparity.shape, step)
     values *= np.float32(std_px)
@@ -109,9 +109,9 @@ def _inner_pixels(shape: tuple[int, int], margin: int) -> Ints:
 def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     """Returns the pixels (H, W) that the second camera does not see, or that the projector does not illuminate.
 
-    A pixel in column x has the column u = x - d in a view from the right. It is hidden if u is outside of the image, or if
-    a pixel further to the right, which is nearer, has the same column or one further to the left (D. Scharstein and R.
-    Szeliski, "A taxonomy and evaluation of dense two-frame stereo correspondence algorithms", IJCV 47, 2002).
+    A pixel in column x has the column u = x - d in a view from the right. It is hidden if u is outside of the image,
+    or if a pixel further to the right, which is nearer, has the same column or one further to the left (D. Scharstein
+    and R. Szeliski, "A taxonomy and evaluation of dense two-frame stereo correspondence algorithms", IJCV 47, 2002).
 
     Args:
         disparity: (H, W) disparity d, pixels; 0 where no surface is visible.
@@ -129,8 +129,8 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
 def edges(disparity: Singles, window_px: int) -> Bools:
     """Returns the pixels (H, W) whose matching window contains a depth edge.
 
-    The disparity of a plane is linear in the image, so that a second difference over half a window shows an edge and not a
-    slope.
+    The disparity of a plane is linear in the image, so that a second difference over half a window shows an edge and
+    not a slope.
     """
     half = window_px // 2
     found = np.zeros(disparity.shape, bool)
@@ -151,7 +151,8 @@ def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Boo
 
 
 def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
-    """Returns (H, W) random values between which is interpolated: whole numbers below 2^24, which float32 adds exactly."""
+    """Returns (H, W) random values between which is interpolated: whole numbers below 2^24, which float32 adds
+    exactly."""
     rows, columns = (_interpolation(side) for side in shape)
     coarse = key.bits(Effect.HOLES, (rows.shape[1], columns.shape[1]), step) >> 8
     return np.asarray(rows @ coarse.astype(np.float32) @ columns.T)

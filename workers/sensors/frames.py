@@ -1,7 +1,7 @@
 """Poses of sensors along a trajectory: mounting pose, world frame, and poses between control steps.
 
-Pure functions on arrays of poses x, y, z, qw, qx, qy, qz of base_link, as recorded. Uses no BLAS, so that the results have
-the same bits on every processor.
+Pure functions on arrays of poses x, y, z, qw, qx, qy, qz of base_link, as recorded. Uses no BLAS, so that the results
+have the same bits on every processor.
 """
 
 from __future__ import annotations
@@ -62,8 +62,9 @@ def _products(left: Floats, right: Floats) -> Floats:
 def poses_at(poses: Floats, steps: Floats) -> Floats:
     """Returns poses (N, 7) at fractional control steps (N,) of a trajectory (T, 7).
 
-    Positions and quaternions are interpolated linearly and normalised; between two control steps the robot turns by less
-    than 0.03 rad, for which this differs from the great arc by less than 1e-6 rad. Before the first step the robot stands.
+    Positions and quaternions are interpolated linearly and normalised; between two control steps the robot turns by
+    less than 0.03 rad, for which this differs from the great arc by less than 1e-6 rad. Before the first step the
+    robot stands.
     """
     last = len(poses) - 1
     times = np.clip(steps, 0, last)

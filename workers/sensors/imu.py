@@ -1,7 +1,7 @@
 """Inertial measurement unit: angular velocity and specific force of a moving sensor frame, with bias and noise.
 
-Computes a whole episode from its exact poses. The first measurements do not depend on later poses, so that a prefix of an
-episode gives a prefix of the measurements.
+Computes a whole episode from its exact poses. The first measurements do not depend on later poses, so that a prefix of
+an episode gives a prefix of the measurements.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from schemas.rig.motion import Imu
 from schemas.rig.noise import ImuNoise
 from schemas.support.numpy_types import Floats, Singles
 from schemas.support.portable import arctan2
-from workers.sensors.frames import mount_rotation, rotations, sensor_poses, turned
+from workers.sensors.frames import mount_rotation, sensor_poses, turned
 from workers.sensors.streams import Effect, NoiseKey
 
 GRAVITY_MPS2 = 9.81
@@ -57,7 +57,8 @@ def sense_imu(imu: Imu, poses: Floats, control_hz: int, key: NoiseKey) -> ImuMea
 def angular_velocities(poses: Floats, rate_hz: float) -> Floats:
     """Returns mean angular velocities (N, 3) of base_link since the previous pose, in base_link, rad/s.
 
-    The rotation between two poses (N, 7) has the axis and half the angle of the quaternion q[k-1]* q[k]; the first is 0.
+    The rotation between two poses (N, 7) has the axis and half the angle of the quaternion q[k-1]* q[k]; the first is
+    0.
     """
     now, before = poses[1:, 3:], poses[:-1, 3:]
     (w0, x0, y0, z0), (w1, x1, y1, z1) = before.T, now.T
@@ -76,8 +77,8 @@ def specific_forces(positions: Floats, frames: Floats, rate_hz: float) -> Floats
     """Returns specific forces (N, 3) in the sensor frame, m/s2.
 
     The acceleration is the second difference of the positions (N, 3) of the sensor, so that it contains the centripetal
-    and tangential acceleration of the lever arm; it belongs to the previous measurement, with whose rotation (N, 3, 3) it
-    is turned. Before the first pose the robot stands.
+    and tangential acceleration of the lever arm; it belongs to the previous measurement, with whose rotation (N, 3, 3)
+    it is turned. Before the first pose the robot stands.
     """
     start = positions[:1]
     path = np.concatenate((start, start, positions))

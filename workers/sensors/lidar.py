@@ -1,12 +1,13 @@
 """Lidar with one or several scan lines: rays against the drawn triangles of a scene, and the noise of their ranges.
 
-Opens no scene; the caller passes a `SceneRays`. The robot is not drawn, so no ray hits it.
+Opens no scene; the caller passes a `workers.sensors.rays.SceneRays`. The robot is not drawn, so no ray hits it.
 """
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,32 @@ from schemas.rig.ranging import Lidar2d, Lidar3d
 from schemas.support.numpy_types import Floats, Singles
 from schemas.support.portable import cos, sin
 from workers.sensors.frames import poses_at, sensor_poses, turned
-from workers.sensors.rays import SceneRays
 from workers.sensors.streams import Effect, NoiseKey
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """Hits of N rays; all values are 0 without a hit."""
+
+    distances: Singles
+    """(N,) distance of the surface, metres."""
+    ids: NDArray[np.uint16]
+    """(N,) instance id of the surface."""
+    cosines: Singles
+    """(N,) cosine of the angle of incidence, 0 to 1."""
+
+
+class RayCaster(Protocol):
+    """Ray caster of a scene."""
+
+    def nearest(self, origins: Floats, directions: Floats, reach_m: float) -> RayHits:
+        """Returns what N rays hit first.
+
+        Args:
+            origins: (N, 3) positions in the world, metres.
+            directions: (N, 3) unit vectors in the world.
+            reach_m: maximum distance, metres.
+        """
 
 
 @dataclass(frozen=True)
@@ -33,7 +58,7 @@ class LidarScan:
 
 
 def sense_lidar(
-    rays: SceneRays, lidar: Lidar2d | Lidar3d, poses: Floats, step: int, control_hz: int, key: NoiseKey
+    rays: RayCaster, lidar: Lidar2d | Lidar3d, poses: Floats, step: int, control_hz: int, key: NoiseKey
 ) -> LidarScan:
     """Returns the scan that ends at a control step.
 

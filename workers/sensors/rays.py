@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Bools, Floats, Singles
 from workers.geometry.rays import Caster
+from workers.sensors.lidar import RayHits
 
 _SAME_M = np.float32(1e-4)
 """Distance below which two faces are at one place, metres."""
 _BEHIND_M = np.geomspace(1e-4, 1e-2, 16)
-"""Distance behind the first, second, ... back face from which a ray continues, metres. It grows, so that a ray that grazes a
-face leaves it; a ray that meets more of them hits nothing."""
+"""Distance behind the first, second, ... back face from which a ray continues, metres. It grows, so that a ray that
+grazes a face leaves it; a ray that meets more of them hits nothing."""
 _TILTED = np.array((0.58, 0.21, 0.79))
 """A direction to which the face of no usual object is parallel."""
-
-
-@dataclass(frozen=True)
-class RayHits:
-    """Hits of N rays; all values are 0 without a hit."""
-
-    distances: Singles
-    """(N,) distance of the surface, metres."""
-    ids: NDArray[np.uint16]
-    """(N,) instance id of the surface."""
-    cosines: Singles
-    """(N,) cosine of the angle of incidence, 0 to 1."""
 
 
 class SceneRays:
@@ -47,15 +34,10 @@ class SceneRays:
         self._caster = Caster(triangles)
 
     def nearest(self, origins: Floats, directions: Floats, reach_m: float) -> RayHits:
-        """Returns what N rays hit first.
+        """Returns what N rays hit first, see `RayCaster`.
 
         A renderer draws front faces only, so a ray passes through a back face. Embree finds the triangle; the distance
         is computed from its plane in float64, so that it does not depend on the processor.
-
-        Args:
-            origins: (N, 3) positions in the world, metres.
-            directions: (N, 3) unit vectors in the world.
-            reach_m: maximum distance, metres.
         """
         eyes, ways = origins.astype(np.float32), directions.astype(np.float32)
         lengths = np.full(len(eyes), reach_m, np.float32)
@@ -77,7 +59,8 @@ class SceneRays:
         return RayHits((distances * is_hit).astype(np.float32), ids, (np.abs(slants) * is_hit).astype(np.float32))
 
     def _meet(self, met: NDArray[np.int32], origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Returns distances (N,) to the planes of triangles, and scalar products (N,) of their normals and directions."""
+        """Returns distances (N,) to the planes of triangles, and scalar products (N,) of their normals and
+        directions."""
         planes = self._planes.take(met, axis=0, mode="clip")
         slants = _dot(planes, directions)
         height = planes[:, 3] - _dot(planes, origins)

@@ -20,8 +20,8 @@ _LIGHT_LEVELS = 1 << 16
 def shutter_offsets(noise: ColourNoise, control_hz: int) -> Floats:
     """Returns the times (K,) of the images that an image needs, control steps relative to its own, at most 0.
 
-    One time, 0, without motion blur and rolling shutter. The exposure of the last row ends at the control step itself, so
-    that an image depends on no later pose.
+    One time, 0, without motion blur and rolling shutter. The exposure of the last row ends at the control step itself,
+    so that an image depends on no later pose.
     """
     duration = noise.motion_blur_s + noise.rolling_shutter_s
     if not duration:
@@ -35,8 +35,8 @@ def row_weights(noise: ColourNoise, rows: int) -> Singles:
     """Returns the weights (K, rows) of the images in each row; the weights of a row add up to 1.
 
     A row is exposed for `motion_blur_s`, and each row begins later than the one above it (C. Geyer, M. Meingast and S.
-    Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 2005). Image k has the share of the exposure that is in
-    part k of the whole duration.
+    Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 2005). Image k has the share of the exposure that is
+    in part k of the whole duration.
     """
     count = noise.shutter_images
     duration = noise.motion_blur_s + noise.rolling_shutter_s

@@ -1,7 +1,7 @@
 """Random numbers of sensor noise, as a function of seed, episode, sensor, effect and step.
 
-Draws raw bits of Philox and maps them itself: numpy keeps the bits of a bit generator in every version, but may change how
-a distribution uses them (NEP 19). Draws nothing from a global generator.
+Draws raw bits of Philox and maps them itself: numpy keeps the bits of a bit generator in every version, but may change
+how a distribution uses them (NEP 19). Draws nothing from a global generator.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ def normal_of(bits: NDArray[np.uint16]) -> Singles:
 
 @functools.cache
 def _quantiles(count: int) -> Singles:
-    """Returns (count,) equally probable values of a distribution that is close to the normal one, in ascending order."""
+    """Returns (count,) equally probable values of a distribution that is close to the normal one, in ascending
+    order."""
     upper = np.array([NormalDist().inv_cdf(0.5 + (i + 0.5) / count) for i in range(count // 2)])
     upper /= math.sqrt(math.fsum(upper * upper) / len(upper))
     return np.concatenate((-upper[::-1], upper)).astype(np.float32)
