@@ -1,4 +1,5 @@
-"""Lidar and encoders against references that are not ours: PyBullet's ray test and wheel joints, and the depth image."""
+"""Lidar and encoders against references that are not ours: PyBullet's ray test and wheel joints, and the depth
+image."""
 
 from __future__ import annotations
 
