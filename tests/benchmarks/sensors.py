@@ -52,7 +52,7 @@ def cpu_ms(work: Callable[[], object]) -> tuple[float, float]:
 def report(name: str, work: Callable[[], object], share: float = 1) -> None:
     """Prints one row."""
     median, least = cpu_ms(work)
-    print(f"  {name:32} {median * share:7.2f} ms   least {least * share:.2f}")
+    sys.stdout.write(f"  {name:32} {median * share:7.2f} ms   least {least * share:.2f}\n")
 
 
 def measure(name: str, folder: Path) -> None:
@@ -61,7 +61,7 @@ def measure(name: str, folder: Path) -> None:
         scene = decode_scene(file)
     x, y = map(float, scene.spawns[len(scene.spawns) // 2])
     pose, row = Pose.planar(x, y, 0.5), np.array([[x, y, 0, np.cos(0.25), 0, 0, np.sin(0.25)]])
-    print(name)
+    sys.stdout.write(f"{name}\n")
     with open_renderer("gl") as renderer:
         renderer.load(scene, CameraConfig())
         frame = renderer.render(pose)
