@@ -137,8 +137,8 @@ class PinholeCamera(_CentredCamera):
         widest = np.abs(border if not self.is_distorted else undistort(border, self.distortion)).max()
         if math.isnan(widest):
             raise ValueError(
-                f"distortion {list(self.distortion)} folds over within the image: reduce the coefficients or the image, "
-                "or use model 'fisheye'"
+                f"distortion {list(self.distortion)} folds over within the image: reduce the coefficients or the "
+                "image, or use model 'fisheye'"
             )
         if widest > math.tan(math.radians(85)):
             raise ValueError(
@@ -186,8 +186,8 @@ class FisheyeCamera(_CentredCamera):
         fold = first_fold(self.half_fov_rad, self.distortion)
         if fold is not None:
             raise ValueError(
-                f"distortion {list(self.distortion)} folds over {math.degrees(fold):.1f} degrees from the optical axis, "
-                f"within the image circle: reduce the coefficients, or fov_deg below {2 * math.degrees(fold):.0f}"
+                f"distortion {list(self.distortion)} folds over {math.degrees(fold):.1f} degrees from the optical "
+                f"axis, within the image circle: reduce the coefficients, or fov_deg below {2 * math.degrees(fold):.0f}"
             )
         if self.fy_px is not None and self.fx_px is None:
             raise ValueError("fy_px is given without fx_px: give both, or none")
