@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from threading import Lock
 from typing import BinaryIO, NamedTuple, Self
@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.observation import Observation, due_cameras, observe
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
-from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.rig import Rig
 from schemas.scene import Instance
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
@@ -48,10 +50,12 @@ class Episode(Closing):
         ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
-    def __init__(self, path: Place, summary: EpisodeSummary) -> None:
+    def __init__(self, path: Place, summary: EpisodeSummary, rig: Rig | None = None) -> None:
         self.path = path
         self.summary = summary
         """Row of the episode in the metadata table."""
+        self.rig = rig
+        """Rig of `observe`."""
         self._opened: _Opened | None = None
         self._opening = Lock()
 
@@ -129,6 +133,25 @@ class Episode(Closing):
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
         return (self.frame(t, size) for t in range(0, len(self), stride))
 
+    def observe(self, t: int, cameras: Sequence[str] | None = None) -> dict[str, Observation]:
+        """Returns the images of the rig's cameras at step t, by name; they are rendered (docs/rigs.md).
+
+        A camera with a lower rate than the control rate has no image at the steps between two measurements.
+
+        Args:
+            t: step; a negative t counts from the end.
+            cameras: names of cameras; all by default.
+
+        Raises:
+            UsageError: The dataset was opened without a rig, or the rig has no camera of that name.
+        """
+        if self.rig is None:
+            raise UsageError(f"{self.episode_id} has no rig: open the dataset as Dataset(path, rig='paper')")
+        with self._reading() as bundle:
+            step = self._step(t)
+            due = due_cameras(self.rig, bundle.meta.job.task.control_hz, step, cameras)
+            return {camera.name: observe(bundle, camera, step) for camera in due}
+
     def __len__(self) -> int:
         return self.summary.num_steps
 
@@ -159,8 +182,8 @@ class Episode(Closing):
             self._opened.close()
             self._opened = None
 
-    def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary]]:
-        return type(self), (self.path, self.summary)
+    def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary, Rig | None]]:
+        return type(self), (self.path, self.summary, self.rig)
 
 
 class _Opened:

@@ -106,12 +106,6 @@ def plan_faces(camera: Camera) -> FacePlan:
     return _arrange(camera, rays, sides, plane, focal)
 
 
-def radial_factor(camera: PinholeCamera) -> NDArray[np.float32]:
-    """Returns (height, width) the distance from the optical centre at an axial depth of 1."""
-    across, down = _direct_view(camera).steps()
-    return np.sqrt(across[None, :] ** 2 + down[:, None] ** 2 + 1).astype(np.float32)
-
-
 def _direct_view(camera: PinholeCamera) -> Perspective:
     if camera.fov_deg is not None:
         half = math.tan(math.radians(camera.fov_deg) / 2)

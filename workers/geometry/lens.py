@@ -6,6 +6,7 @@ The optical frame has x right, y down and z forward. Pixels are (column, row); t
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -52,6 +53,18 @@ def pixel_centres(camera: Camera) -> Floats:
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
+@functools.lru_cache(maxsize=4)
+def _pixel_rays(camera: Camera) -> Floats:
+    rays = unproject(camera, pixel_centres(camera))
+    rays.flags.writeable = False
+    return rays
+
+
+def axial_share(camera: Camera) -> Floats:
+    """Returns the axial depth (height, width) of points at a distance of 1 m from the optical centre."""
+    return np.asarray(_pixel_rays(camera)[..., 2])
+
+
 def optical_flow(camera: Camera, distance_m: Floats, now: OpticalPose, later: OpticalPose) -> Floats:
     """Returns the flow (height, width, 2) of a static scene, pixels to the right and down.
 
@@ -66,7 +79,7 @@ def optical_flow(camera: Camera, distance_m: Floats, now: OpticalPose, later: Op
         at the second instant. Points that are hidden at the second instant have a flow too.
     """
     pixels = pixel_centres(camera)
-    points = unproject(camera, pixels) * np.where(distance_m > 0, distance_m, np.nan)[..., None]
+    points = _pixel_rays(camera) * np.where(distance_m > 0, distance_m, np.nan)[..., None]
     moved = (points @ now.rotation.T + (now.eye - later.eye)) @ later.rotation
     flow = project(camera, moved) - pixels
     if isinstance(camera, EquirectangularCamera):  # the shorter way around
@@ -102,6 +115,4 @@ def _unproject_equirectangular(camera: EquirectangularCamera, pixels: Floats) ->
     top, bottom = math.radians(camera.top_deg), math.radians(camera.bottom_deg)
     elevation = top - pixels[..., 1] / camera.height * (top - bottom)
     level = portable.cos(elevation)
-    return np.stack(
-        (portable.sin(azimuth) * level, -portable.sin(elevation), portable.cos(azimuth) * level), axis=-1
-    )
+    return np.stack((portable.sin(azimuth) * level, -portable.sin(elevation), portable.cos(azimuth) * level), axis=-1)

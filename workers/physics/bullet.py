@@ -275,7 +275,7 @@ class BulletClient(Closing):
             projection: (4, 4) OpenGL projection matrix for column vectors.
             is_lit: whether PyBullet's light and shadow are applied.
         """
-        _, _, rgba, depth, bodies = _p.getTinyImage(
+        _, _, rgba, depth, bodies = _p.getCameraImage(
             width,
             height,
             view.T.ravel().tolist(),

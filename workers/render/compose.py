@@ -7,10 +7,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.rig import Camera, CameraOutput, DepthKind, PinholeCamera
+from schemas.rig import Camera, CameraOutput, DepthKind
 from schemas.support.numpy_types import Floats
 from workers.geometry.camera import OpticalPose, mounted_pose
-from workers.geometry.faces import FacePlan, Sampling, plan_faces, radial_factor
+from workers.geometry.faces import FacePlan, Sampling, plan_faces
+from workers.geometry.lens import axial_share
 from workers.geometry.pose import Pose
 from workers.geometry.resample import resample_colour, resample_depth, resample_ids, resample_normals
 from workers.render import CameraImage, RenderedAtlas
@@ -32,15 +33,10 @@ def compose_image(renderer: FaceRenderer, camera: Camera, pose: Pose) -> CameraI
     atlas = renderer.render_faces(plan, optical, CameraOutput.NORMALS in camera.outputs)
     normals = None if atlas.normals is None else decode_normals(atlas.normals, atlas.depth, optical.rotation)
     if plan.sampling is None:
-        depth = atlas.depth * _factor(camera)
+        is_radial = camera.depth is DepthKind.RADIAL
+        depth = (atlas.depth / axial_share(camera)).astype(np.float32) if is_radial else atlas.depth
         return CameraImage(np.ascontiguousarray(atlas.rgb[..., :3]), depth, atlas.ids, normals)
     return _resampled(camera, atlas, plan.sampling, normals)
-
-
-def _factor(camera: Camera) -> NDArray[np.float32] | np.float32:
-    """Returns the factor from axial depth to that of a camera without distortion."""
-    is_radial = isinstance(camera, PinholeCamera) and camera.depth is DepthKind.RADIAL
-    return radial_factor(camera) if is_radial else np.float32(1)  # type: ignore[arg-type]
 
 
 def _resampled(

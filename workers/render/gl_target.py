@@ -96,9 +96,7 @@ class GlTarget:
         self._images.read_into(rgb, components=channels, attachment=0)
         return rgb
 
-    def read_relief(
-        self, view: Perspective, *beside: NDArray[np.uint8], window: Window | None = None
-    ) -> DepthAndIds:
+    def read_relief(self, view: Perspective, *beside: NDArray[np.uint8], window: Window | None = None) -> DepthAndIds:
         """Returns depth and ids; sets ids and the images `beside` to 0 where no surface is within the clip range."""
         box = _box(window or Window(0, 0, self._shape[1], self._shape[0]))
         shape = box[3], box[2]

@@ -53,11 +53,15 @@ def test_a_fisheye_camera_projects_as_opencv_does():
 def test_undistorted_pixels_are_those_of_opencv():
     pixels = np.random.default_rng(3).uniform((0, 0), (640, 480), (500, 2))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-    expected = cv2.undistortPointsIter(
-        (pixels - 0.5)[:, None], matrix_of(PINHOLE), np.array(PINHOLE.distortion), None, None, criteria
-    )[:, 0] if hasattr(cv2, "undistortPointsIter") else cv2.undistortPoints(
-        (pixels - 0.5)[:, None], matrix_of(PINHOLE), np.array(PINHOLE.distortion), None, None, None, criteria
-    )[:, 0]
+    expected = (
+        cv2.undistortPointsIter(
+            (pixels - 0.5)[:, None], matrix_of(PINHOLE), np.array(PINHOLE.distortion), None, None, criteria
+        )[:, 0]
+        if hasattr(cv2, "undistortPointsIter")
+        else cv2.undistortPoints(
+            (pixels - 0.5)[:, None], matrix_of(PINHOLE), np.array(PINHOLE.distortion), None, None, None, criteria
+        )[:, 0]
+    )
     rays = unproject(PINHOLE, pixels)
     assert np.abs(rays[:, :2] / rays[:, 2:] - expected).max() * 400 < 0.01
 
