@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import Observation, due_cameras, observe
+from factory.dataset.observation import CameraObservation, due_cameras, observe
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -133,7 +133,7 @@ class Episode(Closing):
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
         return (self.frame(t, size) for t in range(0, len(self), stride))
 
-    def observe(self, t: int, cameras: Sequence[str] | None = None) -> dict[str, Observation]:
+    def observe(self, t: int, cameras: Sequence[str] | None = None) -> dict[str, CameraObservation]:
         """Returns the images of the rig's cameras at step t, by name; they are rendered (docs/rigs.md).
 
         A camera with a lower rate than the control rate has no image at the steps between two measurements.

@@ -18,7 +18,7 @@ from workers.geometry.pose import Pose
 from workers.render import CameraImage
 
 
-class Observation(NamedTuple):
+class CameraObservation(NamedTuple):
     """Images of one camera at one step; `None` for an image that is not an output of the camera."""
 
     rgb: NDArray[np.uint8] | None = None
@@ -56,7 +56,7 @@ def due_cameras(rig: Rig, control_hz: int, t: int, names: Sequence[str] | None =
     return tuple(camera for camera in chosen if t % camera.stride(control_hz) == 0)
 
 
-def observe(bundle: EpisodeBundle, camera: Camera, t: int) -> Observation:
+def observe(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraObservation:
     """Returns the outputs of a camera at step t of an episode.
 
     Raises:
@@ -74,7 +74,7 @@ def observe(bundle: EpisodeBundle, camera: Camera, t: int) -> Observation:
         CameraOutput.NORMALS: image.normals,
     }
     flow = _flow(bundle, camera, t, image) if CameraOutput.FLOW in camera.outputs else None
-    return Observation(**{str(name): part for name, part in parts.items() if name in camera.outputs}, flow=flow)  # type: ignore[arg-type]
+    return CameraObservation(**{str(name): part for name, part in parts.items() if name in camera.outputs}, flow=flow)  # type: ignore[arg-type]
 
 
 def _flow(bundle: EpisodeBundle, camera: Camera, t: int, image: CameraImage) -> NDArray[np.float32] | None:

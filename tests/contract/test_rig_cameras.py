@@ -200,9 +200,11 @@ def test_faces_have_no_coarser_pixels_than_the_image(camera: Camera):
 @pytest.mark.gl
 def test_a_panorama_has_no_seam_between_its_faces(gl: Renderer):
     camera = mounted(EquirectangularCamera(name="panorama", model="equirectangular", width=256, height=128))
-    gl.load(build_scene([Box((-3, -3, -3), (-2.9, 3, 3)), Box((2.9, -3, -3), (3, 3, 3)), Box((-3, -3, -3), (3, -2.9, 3)),
-                         Box((-3, 2.9, -3), (3, 3, 3)), Box((-3, -3, -3), (3, 3, -2.9)), Box((-3, -3, 2.9), (3, 3, 3))]),
-            CameraConfig())  # fmt: skip
+    inside, outside = np.full((6, 3), -3.0), np.full((6, 3), 3.0)
+    for axis in range(3):
+        outside[2 * axis, axis], inside[2 * axis + 1, axis] = -2.9, 2.9
+    sides = [Box(tuple(low), tuple(high)) for low, high in zip(inside.tolist(), outside.tolist(), strict=True)]
+    gl.load(build_scene(sides), CameraConfig())
     image = gl.render_camera(camera, POSE)
     assert (image.depth > 0).all()
     assert (image.rgb == image.rgb[0, 0]).all()  # a room of one colour, to the last pixel at the edges of the faces

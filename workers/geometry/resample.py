@@ -1,4 +1,4 @@
-"""Reads an atlas of faces at the pixels of a camera: colour bilinear, depth, ids and normals nearest. Pure functions."""
+"""Reads an atlas of faces at the pixels of a camera: colour is interpolated, depth, ids and normals are nearest."""
 
 from __future__ import annotations
 

@@ -23,7 +23,6 @@ from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
 
-
 _CAMERAS: TypeAdapter[Camera] = TypeAdapter(Annotated[Camera, Field(discriminator="model")])
 
 

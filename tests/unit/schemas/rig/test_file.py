@@ -77,7 +77,7 @@ def test_an_unknown_rig_is_refused_with_the_built_in_ones_and_a_suggestion(tmp_p
         (('model = "pinehole"',), "sensors[0]: unknown model 'pinehole'; valid: pinhole, fisheye, equirectangular"),
         (("mount = { x_m = 0.2, z_m = -0.1 }",), "sensor 'front' at (0.2, 0, -0.1) m is not above the floor: increase"),
         (("mount = { x_m = 0.2 }",), "is not above the floor"),
-        (("mount = { x_m = 0.2, z_m = 11 }",), "sensors[0].pinhole.mount.z_m: Input should be less than or equal to 10"),
+        (("mount = { x_m = 0.2, z_m = 11 }",), "sensors[0].pinhole.mount.z_m: Input should be less than or equal"),
         (("near_m = 5", "far_m = 2"), "near_m 5 must be less than far_m 2: exchange them"),
         (("width = 0",), "greater than or equal to 8 (found 0)"),
         (("width = 100000",), "less than or equal to 4096 (found 100000)"),
