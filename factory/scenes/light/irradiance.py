@@ -11,7 +11,7 @@ import numpy as np
 
 from factory.scenes.light.charts import number_rows
 from factory.scenes.light.lamps import Lamps, light_from, nearest_lamps
-from factory.scenes.light.rays import Caster
+from workers.geometry.rays import Caster
 from factory.scenes.light.texels import PATTERNS, SPOTS, Texels
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats, Ints, Singles

@@ -39,6 +39,10 @@ class Caster:
         distance = np.where(has_met, np.asarray(hit["tfar"], np.float32), np.float32(reach_m))
         return distance, has_met & (x + y + z > 0)
 
+    def first_triangles(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.int32]:
+        """Returns for N rays the number of the triangle that is hit first within the length of the ray, or -1."""
+        return np.asarray(self._scene.run(origins, directions, lengths_m, query="INTERSECT"))
+
     def is_free(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.bool_]:
         """Returns for N rays whether they hit nothing within their length."""
         met = np.asarray(self._scene.run(origins, directions, lengths_m, query="OCCLUDED"))  # 0 for a hit, else -1
