@@ -59,10 +59,10 @@ class EpisodeBundle(BundleReader):
         """
         return shared_renderer().render(*self._view(t, size))
 
-    def render_camera(self, t: int, camera: Camera) -> CameraImage:
-        """Renders the image of a camera of a rig at step t; raises the errors of `render`."""
+    def render_camera(self, pose: Pose, camera: Camera) -> CameraImage:
+        """Renders the image of a camera of a rig from a pose of base_link; raises the errors of `render`."""
         recorded_with = self.meta.provenance.fingerprint.renderer
-        return shared_renderer().render_camera(self.package, camera, Pose.of(self.arrays.poses[t]), recorded_with)
+        return shared_renderer().render_camera(self.package, camera, pose, recorded_with)
 
     def _view(self, t: int, size: int = FRAME_SIZE_PX) -> tuple[View, str]:
         view = View(self.package, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size)

@@ -1,8 +1,8 @@
-"""Observes an episode with the cameras of a rig, by rendering from its recorded poses. Reads no file."""
+"""Observes an episode with the sensors of a rig: renders images and casts rays from recorded poses. Reads no file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +10,25 @@ from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
 from schemas.errors import UsageError
-from schemas.rig import Camera, CameraOutput, DepthKind, Rig
+from schemas.rig import Camera, CameraOutput, DepthKind, Imu, Lidar2d, Lidar3d, Rig, Sensor, WheelOdometry
 from schemas.support.suggest import did_you_mean
 from workers.geometry.camera import mounted_pose
 from workers.geometry.lens import axial_share, optical_flow
 from workers.geometry.pose import Pose
 from workers.render import CameraImage
+from workers.sensors import (
+    ImuMeasurements,
+    LidarScan,
+    NoiseKey,
+    OdometryMeasurements,
+    colour_steps,
+    sense_colour,
+    sense_depth,
+    sense_imu,
+    sense_lidar,
+    sense_odometry,
+)
+from workers.sensors.frames import poses_at
 
 
 class CameraObservation(NamedTuple):
@@ -34,47 +47,69 @@ class CameraObservation(NamedTuple):
     defined. `None` if the episode ends before that image."""
 
 
-def due_cameras(rig: Rig, control_hz: int, t: int, names: Sequence[str] | None = None) -> tuple[Camera, ...]:
-    """Returns the cameras of a rig that take an image at step t.
-
-    Args:
-        rig: sensors.
-        control_hz: control rate, Hz.
-        t: step.
-        names: names of cameras; `None` is all.
+def choose_sensors(rig: Rig, names: Iterable[str] | None) -> Mapping[str, Sensor]:
+    """Returns the sensors of a rig with some names, or all for `None`.
 
     Raises:
-        UsageError: the rig has no camera of that name.
+        UsageError: the rig has no sensor of that name.
     """
-    known = {camera.name: camera for camera in rig.cameras}
-    for name in names or ():
+    known = {sensor.name: sensor for sensor in rig.sensors}
+    if names is None:
+        return known
+    chosen = list(names)
+    for name in chosen:
         if name not in known:
             raise UsageError(
-                f"rig {rig.name!r} has no camera {name!r}; its cameras: {', '.join(known)}{did_you_mean(name, known)}"
+                f"rig {rig.name!r} has no sensor {name!r}; its sensors: {', '.join(known)}{did_you_mean(name, known)}"
             )
-    chosen = known.values() if names is None else [known[name] for name in names]
-    return tuple(camera for camera in chosen if t % camera.stride(control_hz) == 0)
+    return {name: known[name] for name in chosen}
 
 
-def observe(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraObservation:
-    """Returns the outputs of a camera at step t of an episode.
+def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -> CameraObservation | LidarScan:
+    """Returns the images of a camera, or the scan of a lidar, at step t of an episode, with the noise of the sensor.
 
     Raises:
         ArchiveCorrupt: the scene package is missing or was changed.
-        UsageError: the camera has noise, which is not supported here.
+        UsageError: a package that the sensor needs is not installed.
         WorldError: this machine cannot render.
     """
-    if camera.noise is not None:
-        raise UsageError(f"camera {camera.name!r} has noise, which `observe` does not add: remove noise from the rig")
-    image = bundle.render_camera(t, camera)
-    parts = {
-        CameraOutput.RGB: image.rgb,
-        CameraOutput.DEPTH: image.depth,
-        CameraOutput.IDS: image.ids,
-        CameraOutput.NORMALS: image.normals,
-    }
-    flow = _flow(bundle, camera, t, image) if CameraOutput.FLOW in camera.outputs else None
-    return CameraObservation(**{str(name): part for name, part in parts.items() if name in camera.outputs}, flow=flow)  # type: ignore[arg-type]
+    if isinstance(sensor, Lidar2d | Lidar3d):
+        hz = bundle.meta.job.task.control_hz
+        return sense_lidar(bundle.package.rays(), sensor, bundle.arrays.poses, t, hz, _key(bundle, sensor))
+    return observe_camera(bundle, sensor, t)
+
+
+def observe_camera(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraObservation:
+    """Returns the outputs of a camera at step t of an episode; raises the errors of `observe`."""
+    image = bundle.render_camera(Pose.of(bundle.arrays.poses[t]), camera)
+    key, wanted = _key(bundle, camera), camera.outputs
+    return CameraObservation(
+        _colour(bundle, camera, t, image.rgb) if CameraOutput.RGB in wanted else None,
+        sense_depth(camera, image.depth, key, t) if CameraOutput.DEPTH in wanted else None,
+        image.ids if CameraOutput.IDS in wanted else None,
+        image.normals,
+        _flow(bundle, camera, t, image) if CameraOutput.FLOW in wanted else None,
+    )
+
+
+def measure(bundle: EpisodeBundle, sensor: Imu | WheelOdometry) -> ImuMeasurements | OdometryMeasurements:
+    """Returns the measurements of an IMU or of wheel odometry over an episode, with the noise of the sensor."""
+    arrays, hz, key = bundle.arrays, bundle.meta.job.task.control_hz, _key(bundle, sensor)
+    if isinstance(sensor, Imu):
+        return sense_imu(sensor, arrays.poses, hz, key)
+    return sense_odometry(sensor, arrays.actions_continuous, hz, key)
+
+
+def _key(bundle: EpisodeBundle, sensor: Sensor) -> NoiseKey:
+    return NoiseKey(bundle.meta.job.root_seed, bundle.meta.job.index, sensor.name)
+
+
+def _colour(bundle: EpisodeBundle, camera: Camera, t: int, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Returns the recorded colour; motion blur and a rolling shutter need images at several times."""
+    times = colour_steps(camera, t, bundle.meta.job.task.control_hz)
+    between = [Pose.of(row) for row in poses_at(bundle.arrays.poses, times)] if len(times) > 1 else []
+    images = [bundle.render_camera(pose, camera).rgb for pose in between] or [rgb]
+    return sense_colour(camera, np.stack(images), _key(bundle, camera), t)
 
 
 def _flow(bundle: EpisodeBundle, camera: Camera, t: int, image: CameraImage) -> NDArray[np.float32] | None:

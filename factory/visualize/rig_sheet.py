@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import observe
+from factory.dataset.observation import observe_camera
 from factory.visualize.panels import show_depth, show_ids
 from schemas.rig import Camera, CameraOutput, Rig
 
@@ -43,9 +43,9 @@ def _row(episode: EpisodeBundle, camera: Camera, columns: int) -> list[Image.Ima
     stride = camera.stride(episode.meta.job.task.control_hz)
     steps = np.linspace(0, (episode.length - 1) // stride, columns).round().astype(int) * stride
     colour = camera.model_copy(update={"outputs": (CameraOutput.RGB,)})
-    frames = [observe(episode, colour, int(t)).rgb for t in steps]
+    frames = [observe_camera(episode, colour, int(t)).rgb for t in steps]
     shown = (*_SHOWN[:3], *(output for output in _SHOWN[3:] if output in camera.outputs))
-    middle = observe(episode, camera.model_copy(update={"outputs": shown}), int(steps[columns // 2]))
+    middle = observe_camera(episode, camera.model_copy(update={"outputs": shown}), int(steps[columns // 2]))
     assert middle.depth is not None
     assert middle.ids is not None
     pictures = [show_depth(middle.depth), show_ids(middle.ids, episode.meta.target_instance_id)]
