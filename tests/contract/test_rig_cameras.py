@@ -11,7 +11,7 @@ import pytest
 
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
-from schemas.rig import Camera, EquirectangularCamera, FisheyeCamera, Mount, PinholeCamera
+from schemas.rig import Camera, CameraOutput, EquirectangularCamera, FisheyeCamera, Mount, PinholeCamera
 from schemas.rig.file import load_rig
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Sky
 from schemas.support.numpy_types import Floats
@@ -137,7 +137,7 @@ def test_the_rig_paper_gives_the_frames_of_the_robots_camera(renderer: Renderer)
 @pytest.mark.gl
 @EVERY_CAMERA
 def test_normals_are_those_of_the_walls_in_the_optical_frame(gl: Renderer, camera: Camera):
-    camera = mounted(camera, outputs=("normals",))
+    camera = mounted(camera, outputs=(CameraOutput.NORMALS,))
     gl.load(closed_room(), CameraConfig())
     image = gl.render_camera(camera, POSE)
     eye, rays = rays_in_world(camera)
@@ -153,7 +153,7 @@ def test_tiny_renderer_refuses_normals():
     with open_renderer("tiny") as tiny:
         tiny.load(closed_room(), CameraConfig())
         with pytest.raises(UsageError, match=r"no normals: use the renderer gl"):
-            tiny.render_camera(mounted(CAMERAS[0], outputs=("normals",)), POSE)
+            tiny.render_camera(mounted(CAMERAS[0], outputs=(CameraOutput.NORMALS,)), POSE)
 
 
 @pytest.mark.gl

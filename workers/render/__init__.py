@@ -99,7 +99,7 @@ class RenderedAtlas:
     """Faces of a camera in one image (`workers.geometry.faces`); rows from the top."""
 
     rgb: NDArray[np.uint8]
-    """(height, width, 4) sRGB; the fourth channel is undefined."""
+    """(height, width, 3) sRGB, or with a fourth channel, which is undefined, if the atlas is resampled."""
     depth: NDArray[np.float32]
     """(height, width) metres along the optical axis of each face; 0 where no surface is within the clip range."""
     ids: NDArray[np.uint16]

@@ -35,7 +35,7 @@ def compose_image(renderer: FaceRenderer, camera: Camera, pose: Pose) -> CameraI
     if plan.sampling is None:
         is_radial = camera.depth is DepthKind.RADIAL
         depth = (atlas.depth / axial_share(camera)).astype(np.float32) if is_radial else atlas.depth
-        return CameraImage(np.ascontiguousarray(atlas.rgb[..., :3]), depth, atlas.ids, normals)
+        return CameraImage(atlas.rgb, depth, atlas.ids, normals)
     return _resampled(camera, atlas, plan.sampling, normals)
 
 

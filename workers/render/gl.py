@@ -190,7 +190,7 @@ class GlRenderer(Closing):
                 scene.draw(parts, clip)
             self._context.finish()
             self._lap("render")
-            rgb = target.read_colour(channels=4)
+            rgb = target.read_colour(channels=3 if plan.sampling is None else 4)
             relief = target.read_relief(clip_range, rgb)
             codes = self._render_normals(scene, target, views) if normals else None
         for face, eye in looks:

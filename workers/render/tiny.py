@@ -93,7 +93,7 @@ class TinyRenderer(Closing):
         """
         if normals:
             raise UsageError("TinyRenderer has no normals: use the renderer gl, or remove `normals` from outputs")
-        rgb = np.zeros((plan.height, plan.width, 4), np.uint8)
+        rgb = np.zeros((plan.height, plan.width, 3 if plan.sampling is None else 4), np.uint8)
         atlas = RenderedAtlas(rgb, np.zeros(rgb.shape[:2], np.float32), np.zeros(rgb.shape[:2], np.uint16))
         for face in plan.faces:
             part = np.s_[face.top : face.top + face.view.height, : face.view.width]
