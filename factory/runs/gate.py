@@ -21,7 +21,7 @@ from schemas.base import Fraction, Model
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from schemas.terms import FailReason, Tier
+from schemas.terms import FailReason, Recording, Tier
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
@@ -45,10 +45,13 @@ class Pilot:
     def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> Pilot:
         """Returns a pilot run of the first attempts at all episodes of a plan with one scene.
 
+        The attempts record states, because their frames are deleted; the recording does not change their outcome.
+
         Raises:
             InvalidPlan: The scene cannot fulfil the plan.
         """
-        jobs = tuple(to_job(plan, catalog, planned, attempt=1) for planned in expand(plan, catalog))
+        unseen = plan.model_copy(update={"record": Recording.STATES})
+        jobs = tuple(to_job(unseen, catalog, planned, attempt=1) for planned in expand(unseen, catalog))
         return cls(jobs, catalog[plan.scenes[0].name].path, command, processes)
 
 

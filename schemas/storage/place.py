@@ -7,13 +7,16 @@ import hashlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 from urllib.parse import unquote, urlsplit
 
 from schemas.errors import UsageError
 from schemas.storage.disk import translated
 from schemas.storage.object_path import ObjectPath
 from schemas.support.foreign import path_trouble
+
+if TYPE_CHECKING:
+    from pyarrow import BufferReader
 
 Place: TypeAlias = Path | ObjectPath
 
@@ -85,10 +88,19 @@ def at_hand(place: Place) -> Iterator[Path]:
         yield copy
 
 
-def table_of(place: Place) -> Path | BinaryIO:
-    """Returns a table file as an argument for `pyarrow`: a local path, or an open file object.
+def table_of(place: Place) -> Path | BufferReader:
+    """Returns a table file as an argument for `pyarrow`: a local path, or the content of an object in Arrow's memory.
+
+    Not a Python file object: a thread of `pyarrow` that releases one while the interpreter ends aborts the process.
 
     Raises:
         FileNotFoundError: the object does not exist in the store.
     """
-    return place if isinstance(place, Path) else place.open("rb")
+    if isinstance(place, Path):
+        return place
+    from pyarrow import BufferOutputStream, BufferReader  # not at the start of each worker, which it would slow down
+
+    content = BufferOutputStream()
+    for piece in place.stream():
+        content.write(piece)
+    return BufferReader(content.getvalue())

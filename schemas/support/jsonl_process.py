@@ -127,16 +127,21 @@ class JsonlProcess(Generic[M]):
         except subprocess.TimeoutExpired:
             return -signal.SIGKILL
 
-    def kill(self) -> int | None:
+    def kill(self, timeout_s: float = _REAP_S) -> int | None:
         """Kills the process group immediately and closes the pipes; killing twice is harmless.
+
+        Args:
+            timeout_s: time to wait for the end of the process; a thread reaps a process that ends later.
 
         Returns:
             The exit status; `None` when the process does not end, for example in a system call to a failed disk.
         """
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_REAP_S)
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            threading.Thread(target=self._process.wait, name=f"reap-{self.pid}", daemon=True).start()
         is_idle = self._reading.acquire(timeout=_REAP_S)
         self._is_at_end = True
         for pipe in (self._process.stdin, self._stdout, self._stderr):

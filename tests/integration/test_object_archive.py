@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from coordinator.archive.contract import Archive
@@ -28,7 +29,7 @@ from factory.stats import measure_dataset
 from factory.verify.dataset import verify
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.storage.object_path import ObjectPath
-from schemas.storage.place import place_of
+from schemas.storage.place import place_of, table_of
 from tests.builders.archived import ArchivedRun
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.object_server import SECRET, ObjectServer
@@ -74,6 +75,18 @@ def copy_to(store: ObjectPath, folder: Path) -> None:
     for path in folder.rglob("*"):
         if path.is_file() and not path.name.startswith((".", "ledger.")):
             store.objects.put(str(path.relative_to(folder)), path.read_bytes())
+
+
+def test_no_thread_of_arrow_holds_a_python_object_of_a_table_in_a_bucket(store: ObjectPath) -> None:
+    store.objects.put("table", BIG)
+    with table_of(
+        store / "table"
+    ) as source:  # a Python file object here aborts about one process in thirty at its exit
+        assert isinstance(source, pa.NativeFile)
+        assert not isinstance(source, pa.PythonFile)
+        assert source.read() == BIG
+    with pytest.raises(FileNotFoundError):
+        table_of(store / "missing")
 
 
 def test_missing_bucket_is_named_with_the_remedy(store: ObjectPath, tmp_path: Path) -> None:

@@ -123,3 +123,13 @@ def _is_alive(pid: int) -> bool:
             return file.read().rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+def test_a_process_that_ends_after_the_time_limit_of_its_kill_is_reaped(start: Start) -> None:
+    process = start("import time\nprint('ready')\nheld = bytearray(64 << 20)\nfor _ in iter(int, 1): time.sleep(60)")
+    assert process.read(LONG_S) == b"ready\n"
+    process.kill(timeout_s=0.0)
+    until = time.monotonic() + LONG_S
+    while os.path.exists(f"/proc/{process.pid}") and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not os.path.exists(f"/proc/{process.pid}"), "the process is still there, or was not reaped"
