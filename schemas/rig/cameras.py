@@ -61,6 +61,11 @@ class _Camera(MountedSensor):
     noise: CameraNoise | None = None
     """Noise of colour and depth; null is a perfect camera."""
 
+    @property
+    def is_rectified(self) -> bool:
+        """Whether straight lines are straight in the image, and depth is axial."""
+        return False
+
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:
         if self.near_m >= self.far_m:
@@ -69,6 +74,11 @@ class _Camera(MountedSensor):
             raise ValueError(
                 f"{self.width} x {self.height} pixels are too many: reduce width or height to at most {MAX_PIXELS} "
                 "pixels together"
+            )
+        if self.noise is not None and self.noise.depth is not None and not self.is_rectified:
+            raise ValueError(
+                "noise.depth needs model 'pinhole' with depth 'axial' and without distortion, because depth is triangulated "
+                "in rectified images: choose such a camera, or remove noise.depth"
             )
         if len(set(self.outputs)) < len(self.outputs):
             raise ValueError(f"outputs {', '.join(self.outputs)}: name each output once")
@@ -126,6 +136,11 @@ class PinholeCamera(_CentredCamera):
     def is_distorted(self) -> bool:
         """Whether a distortion coefficient is not 0."""
         return any(self.distortion)
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether straight lines are straight in the image, and depth is axial."""
+        return not self.is_distorted and self.depth is DepthKind.AXIAL
 
     @model_validator(mode="after")
     def _is_pinhole(self) -> Self:
