@@ -14,10 +14,11 @@ from factory.dataset.packages import ScenePackage
 from factory.support.settings import read_renderer
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
+from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame, Renderer
+from workers.render import CameraImage, RenderedFrame, Renderer
 from workers.render.choose import open_renderer
 
 _KEPT_SCENES = 2
@@ -77,6 +78,14 @@ class SharedRenderer:
             self._warn_of_other(renderer.description, recorded_with)
             renderer.load(self._scene(view.package), view.camera)
             return renderer.render(view.pose, view.size)
+
+    def render_camera(self, package: ScenePackage, camera: Camera, pose: Pose, recorded_with: str) -> CameraImage:
+        """Returns the image of a camera of a rig for a pose of base_link; arguments and errors as those of `render`."""
+        with self._turn:
+            renderer = self._opened()
+            self._warn_of_other(renderer.description, recorded_with)
+            renderer.load(self._scene(package), CameraConfig())
+            return renderer.render_camera(camera, pose)
 
     @property
     def description(self) -> str:

@@ -77,8 +77,8 @@ class _Camera(MountedSensor):
             )
         if self.noise is not None and self.noise.depth is not None and not self.is_rectified:
             raise ValueError(
-                "noise.depth needs model 'pinhole' with depth 'axial' and without distortion, because depth is triangulated "
-                "in rectified images: choose such a camera, or remove noise.depth"
+                "noise.depth needs model 'pinhole' with depth 'axial' and without distortion, because depth is "
+                "triangulated in rectified images: choose such a camera, or remove noise.depth"
             )
         if len(set(self.outputs)) < len(self.outputs):
             raise ValueError(f"outputs {', '.join(self.outputs)}: name each output once")
@@ -152,8 +152,8 @@ class PinholeCamera(_CentredCamera):
         widest = np.abs(border if not self.is_distorted else undistort(border, self.distortion)).max()
         if math.isnan(widest):
             raise ValueError(
-                f"distortion {list(self.distortion)} folds over within the image: reduce the coefficients or the image, "
-                "or use model 'fisheye'"
+                f"distortion {list(self.distortion)} folds over within the image: reduce the coefficients or the "
+                "image, or use model 'fisheye'"
             )
         if widest > math.tan(math.radians(85)):
             raise ValueError(
@@ -201,8 +201,8 @@ class FisheyeCamera(_CentredCamera):
         fold = first_fold(self.half_fov_rad, self.distortion)
         if fold is not None:
             raise ValueError(
-                f"distortion {list(self.distortion)} folds over {math.degrees(fold):.1f} degrees from the optical axis, "
-                f"within the image circle: reduce the coefficients, or fov_deg below {2 * math.degrees(fold):.0f}"
+                f"distortion {list(self.distortion)} folds over {math.degrees(fold):.1f} degrees from the optical "
+                f"axis, within the image circle: reduce the coefficients, or fov_deg below {2 * math.degrees(fold):.0f}"
             )
         if self.fy_px is not None and self.fx_px is None:
             raise ValueError("fy_px is given without fx_px: give both, or none")

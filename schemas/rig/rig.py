@@ -1,4 +1,4 @@
-"""The rig: sensors on a body. Checks that their names differ, and that they are outside of the body and above the floor.
+"""The rig: sensors on a body. Checks that names differ, and that sensors are outside of the body and above the floor.
 
 Does not read files; `schemas.rig.file` does.
 """

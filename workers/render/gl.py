@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
+from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from schemas.support.closing import Closing
 from schemas.support.portable import product
 from schemas.support.stage_timer import StageTimer, no_stage_timer
-from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.camera import OpticalPose, Perspective, optical_pose, view_matrix
+from workers.geometry.faces import Face, FacePlan
 from workers.geometry.pose import Pose
-from workers.render import DepthAndIds, RenderedFrame, Window
+from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame, Window
+from workers.render.compose import compose_image
 from workers.render.cull import window_of_corners
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
@@ -30,10 +33,13 @@ from workers.render.shelf import SceneShelf
 from workers.render.sky import SkyPainter
 
 _KEPT_SCENES = 2
+_KEPT_TARGETS = 16
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
 """Remedy for a forked process, which has the driver's memory without its threads: rendering would wait forever."""
+_Look = tuple[bytes, NDArray[np.intp]]
+"""Matrix of the shader programs, and indices of the parts to draw."""
 _used_by: set[int] = set()
 """Id of the process that opened a context; a forked process has another id."""
 
@@ -53,7 +59,6 @@ class GlRenderer(Closing):
             WorldError: this machine has no usable EGL driver.
         """
         self._camera = CameraConfig()
-        self._projection = projection_matrix(self._camera)
         self._lap = lap
         self._size = size
         self._context = _open_context()
@@ -62,12 +67,12 @@ class GlRenderer(Closing):
         self.description = _describe(self._context)
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: GpuScene | None = None
-        self._looked: tuple[Pose, tuple[bytes, NDArray[np.intp]]] | None = None
+        self._looked: tuple[Pose, _Look] | None = None
         """Last pose and what `_look` returned for it; windows of one image have one pose."""
-        self._sky = SkyPainter(None, self._camera)
+        self._sky = SkyPainter(None)
         with self._context:
             self._programs = Programs(self._context)
-            self._targets = {size: GlTarget(self._context, size)}
+            self._targets = {(size, size): GlTarget(self._context, size, size)}
             self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
             self._context.front_face = "cw"  # because `onto_target` mirrors the image
 
@@ -86,9 +91,8 @@ class GlRenderer(Closing):
         """Selects the scene and the camera; the most recently used scenes stay on the device."""
         self._require_own_process()
         self._camera = camera
-        self._projection = projection_matrix(camera)
         self._looked = None
-        self._sky = SkyPainter(scene.info.sky, camera)
+        self._sky = SkyPainter(scene.info.sky)
         with self._context:
             self._scene = self._shelf.take(scene)
 
@@ -102,17 +106,17 @@ class GlRenderer(Closing):
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
-        scene = self._loaded()
+        scene, view = self._loaded(), self._view(size)
         clip, parts = self._look(scene, pose)
         with self._context:
-            target = self._target(size or self._size)
+            target = self._target(view.width, view.height)
             target.begin()
             scene.draw(parts, clip)
             self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
             self._lap("render")
             rgb = target.read_colour()
-            relief = target.read_relief(self._camera, rgb)
-        self._sky.paint(rgb, relief.depth, optical_pose(pose, self._camera))
+            relief = target.read_relief(view, rgb)
+        self._sky.paint(rgb, relief.depth, optical_pose(pose, self._camera), view)
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
 
@@ -125,12 +129,12 @@ class GlRenderer(Closing):
         scene = self._loaded()
         clip, parts = self._look(scene, pose)
         with self._context:
-            target = self._target(self._size)
+            target = self._target(self._size, self._size)
             target.begin()
             scene.draw_bare(parts, clip)
             self._context.finish()
             self._lap("render")
-            relief = target.read_relief(self._camera)
+            relief = target.read_relief(self._view())
         self._lap("read-back")
         return relief
 
@@ -140,7 +144,7 @@ class GlRenderer(Closing):
         Raises:
             UsageError: no scene was loaded.
         """
-        clip = product(self._projection, view_matrix(optical_pose(pose, self._camera)))
+        clip = product(self._view().matrix(), view_matrix(optical_pose(pose, self._camera)))
         return window_of_corners(self._loaded().corners_of(instance_id), clip, self._camera.near_m, self._size)
 
     def render_window(self, pose: Pose, window: Window) -> DepthAndIds:
@@ -154,20 +158,71 @@ class GlRenderer(Closing):
         scene = self._loaded()
         clip, parts = self._look(scene, pose)
         with self._context:
-            target = self._target(self._size)
+            target = self._target(self._size, self._size)
             target.begin(window)
             scene.draw_bare(parts, clip)
             self._context.finish()
             self._lap("render")
-            relief = target.read_relief(self._camera, window=window)
+            relief = target.read_relief(self._view(), window=window)
         self._lap("read-back")
         return relief
 
-    def _target(self, size: int) -> GlTarget:
-        """Returns the target of a size; targets are kept for reuse."""
-        if size not in self._targets:
-            self._targets[size] = GlTarget(self._context, size)
-        return self._targets[size]
+    def render_faces(self, plan: FacePlan, optical: OpticalPose, normals: bool = False) -> RenderedAtlas:
+        """Returns the atlas of the faces of a camera.
+
+        Args:
+            plan: faces of the camera.
+            optical: pose of the optical frame of the camera.
+            normals: whether normals are rendered too, which takes another pass.
+
+        Raises:
+            UsageError: no scene was loaded, or this process was forked after the renderer was opened.
+        """
+        scene = self._loaded()
+        looks = [(face, face.optical(optical)) for face in plan.faces]
+        views = [(face, eye, *_look(scene, face.view, eye)) for face, eye in looks]
+        clip_range = plan.faces[0].view
+        with self._context:
+            target = self._target(plan.width, plan.height)
+            target.begin()
+            for face, _, clip, parts in views:
+                target.begin_face(face)
+                scene.draw(parts, clip)
+            self._context.finish()
+            self._lap("render")
+            rgb = target.read_colour(channels=3 if plan.sampling is None else 4)
+            relief = target.read_relief(clip_range, rgb)
+            codes = self._render_normals(scene, target, views) if normals else None
+        for face, eye in looks:
+            part = np.s_[face.top : face.top + face.view.height, : face.view.width]
+            self._sky.paint(rgb[part], relief.depth[part], eye, face.view)
+        self._lap("read-back")
+        return RenderedAtlas(rgb, relief.depth, relief.ids, codes)
+
+    def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
+        """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render_faces`."""
+        return compose_image(self, camera, pose)
+
+    def _render_normals(
+        self, scene: GpuScene, target: GlTarget, views: list[tuple[Face, OpticalPose, bytes, NDArray[np.intp]]]
+    ) -> NDArray[np.uint8]:
+        target.begin()
+        for face, eye, clip, parts in views:
+            target.begin_face(face)
+            scene.draw_normals(parts, clip, eye.eye)
+        return target.read_colour()
+
+    def _view(self, size: int | None = None) -> Perspective:
+        return Perspective.of(self._camera, size or self._size)
+
+    def _target(self, width: int, height: int) -> GlTarget:
+        """Returns the target of a size; the most recently used targets are kept for reuse."""
+        size = width, height
+        target = self._targets.pop(size, None) or GlTarget(self._context, width, height)
+        self._targets[size] = target
+        if len(self._targets) > _KEPT_TARGETS:
+            self._targets.pop(next(iter(self._targets))).release()
+        return target
 
     def _require_own_process(self) -> None:
         if self._pid != os.getpid():
@@ -179,17 +234,20 @@ class GlRenderer(Closing):
             raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
         return self._scene
 
-    def _look(self, scene: GpuScene, pose: Pose) -> tuple[bytes, NDArray[np.intp]]:
-        """Returns the matrix of the shader programs for a pose, and the parts to draw."""
+    def _look(self, scene: GpuScene, pose: Pose) -> _Look:
+        """Returns the matrix of the shader programs for a pose, and the parts to draw; they depend on no size."""
         if self._looked is None or self._looked[0] != pose:
-            optical = optical_pose(pose, self._camera)
-            clip = product(self._projection, view_matrix(optical))
-            matrix = onto_target(clip, self._camera).T.astype(np.float32).tobytes()
-            self._looked = pose, (matrix, scene.parts_to_draw(clip, optical, self._camera))
+            self._looked = pose, _look(scene, self._view(), optical_pose(pose, self._camera))
         return self._looked[1]
 
     def _prepare(self, scene: CompiledScene) -> GpuScene:
         return GpuScene(self._context, self._programs, scene)
+
+
+def _look(scene: GpuScene, view: Perspective, optical: OpticalPose) -> _Look:
+    clip = product(view.matrix(), view_matrix(optical))
+    matrix = onto_target(clip, view.near_m).T.astype(np.float32).tobytes()
+    return matrix, scene.parts_to_draw(clip, optical, view)
 
 
 def _open_context() -> moderngl.Context:

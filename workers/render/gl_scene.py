@@ -11,12 +11,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.geometry.camera import OpticalPose
+from workers.geometry.camera import OpticalPose, Perspective
 from workers.render.cull import PartBounds, visible_parts
 from workers.render.occlude import Occluders
-from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
+from workers.render.shaders import BARE, NORMALS, PLAIN, TEXTURED, VERTEX, ShaderPair
 
 _TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
@@ -38,6 +37,9 @@ class _Program:
 
     def set_clip_matrix(self, clip_from_world: bytes) -> None:
         self._program["clip_from_world"].write(clip_from_world)
+
+    def set_eye(self, eye: NDArray[np.float64]) -> None:
+        self._program["eye"].value = tuple(eye.tolist())
 
     def vertex_array(self, mesh: _Mesh) -> moderngl.VertexArray:
         content = [(mesh.vertices, self._pair.layout, *self._pair.fields)]
@@ -102,13 +104,14 @@ class GpuScene:
         self._bare = programs.of(BARE)
         self._plain, self._textured = (program.vertex_array(self._mesh) for program in self._coloured)
         self._uncoloured = self._bare.vertex_array(self._mesh)
+        self._programs, self._normals = programs, list[moderngl.VertexArray]()
         self._textures = _upload_textures(context, scene.textures)
         self._light = _upload_light(context, scene.light_map)
 
-    def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
+    def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, view: Perspective) -> NDArray[np.intp]:
         """Returns the parts that are in view and not behind a wall, nearest first."""
         parts = visible_parts(self._bounds, clip, optical.eye)
-        return parts[~self._occluders.hidden(self._bounds, parts, optical, camera)]
+        return parts[~self._occluders.hidden(self._bounds, parts, optical, view)]
 
     def corners_of(self, instance_id: int) -> NDArray[np.float64]:
         """Returns the corners (8, 3) of the box along the axes around an instance, metres; (0, 3) without parts."""
@@ -140,6 +143,17 @@ class GpuScene:
         if count:
             self._uncoloured.render_indirect(self._commands, count=count)
 
+    def draw_normals(self, parts: NDArray[np.intp], clip_from_world: bytes, eye: NDArray[np.float64]) -> None:
+        """Draws encoded normals instead of colour, depth and ids of parts, see `shaders.NORMALS`."""
+        program = self._programs.of(NORMALS)
+        if not self._normals:
+            self._normals.append(program.vertex_array(self._mesh))
+        program.set_clip_matrix(clip_from_world)
+        program.set_eye(eye)
+        count = sum(self._write_commands(parts))
+        if count:
+            self._normals[0].render_indirect(self._commands, count=count)
+
     def _write_commands(self, parts: NDArray[np.intp]) -> list[int]:
         """Writes the draw commands; returns the numbers of plain and of textured parts in each band, alternately."""
         count = len(parts)
@@ -151,7 +165,7 @@ class GpuScene:
 
     def close(self) -> None:
         """Frees the device memory."""
-        arrays = (self._plain, self._textured, self._uncoloured)
+        arrays = (self._plain, self._textured, self._uncoloured, *self._normals)
         for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
             held.release()
 

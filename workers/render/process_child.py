@@ -7,16 +7,23 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import functools
 import os
 import sys
 import traceback
+from typing import Annotated
+
+from pydantic import Field, TypeAdapter
 
 from schemas.errors import FactoryError, UsageError
+from schemas.rig import Camera
 from schemas.scene import CompiledScene, decode_scene
 from workers.process.pipes import listen, take_stdout
 from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
+
+_CAMERAS: TypeAdapter[Camera] = TypeAdapter(Annotated[Camera, Field(discriminator="model")])
 
 
 def main() -> int:
@@ -71,10 +78,17 @@ class _Server:
                 self._frames.put(self._renderer.render(request.pose, request.size))
             case RequestKind.RELIEF:
                 self._frames.put(self._renderer.render_depth_and_ids(request.pose))
+            case RequestKind.CAMERA:
+                self._frames.put(self._renderer.render_camera(_parse_camera(request.sensor), request.pose))
 
     def _read_scene(self) -> CompiledScene:
         with os.fdopen(self._scene_descriptor, "rb", closefd=False) as file:
             return decode_scene(file)
+
+
+@functools.lru_cache(maxsize=64)
+def _parse_camera(text: str) -> Camera:
+    return _CAMERAS.validate_json(text)
 
 
 def _failure(number: int, error: Exception) -> Reply:

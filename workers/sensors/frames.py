@@ -6,12 +6,11 @@ have the same bits on every processor.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from schemas.rig.mount import Mount
 from schemas.support.numpy_types import Floats
+from workers.geometry.camera import mount_rotation
 
 
 def rotations(quaternions: Floats) -> Floats:
@@ -23,19 +22,6 @@ def rotations(quaternions: Floats) -> Floats:
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     return np.array(rows).transpose(2, 0, 1)
-
-
-def mount_rotation(mount: Mount) -> Floats:
-    """Returns the rotation matrix (3, 3) from the sensor frame to base_link."""
-    angles = (mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
-    (cr, cp, cy), (sr, sp, sy) = zip(*((math.cos(a), math.sin(a)) for a in map(math.radians, angles)), strict=True)
-    return np.array(
-        (
-            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-            (-sp, cp * sr, cp * cr),
-        )
-    )
 
 
 def sensor_poses(poses: Floats, mount: Mount) -> tuple[Floats, Floats]:

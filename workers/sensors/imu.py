@@ -15,7 +15,8 @@ from schemas.rig.motion import Imu
 from schemas.rig.noise import ImuNoise
 from schemas.support.numpy_types import Floats, Singles
 from schemas.support.portable import arctan2
-from workers.sensors.frames import mount_rotation, sensor_poses, turned
+from workers.geometry.camera import mount_rotation
+from workers.sensors.frames import sensor_poses, turned
 from workers.sensors.streams import Effect, NoiseKey
 
 GRAVITY_MPS2 = 9.81
