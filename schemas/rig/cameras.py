@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from schemas.base import Finite, Positive
 from schemas.rig.distortion import bend, first_fold, undistort
-from schemas.rig.mount import MountedSensor
+from schemas.rig.mount import Mount, MountedSensor
 from schemas.rig.noise import CameraNoise
 
 MAX_SIDE_PX = 4096
@@ -66,6 +66,11 @@ class _Camera(MountedSensor):
         """Whether straight lines are straight in the image, and depth is axial."""
         return False
 
+    def lens(self) -> Self:
+        """Returns the camera without name, rate, mount, outputs and noise; cameras of one type have equal lenses."""
+        plain = {"name": "lens", "rate_hz": None, "mount": Mount(), "outputs": (CameraOutput.RGB,), "noise": None}
+        return self.model_copy(update=plain)
+
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:
         if self.near_m >= self.far_m:
@@ -77,8 +82,8 @@ class _Camera(MountedSensor):
             )
         if self.noise is not None and self.noise.depth is not None and not self.is_rectified:
             raise ValueError(
-                "noise.depth needs model 'pinhole' with depth 'axial' and without distortion, because depth is triangulated "
-                "in rectified images: choose such a camera, or remove noise.depth"
+                "noise.depth needs model 'pinhole' with depth 'axial' and without distortion, because depth is "
+                "triangulated in rectified images: choose such a camera, or remove noise.depth"
             )
         if len(set(self.outputs)) < len(self.outputs):
             raise ValueError(f"outputs {', '.join(self.outputs)}: name each output once")
