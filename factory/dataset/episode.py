@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.packages import ScenePackage
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -85,6 +86,12 @@ class Episode(Closing):
             return bundle.instances
 
     @property
+    def package(self) -> ScenePackage:
+        """Compiled scene of the episode."""
+        with self._reading() as bundle:
+            return bundle.package
+
+    @property
     def actions(self) -> NDArray[np.float32]:
         """(T, 2) commanded twists: v in m/s, w in rad/s."""
         return self._bundle().arrays.actions_continuous
@@ -98,6 +105,12 @@ class Episode(Closing):
     def poses(self) -> NDArray[np.float64]:
         """(T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z."""
         return self._bundle().arrays.poses
+
+    @property
+    def states_digest(self) -> str:
+        """XXH3-128 over the arrays and the metadata; equal in both recordings of an episode."""
+        with self._reading() as bundle:
+            return bundle.states_digest()
 
     def rgb(self, t: int) -> NDArray[np.uint8]:
         """Returns the colour image at step t, (640, 640, 3) sRGB; a negative t counts from the end."""
