@@ -60,5 +60,5 @@ def test_depth_noise_needs_a_camera_with_rectified_images(camera: dict[str, obje
     data = {"name": "c", "width": 64, "height": 64, **camera}
     adapter.validate_python(data)
     noise = CameraNoise(depth=StereoDepthNoise(model="stereo"))
-    with pytest.raises(ValidationError, match="noise.depth needs model 'pinhole'"):
+    with pytest.raises(ValidationError, match=r"noise\.depth needs model 'pinhole'"):
         adapter.validate_python(data | {"noise": noise})
