@@ -1,4 +1,4 @@
-# The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
+# The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
 # ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs | quickstart.
 # Everything is in .venv.
 VENV   := .venv
@@ -7,10 +7,13 @@ JUDGE  := .venv-judge
 TRAIN  := .venv-train
 AUDIT  := .venv-audit
 JOBS   ?= 3
+RECORD ?= frames
+PLAN   ?= paper
+EPISODES ?= 24
 DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long ledger-accidents scenes-check test-formats test-install test-lerobot
+.PHONY: setup run test check bench chaos chaos-long compare-recordings ledger-accidents scenes-check test-formats test-install test-lerobot
 .PHONY: test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
@@ -45,14 +48,18 @@ bench: $(READY)
 	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
-# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run
+# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
 chaos: $(READY)
-	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 $(PEERS)
+	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 --record $(RECORD) $(PEERS)
 
 # ten thousand faults with an observed effect: one hour on two cores; a stopped campaign continues
 chaos-long: $(READY)
 	mkdir -p build
-	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 $(PEERS) --tally build/chaos.json
+	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --record $(RECORD) $(PEERS) --tally build/chaos-$(RECORD).json
+
+# a plan recorded as states and as frames, and the rendered states: every table, episode and export compared
+compare-recordings: $(READY)
+	$(VENV)/bin/python -m tests.acceptance.compare_recordings $(PLAN) --episodes $(EPISODES)
 
 # fifty ledgers deleted, replaced by older copies, truncated and damaged during runs; a stopped campaign continues
 ledger-accidents: $(READY)

@@ -5,6 +5,7 @@ Works on open binary files, with deterministic bytes and bounded decoding. Opens
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import BinaryIO, cast
@@ -68,6 +69,12 @@ class EpisodeArrays:
         return tuple(getattr(self, spec.name) for spec in EPISODE_ARRAYS)
 
 
+def seal(meta: EpisodeMeta, frame_digests: Sequence[str], arrays: EpisodeArrays) -> EpisodeMeta:
+    """Returns the metadata of an episode with its digests."""
+    digest = content_digest(frame_digests, arrays.in_order(), meta.canonical())
+    return meta.model_copy(update={"frame_digests": tuple(frame_digests), "content_digest": digest})
+
+
 class BundleWriter:
     """Streaming writer of a bundle; memory does not grow with the length of the episode."""
 
@@ -115,8 +122,7 @@ class BundleWriter:
         Returns:
             The metadata as written, with digests.
         """
-        digest = content_digest(self._digests, arrays.in_order(), meta.canonical())
-        sealed = meta.model_copy(update={"frame_digests": tuple(self._digests), "content_digest": digest})
+        sealed = seal(meta, self._digests, arrays)
         for spec, array in zip(EPISODE_ARRAYS, arrays.in_order(), strict=True):
             self._out.add(f"{spec.name}.npy", encode_npy(array))
         self._out.add(_META, sealed.model_dump_json(indent=1).encode())
@@ -211,8 +217,14 @@ class BundleReader(Closing):
 
     def content_digest(self, frame_digests: tuple[str, ...]) -> str:
         """Returns the content digest over these frame digests, the arrays and the metadata."""
-        stored = replace(self.arrays, poses=self.arrays.poses.astype(self.pose_dtype))
-        return content_digest(frame_digests, stored.in_order(), self.meta.canonical())
+        return content_digest(frame_digests, self._stored_arrays(), self.meta.canonical())
+
+    def states_digest(self) -> str:
+        """Returns the XXH3-128 over the arrays and the metadata; equal in both recordings of an episode."""
+        return content_digest((), self._stored_arrays(), self.meta.canonical_states())
+
+    def _stored_arrays(self) -> tuple[NDArray[np.generic], ...]:
+        return replace(self.arrays, poses=self.arrays.poses.astype(self.pose_dtype)).in_order()
 
     def member_bytes(self) -> dict[str, int]:
         """Returns the stored size of each kind of member, e.g. `rgb_front`, bytes."""

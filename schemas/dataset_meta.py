@@ -19,6 +19,7 @@ from schemas.dataset_files import META_FILE
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
+from schemas.terms import Recording
 
 DATASET_FORMAT = 1
 """Version of the dataset directory. A reader opens its own version and older ones, and rejects newer ones."""
@@ -87,6 +88,14 @@ class DatasetMeta(Model):
     every other category occur either in training or in evaluation. Null if the plan does not separate instances."""
     gate: tuple[GateOutcome, ...] = ()
     """Results of the pilot attempts before the run; empty if the gate was skipped."""
+
+
+def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
+    """Returns the description with the plan that records frames; unchanged if the dataset stores frames."""
+    if meta.plan.record is Recording.FRAMES:
+        return meta
+    plan = meta.plan.model_copy(update={"record": Recording.FRAMES})
+    return meta.model_copy(update={"run": plan.run, "plan_digest": plan.digest, "plan": plan})
 
 
 def read_dataset_meta(root: Place) -> DatasetMeta:

@@ -21,6 +21,14 @@ MAX_FRAMES = 1000
 """Largest number of steps of an episode."""
 _MAX_PATH_POSES = 100_000
 
+_OUTSIDE_DIGEST = {"provenance", "content_digest", "frame_digests"}
+_OF_RECORDING = {
+    "instances": True,
+    "job": {"record": True, "run": True, "plan_digest": True},
+    "rollout": {"steps_visible": True},
+}
+"""Fields that differ between both recordings of an episode, beside its digests."""
+
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 
 
@@ -112,6 +120,26 @@ class EpisodeMeta(Model):
     provenance: Provenance
     """Time, worker and software of the episode."""
 
+    @property
+    def sampled_digests(self) -> dict[int, str]:
+        """Mapping of step to frame digest of a states recording."""
+        return dict(zip(self.job.sampled_steps(self.rollout.num_steps), self.frame_digests, strict=True))
+
     def canonical(self) -> str:
         """Returns the part of the metadata that the content digest covers, as canonical JSON."""
-        return canonical_json(self, exclude={"provenance", "content_digest", "frame_digests"})
+        return canonical_json(self, exclude=_OUTSIDE_DIGEST)
+
+    def canonical_states(self) -> str:
+        """Returns the part of the metadata that is equal in both recordings of an episode, as canonical JSON."""
+        return canonical_json(self, exclude=dict.fromkeys(_OUTSIDE_DIGEST, True) | _OF_RECORDING)
+
+    def with_frames(self, job: Job, steps_visible: int, instances: tuple[Instance, ...]) -> EpisodeMeta:
+        """Returns the metadata that the frames recording of this states recording has, with the former digests.
+
+        Args:
+            job: job of the frames recording.
+            steps_visible: number of frames in which the target is visible.
+            instances: instances of the scene.
+        """
+        rollout = self.rollout.model_copy(update={"steps_visible": steps_visible})
+        return self.model_copy(update={"job": job, "rollout": rollout, "instances": instances})

@@ -259,7 +259,12 @@ class Plan(Model):
         return f"{self.name}-{self.digest[:8]}"
 
 
-def canonical_json(model: Model, exclude: set[str] | None = None) -> str:
-    """Returns the model as JSON with sorted keys and no spaces, suitable for hashing."""
+def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = None) -> str:
+    """Returns the model as JSON with sorted keys and no spaces, suitable for hashing.
+
+    Args:
+        model: model to write.
+        exclude: fields to leave out, as pydantic's `model_dump` takes them.
+    """
     data = model.model_dump(mode="json", exclude=exclude)
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

@@ -86,10 +86,8 @@ class EpisodeBundle(BundleReader):
     def stored(self, name: str) -> bytes:
         """Returns the bytes of a member as a recording of frames stores it.
 
-        For a states recording, frames are rendered and encoded, and `meta.json` has the instance table.
+        For a states recording, frames are rendered and encoded.
         """
-        if not self.has_frames and name == "meta.json":
-            return self.meta.model_copy(update={"instances": self.instances}).model_dump_json(indent=1).encode()
         of_frame = None if self.has_frames else _FRAME_MEMBER.fullmatch(name)
         if of_frame is None:
             return super().stored(name)

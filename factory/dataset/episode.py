@@ -10,13 +10,13 @@ import weakref
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from threading import Lock
-from typing import BinaryIO, NamedTuple, Self
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import CameraObservation, choose_sensors, measure, observe
+from factory.dataset.packages import ScenePackage
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -26,7 +26,10 @@ from schemas.rig import Imu, Rig, Sensor, WheelOdometry
 from schemas.scene import Instance
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
-from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
+
+if TYPE_CHECKING:
+    from factory.dataset.observation import CameraObservation
+    from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 
 
 class Frame(NamedTuple):
@@ -83,6 +86,12 @@ class Episode(Closing):
             return bundle.instances
 
     @property
+    def package(self) -> ScenePackage:
+        """Compiled scene of the episode."""
+        with self._reading() as bundle:
+            return bundle.package
+
+    @property
     def actions(self) -> NDArray[np.float32]:
         """(T, 2) commanded twists: v in m/s, w in rad/s."""
         return self._bundle().arrays.actions_continuous
@@ -96,6 +105,12 @@ class Episode(Closing):
     def poses(self) -> NDArray[np.float64]:
         """(T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z."""
         return self._bundle().arrays.poses
+
+    @property
+    def states_digest(self) -> str:
+        """XXH3-128 over the arrays and the metadata; equal in both recordings of an episode."""
+        with self._reading() as bundle:
+            return bundle.states_digest()
 
     def rgb(self, t: int) -> NDArray[np.uint8]:
         """Returns the colour image at step t, (640, 640, 3) sRGB; a negative t counts from the end."""
@@ -147,6 +162,8 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
+        from factory.dataset.observation import observe  # not at the start of each process that reads a dataset
+
         chosen, step = self._sensors(sensors), self._step(t)
         with self._reading() as bundle:
             hz = bundle.meta.job.task.control_hz
@@ -165,6 +182,8 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
+        from factory.dataset.observation import measure
+
         chosen = self._sensors(sensors)
         with self._reading() as bundle:
             found = {name: sensor for name, sensor in chosen.items() if isinstance(sensor, Imu | WheelOdometry)}
@@ -173,7 +192,7 @@ class Episode(Closing):
     def _sensors(self, names: Iterable[str] | None) -> Mapping[str, Sensor]:
         if self.rig is None:
             raise UsageError(f"{self.episode_id} has no rig: open the dataset as Dataset(path, rig='paper')")
-        return choose_sensors(self.rig, names)
+        return self.rig.choose(names)
 
     def __len__(self) -> int:
         return self.summary.num_steps

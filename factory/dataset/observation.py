@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
-from schemas.errors import UsageError
-from schemas.rig import Camera, CameraOutput, DepthKind, Imu, Lidar2d, Lidar3d, Rig, Sensor, WheelOdometry
-from schemas.support.suggest import did_you_mean
+from schemas.rig import Camera, CameraOutput, DepthKind, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
 from workers.geometry.camera import mounted_pose
 from workers.geometry.lens import axial_share, optical_flow
 from workers.geometry.pose import Pose
@@ -47,24 +44,6 @@ class CameraObservation(NamedTuple):
     defined. `None` if the episode ends before that image."""
 
 
-def choose_sensors(rig: Rig, names: Iterable[str] | None) -> Mapping[str, Sensor]:
-    """Returns the sensors of a rig with some names, or all for `None`.
-
-    Raises:
-        UsageError: the rig has no sensor of that name.
-    """
-    known = {sensor.name: sensor for sensor in rig.sensors}
-    if names is None:
-        return known
-    chosen = list(names)
-    for name in chosen:
-        if name not in known:
-            raise UsageError(
-                f"rig {rig.name!r} has no sensor {name!r}; its sensors: {', '.join(known)}{did_you_mean(name, known)}"
-            )
-    return {name: known[name] for name in chosen}
-
-
 def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -> CameraObservation | LidarScan:
     """Returns the images of a camera, or the scan of a lidar, at step t of an episode, with the noise of the sensor.
 
@@ -97,7 +76,7 @@ def measure(bundle: EpisodeBundle, sensor: Imu | WheelOdometry) -> ImuMeasuremen
     arrays, hz, key = bundle.arrays, bundle.meta.job.task.control_hz, _key(bundle, sensor)
     if isinstance(sensor, Imu):
         return sense_imu(sensor, arrays.poses, hz, key)
-    return sense_odometry(sensor, arrays.actions_continuous, hz, key)
+    return sense_odometry(sensor, arrays.actions_continuous.astype(np.float64), hz, key)
 
 
 def _key(bundle: EpisodeBundle, sensor: Sensor) -> NoiseKey:

@@ -1,32 +1,38 @@
-"""Format `paper`: the directory tree of the paper (Table of episode files), one file per frame and sensor; lossless."""
+"""Format `paper`: the directory tree of the paper (Table of episode files), one file per frame and sensor; lossless.
+
+From a states dataset it writes the tree of the frames dataset: it renders the frames and computes their digests.
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.dataset.reader import Dataset
 from factory.export.base import EpisodeFacts, Exporter, Finish, Options
 from factory.export.card import CARD_FILE, export_card
+from factory.export.source import TIMES_AND_WORKERS, as_frames, plain_dataset_meta, plain_meta, to_json
+from schemas.bundle import EpisodeArrays, seal
 from schemas.dataset import PUBLISHED_COLUMNS
 from schemas.dataset_files import META_FILE, METADATA_FILE, SPLITS_FOLDER
 from schemas.dataset_meta import DatasetMeta
 from schemas.encoding.arrays import EPISODE_ARRAYS
+from schemas.encoding.digest import dataset_digest, frame_digest
 from schemas.encoding.ndarray import encode_npy
-from schemas.terms import Split
+from schemas.episode import EpisodeMeta
+from schemas.terms import Recording, Split
 
 PUBLISHED_SPLITS = {str(Split.TEST_PARAPHRASE_OOD): "test_ood_lang"}
 """The paper's name of a split -> the name in the published repository, where they differ;
 docs/design/task.md#splits-and-instructions."""
-_OF_THE_BUNDLE = frozenset({"file_sha256", "file_bytes", "file_name"})
+_OF_THE_BUNDLE = frozenset({"file_sha256", "file_bytes", "file_name", *TIMES_AND_WORKERS})
 _CARD = """
 - `episodes/ep_000001/rgb_front/000000.png`: 640 x 640, 8 bit; `depth_front/000000.npy`: float32 metres along the
   optical axis, 0 where nothing was hit; `seg_front/000000.png`: 16-bit instance ids, named in `meta.json`.
@@ -46,45 +52,63 @@ class PaperOptions(Options):
     )
 
 
-class PaperExporter(Exporter[PaperOptions, EpisodeFacts]):
+class PaperFacts(EpisodeFacts):
+    """Values of the rows that a states dataset does not have."""
+
+    content_digest: str
+    """Content digest of the frames recording."""
+    steps_visible: int | None
+    """Number of frames in which the target is visible."""
+
+
+class PaperExporter(Exporter[PaperOptions, PaperFacts]):
     """Exporter of format `paper`: one folder per episode. Copies the bytes of the bundle; depth is decompressed."""
 
     name = "paper"
     about = "the paper's tree: a PNG, NPY and PNG a frame; lossless and large"
+    version = 2
     options = PaperOptions
-    facts = EpisodeFacts
+    facts = PaperFacts
 
-    def write_episode(self, episode: Episode, options: PaperOptions, folder: Path) -> EpisodeFacts:
+    def write_episode(self, episode: Episode, options: PaperOptions, folder: Path) -> PaperFacts:
         """Writes `episodes/<id>/`."""
         root = folder / "episodes" / episode.episode_id
         for name in ("rgb_front", "depth_front", "seg_front"):
             (root / name).mkdir(parents=True)
+        digests, visible = [], 0
+        is_stored = episode.meta.job.record is Recording.FRAMES
         for t in range(len(episode)):
             for name in (f"rgb_front/{t:06d}.png", f"seg_front/{t:06d}.png"):
                 (root / name).write_bytes(episode.stored(name))
             (root / f"depth_front/{t:06d}.npy").write_bytes(encode_npy(episode.depth(t)))
+            if not is_stored:
+                digests.append(frame_digest(episode.rgb(t), episode.depth(t), episode.ids(t)))
+                visible += _shows_target(episode, t)
         for spec in EPISODE_ARRAYS:
             (root / f"{spec.name}.npy").write_bytes(episode.stored(f"{spec.name}.npy"))
-        (root / "meta.json").write_bytes(_meta(episode.stored("meta.json"), options))
-        return EpisodeFacts(frames=len(episode))
+        meta = episode.meta if is_stored else _sealed(episode, digests, visible)
+        (root / "meta.json").write_text(_to_text(meta, options), encoding="utf-8")
+        return PaperFacts(
+            frames=len(episode), content_digest=meta.content_digest, steps_visible=meta.rollout.steps_visible
+        )
 
-    def finish(self, export: Finish[PaperOptions, EpisodeFacts]) -> None:
+    def finish(self, export: Finish[PaperOptions, PaperFacts]) -> None:
         """Writes `metadata.parquet`, its rows by split, `dataset_meta.json` and the card."""
-        table = _metadata(export.dataset.metadata, [piece.position for piece in export.pieces], export.options)
+        table = _metadata(export)
         with export.out.replacing(METADATA_FILE) as part:
             pq.write_table(table, part, compression="zstd")
         splits = list(dict.fromkeys(table["split"].to_pylist()))
         for split in splits:
             with export.out.replacing(f"{SPLITS_FOLDER}/{split}.parquet") as part:
                 pq.write_table(table.filter(pc.equal(table["split"], split)), part, compression="zstd")
-        meta = _part_of(export.dataset, [piece.episode_id for piece in export.pieces])
+        meta = _part_of(export.dataset.meta, table)
         configs = {
             "default": {split: f"{SPLITS_FOLDER}/{split}.parquet" for split in splits},
             "metadata": {"train": METADATA_FILE},
         }
         card = export_card(meta, len(export.pieces), _CARD, configs)
         export.out.write_text(CARD_FILE, card)
-        export.out.write_text(META_FILE, meta.model_dump_json(indent=1))
+        export.out.write_text(META_FILE, to_json(plain_dataset_meta(meta)))
 
 
 def published_split(name: str, options: PaperOptions) -> str:
@@ -92,27 +116,46 @@ def published_split(name: str, options: PaperOptions) -> str:
     return PUBLISHED_SPLITS.get(name, name) if options.split_names == "published" else name
 
 
-def _meta(text: bytes, options: PaperOptions) -> bytes:
-    """Returns `meta.json`: the bytes of the bundle, with the published name of the split."""
-    values: dict[str, Any] = json.loads(text)
-    split = values["job"]["split"]
-    if published_split(split, options) == split:
-        return text
-    values["job"]["split"] = published_split(split, options)
-    return json.dumps(values, indent=1, ensure_ascii=False).encode()
+def _shows_target(episode: Episode, t: int) -> bool:
+    meta = episode.meta
+    return int(np.count_nonzero(episode.ids(t) == meta.target_instance_id)) >= meta.job.gains.min_mask_px
 
 
-def _metadata(table: pa.Table, positions: Sequence[int], options: PaperOptions) -> pa.Table:
+def _sealed(episode: Episode, frame_digests: Sequence[str], steps_visible: int) -> EpisodeMeta:
+    """Returns the metadata that the frames recording of a states recording has."""
+    arrays = EpisodeArrays(episode.actions, episode.tokens, episode.poses)
+    return seal(as_frames(episode, steps_visible), frame_digests, arrays)
+
+
+def _to_text(meta: EpisodeMeta, options: PaperOptions) -> str:
+    """Returns `meta.json`, with the name of the split in the export."""
+    values = plain_meta(meta)
+    values["job"]["split"] = published_split(values["job"]["split"], options)
+    return to_json(values)
+
+
+def _metadata(export: Finish[PaperOptions, PaperFacts]) -> pa.Table:
     """Returns the rows of the episodes: the published columns, then the others without those of the bundle file."""
-    ours = [name for name in table.column_names if name not in PUBLISHED_COLUMNS and name not in _OF_THE_BUNDLE]
-    rows = table.take(positions).select([*PUBLISHED_COLUMNS, *ours])
-    splits = pa.array([published_split(name, options) for name in rows["split"].to_pylist()], pa.string())
-    return rows.set_column(rows.column_names.index("split"), "split", splits)
+    table, facts = export.dataset.metadata, [piece.facts for piece in export.pieces]
+    ours = [name for name in table.column_names if name not in {*PUBLISHED_COLUMNS, *_OF_THE_BUNDLE}]
+    rows = table.take([piece.position for piece in export.pieces]).select([*PUBLISHED_COLUMNS, *ours])
+    meta, count = export.dataset.meta, len(facts)
+    values = {
+        "split": [published_split(name, export.options) for name in rows["split"].to_pylist()],
+        "content_digest": [one.content_digest for one in facts],
+        "steps_visible": [one.steps_visible for one in facts],
+        "plan_digest": [meta.plan_digest] * count,
+        "run": [meta.run] * count,
+    }
+    for name, column in values.items():
+        place = rows.column_names.index(name)
+        rows = rows.set_column(place, name, pa.array(column, rows.schema.field(place).type))
+    return rows
 
 
-def _part_of(dataset: Dataset, names: Sequence[str]) -> DatasetMeta:
+def _part_of(meta: DatasetMeta, rows: pa.Table) -> DatasetMeta:
     """Returns the metadata of the dataset, restricted to the exported episodes."""
-    meta = dataset.meta
-    complete = len(names) == meta.planned
-    digest = dataset.filter(episode=names).digest if complete else None
-    return meta.model_copy(update={"episodes": len(names), "complete": complete, "dataset_digest": digest})
+    complete = rows.num_rows == meta.planned
+    digests = zip(rows["episode_id"].to_pylist(), rows["content_digest"].to_pylist(), strict=True)
+    digest = dataset_digest(digests) if complete else None
+    return meta.model_copy(update={"episodes": rows.num_rows, "complete": complete, "dataset_digest": digest})

@@ -91,7 +91,7 @@ def rlds_metadata(episode: Episode) -> dict[str, Any]:
         "target_category": row.target_category,
         "target_id": row.target_id,
         "template_id": row.template_id,
-        "content_digest": row.content_digest,
+        "states_digest": episode.states_digest,
     }
 
 

@@ -12,7 +12,7 @@ from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
-from schemas.dataset_files import EPISODES, LEDGER_FILE, META_FILE
+from schemas.dataset_files import EPISODES, LEDGER_FILE, META_FILE, is_dataset
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
@@ -74,6 +74,13 @@ def _described_plan(place: Place) -> Plan | None:
         return read_dataset_meta(place).plan
     except WorldError:
         return None
+
+
+def require_outside_datasets(site: Site) -> None:
+    """Raises `UsageError` if a directory is inside another dataset."""
+    around = next((parent for parent in site.home.absolute().parents if is_dataset(parent)), None)
+    if site.store is None and around is not None:
+        raise UsageError(f"{site} is inside the dataset {around}: choose an --out outside of it")
 
 
 def progress_of(site: Site, url: str | None = None) -> Progress:

@@ -28,6 +28,7 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place
 from schemas.support.child import child_environment, python_module
 from schemas.support.closing import Closing
 from schemas.terms import RendererKind
@@ -63,6 +64,14 @@ class LocalRun:
     """Location of the dataset in object storage; `None` for a dataset in `root`."""
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
+    states: Place | None = None
+    """States dataset that the run renders; `None` if it simulates."""
+
+    @property
+    def command(self) -> str:
+        """Command line that continues the run."""
+        site = self.store or self.root
+        return f"factory run --out {site}" if self.states is None else f"factory render {self.states} -o {site}"
 
 
 def run_locally(
@@ -129,7 +138,7 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     raise WorldError(
         f"host {host.host} is barred after {host.strikes} failures, last: {host.reason}; {progress.missing} of "
         f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release {site} {host.host}` "
-        f"and `factory run --out {site}`"
+        f"and `{run.command}`"
     )
 
 

@@ -8,27 +8,37 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import shutil
 from pathlib import Path
 from typing import NamedTuple
 
 import structlog
 
+from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog, read_entry
 from coordinator.ledger.opening import require_plan
+from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
-from factory.runs.ledger import plan_of
+from factory.runs.ledger import plan_of, require_outside_datasets
 from schemas.dataset import file_name_of
-from schemas.dataset_files import ATTEMPTS_FILE, META_FILE
-from schemas.dataset_meta import DatasetMeta
-from schemas.errors import UsageError
+from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
+from schemas.dataset_meta import DatasetMeta, described_as_frames
+from schemas.encoding.digest import frame_digest
+from schemas.episode import BUNDLE_FORMAT
+from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from schemas.storage.disk import replacing, translated
-from schemas.storage.place import Place
-from schemas.terms import Recording
+from schemas.storage.place import Place, children
+from schemas.terms import Recording, RendererKind
 from schemas.wire import MAX_STATES_CHARS
+from workers.geometry.pose import Pose
+from workers.render.choose import open_renderer
+from workers.render.differing import differing_frame
+
+_LEAST_FRAME_BYTES = 150_000
+"""Size of a frame of the scene that compresses best, bytes."""
 
 log = structlog.get_logger(__name__)
 
@@ -42,55 +52,93 @@ class Rendering(NamedTuple):
     """Scenes of the recording."""
     states: StatesSource
     """Recorded states."""
-    meta: DatasetMeta
-    """Description of the states dataset."""
+    dataset: Dataset
+    """States dataset."""
 
 
-def prepare_rendering(root: Place, site: Site) -> Rendering:
-    """Reads a states dataset, and prepares the directory of the frames dataset if it is new.
+def prepare_rendering(root: Place, site: Site, renderer: RendererKind | None = None) -> Rendering:
+    """Reads a states dataset, and prepares the location of the frames dataset if it is new.
 
-    The directory gets the failed attempts of the recording, so that the ledger continues with the attempt that
+    The location gets the failed attempts of the recording, so that the ledger continues with the attempt that
     succeeded.
 
+    Args:
+        root: location of the states dataset.
+        site: location of the frames dataset.
+        renderer: renderer of this machine that is compared with the recorded frames first; `None` compares nothing.
+
     Raises:
-        UsageError: the dataset stores frames already, or the directory contains another run.
+        UsageError: the dataset stores frames already, or the location contains another run.
         ArchiveCorrupt: a table or a scene of the dataset is damaged or missing.
-        WorldError: the directory cannot be written.
+        WorldError: the episodes have a newer format, the renderer gives other frames than the recorded ones, the frames
+            do not fit on the disk, or the location cannot be written.
     """
     dataset = Dataset(root)
     if dataset.meta.plan.record is not Recording.STATES:
         raise UsageError(f"{root} stores frames already: give a dataset of `factory run --record states`")
-    if site.store is not None:
-        raise UsageError(f"-o {site}: rendering into object storage is not supported; choose a directory")
-    plan = dataset.meta.plan.model_copy(update={"record": Recording.FRAMES})
+    _require_known_format(dataset)
+    meta = described_as_frames(dataset.meta)
+    plan = meta.plan
     begun = plan_of(site)
-    if begun is not None:
+    if begun is None:
+        require_outside_datasets(site)
+    else:
         require_plan(begun, plan)
     packages = {name: find_package_file(root, name, sha256) for name, sha256 in dataset.meta.scenes.items()}
     catalog = {name: read_entry(path) for name, path in packages.items()}
+    if renderer is not None and len(dataset):
+        _require_recorded_frame(dataset[0], renderer)
+    if site.store is None:
+        _require_room(dataset, site.home)
+    if missing := plan.episodes - len(dataset):
+        log.warning("states_missing", episodes=missing, remedy="finish the recording, or let them be simulated now")
     if begun is None:
-        _write_tables(dataset, plan, site.home)
-    return Rendering(plan, catalog, StatesSource(dataset), dataset.meta)
+        _write_tables(dataset, meta, site)
+    return Rendering(plan, catalog, StatesSource(dataset), dataset)
 
 
-def _write_tables(dataset: Dataset, plan: Plan, folder: Path) -> None:
+def _require_recorded_frame(episode: Episode, kind: RendererKind) -> None:
+    """Raises `WorldError` if a renderer gives another frame 0 than the recorded one."""
+    with episode, open_renderer(kind, apart=True) as renderer:
+        meta = episode.meta
+        renderer.load(episode.package.decode(), meta.job.camera)
+        frame = renderer.render(Pose.of(episode.poses[0]))
+        if frame_digest(frame.rgb, frame.depth, frame.ids) != meta.sampled_digests[0]:
+            raise differing_frame(meta, 0, renderer.description)
+
+
+def _require_known_format(dataset: Dataset) -> None:
+    newest = max(dataset.metadata["format"].to_pylist(), default=0)
+    if newest > BUNDLE_FORMAT:
+        raise WorldError(
+            f"{dataset.root} has episodes of bundle format {newest}, this software reads up to {BUNDLE_FORMAT}: "
+            "upgrade minivla-factory"
+        )
+
+
+def _require_room(dataset: Dataset, folder: Path) -> None:
+    """Raises `WorldError` if the frames that are not rendered yet cannot fit on the disk of a directory."""
+    steps = dict(zip(*(dataset.metadata[name].to_pylist() for name in ("episode_id", "num_steps")), strict=True))
+    for place in children(folder / EPISODES):
+        steps.pop(place.stem, None)
+    needed = sum(steps.values()) * _LEAST_FRAME_BYTES
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(there).free
+    if free < needed:
+        raise WorldError(
+            f"{sum(steps.values())} frames need at least {needed / 1e9:.2f} GB, and {folder} has {free / 1e9:.2f} GB "
+            "free: free some space or choose another --out"
+        )
+
+
+def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
     """Writes the failed attempts and a description of a dataset without episodes, which name the run to resume."""
-    meta = dataset.meta.model_copy(
-        update={
-            "run": plan.run,
-            "plan_digest": plan.digest,
-            "plan": plan,
-            "episodes": 0,
-            "complete": False,
-            "dataset_digest": None,
-        }
-    )
+    meta = meta.model_copy(update={"episodes": 0, "complete": False, "dataset_digest": None})
     attempts, described = (dataset.root / ATTEMPTS_FILE).read_bytes(), meta.model_dump_json(indent=1).encode()
-    with translated("write", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # the description makes it a run
-        with replacing(folder / name) as part:
-            part.write_bytes(data)
+    with open_archive(site.home, site.store) as archive:
+        for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # the description makes it a run
+            with archive.replacing(name) as part:
+                part.write_bytes(data)
 
 
 class StatesSource:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from coordinator.archive.contract import scene_file
 from factory.dataset.episode import Episode
-from factory.dataset.packages import package_file
+from factory.dataset.packages import find_package_file
 from factory.stats.language import EpisodeView, see_objects, summarise_language
 from factory.stats.model import LanguageStatistics
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
@@ -79,8 +78,8 @@ def _read_infos(root: Place, rows: Rows) -> dict[str, SceneInfo]:
     found = {}
     for name, sha256 in rows.meta.scenes.items():
         try:
-            with package_file(root / SCENES / scene_file(name, sha256)).open("rb") as file:
+            with find_package_file(root, name, sha256).open("rb") as file:
                 found[sha256] = read_scene_info(file)
-        except (InvalidBundle, OSError) as error:
+        except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             rows.add_damage(SCENES, f"the episodes of {name} are skipped: {format_error(error, root)}")
     return found

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from schemas.base import Finite, Positive
 from schemas.rig.distortion import bend, first_fold, undistort
-from schemas.rig.mount import MountedSensor
+from schemas.rig.mount import Mount, MountedSensor
 from schemas.rig.noise import CameraNoise
 
 MAX_SIDE_PX = 4096
@@ -65,6 +65,11 @@ class _Camera(MountedSensor):
     def is_rectified(self) -> bool:
         """Whether straight lines are straight in the image, and depth is axial."""
         return False
+
+    def lens(self) -> Self:
+        """Returns the camera without name, rate, mount, outputs and noise; cameras of one type have equal lenses."""
+        plain = {"name": "lens", "rate_hz": None, "mount": Mount(), "outputs": (CameraOutput.RGB,), "noise": None}
+        return self.model_copy(update=plain)
 
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:

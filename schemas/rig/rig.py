@@ -5,15 +5,18 @@ Does not read files; `schemas.rig.file` does.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
 from schemas.base import Line, Model, Text
+from schemas.errors import UsageError
 from schemas.rig.cameras import EquirectangularCamera, FisheyeCamera, PinholeCamera
 from schemas.rig.motion import Imu, WheelOdometry
 from schemas.rig.mount import Mount
 from schemas.rig.ranging import Lidar2d, Lidar3d
+from schemas.support.suggest import did_you_mean
 
 RigName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]{0,63}$")]
 """Name of a rig: lower-case letters, digits, underscore and hyphen."""
@@ -65,6 +68,22 @@ class Rig(Model):
         """The cameras of the rig."""
         kinds = PinholeCamera | FisheyeCamera | EquirectangularCamera
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, kinds))
+
+    def choose(self, names: Iterable[str] | None = None) -> dict[str, Sensor]:
+        """Returns the sensors with some names, or all for `None`.
+
+        Raises:
+            UsageError: the rig has no sensor of that name.
+        """
+        known = {sensor.name: sensor for sensor in self.sensors}
+        chosen = list(known if names is None else names)
+        for name in chosen:
+            if name not in known:
+                raise UsageError(
+                    f"rig {self.name!r} has no sensor {name!r}; its sensors: {', '.join(known)}"
+                    f"{did_you_mean(name, known)}"
+                )
+        return {name: known[name] for name in chosen}
 
     def faults(self, control_hz: int) -> list[str]:
         """Returns what prevents the use of this rig at a control rate: one message for each sensor with such a rate."""

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from schemas.terms import Recording
 from tests.acceptance.factory_cli import TINY_PLAN, FactoryCli, start_server
+from tests.builders.driven import driven_recordings
 from tests.builders.evaluation import archive_drives
 from tests.builders.fork_server import ForkServer
 from tests.builders.shared import build_once
@@ -49,6 +51,12 @@ def reference(factory: FactoryCli, plan: Path, shared: Path) -> Path:
 def reference_copy(reference: Path, tmp_path: Path) -> Path:
     """A copy for tests that start a coordinator on it."""
     return Path(shutil.copytree(reference, tmp_path / "reference"))
+
+
+@pytest.fixture(scope="session")
+def recordings(shared: Path) -> dict[Recording, Path]:
+    """The same two drives, recorded as frames and as states; tests only read them. Needs an EGL driver."""
+    return driven_recordings(shared)
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import io
 from itertools import count
@@ -20,6 +21,7 @@ from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Recording, Split, Tier
 from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
+from tests.builders.shared import build_once
 from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
@@ -52,6 +54,14 @@ def make_driven(root: Path, record: Recording, episodes: int = 2, expert: Expert
         write_tables(archive, plan, {SCENE: catalog[SCENE].sha256}, rows, [], NOW)
         write_split_tables(archive)
     return plan
+
+
+def driven_recordings(shared: Path) -> dict[Recording, Path]:
+    """Returns the same two drives recorded as frames and as states; tests only read them. Needs an EGL driver."""
+    return {
+        record: build_once(shared / f"driven-{record}", functools.partial(make_driven, record=record))
+        for record in Recording
+    }
 
 
 def _archive(

@@ -25,7 +25,7 @@ from schemas.dataset import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.scene import Instance, SceneInfo, Target
-from schemas.terms import FailReason, Split, Tier
+from schemas.terms import FailReason, Recording, Split, Tier
 from schemas.wire import Done, Fail, Lease
 from tests.builders.bundle import GOAL_M, TARGET_ID, job_for, parts_for, short_task
 
@@ -33,7 +33,7 @@ TTL_S = 10.0
 SHA256 = "c" * 64
 
 
-def room_plan(episodes: int = 3, **budget: int) -> Plan:
+def room_plan(episodes: int = 3, record: Recording = Recording.FRAMES, **budget: int) -> Plan:
     """Returns a plan whose jobs are all fulfilled by the smallest bundle."""
     return Plan(
         name="room",
@@ -42,6 +42,7 @@ def room_plan(episodes: int = 3, **budget: int) -> Plan:
         splits={Split.TRAIN_ID: 1.0},
         budget=Budget(**budget),
         task=short_task(),
+        record=record,
     )
 
 

@@ -1,6 +1,6 @@
 """Coordinator of a minimal run as a process for kill tests.
 
-`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [STORE]]]`
+`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [RECORD [STORE]]]]`
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.storage.object_path import ObjectPath
+from schemas.terms import Recording
 from tests.builders.ledger import room_catalog, room_plan
 from workers.client.stopping import stop_on_signals
 
@@ -20,7 +21,8 @@ def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
     checkpoint_s = float(sys.argv[5]) if len(sys.argv) > 5 else 30.0
     crashes = int(sys.argv[6]) if len(sys.argv) > 6 else 20
-    store = ObjectPath.at(sys.argv[7]) if len(sys.argv) > 7 else None
+    record = Recording(sys.argv[7]) if len(sys.argv) > 7 else Recording.FRAMES
+    store = ObjectPath.at(sys.argv[8]) if len(sys.argv) > 8 else None
     root.mkdir(parents=True, exist_ok=True)
     settings = CoordinatorSettings(
         lease_ttl_s=lease_s,
@@ -30,7 +32,7 @@ def main() -> None:
         transport_lease_s=2.0,
         checkpoint_s=checkpoint_s,
     )
-    plan = room_plan(episodes, crashes=crashes)
+    plan = room_plan(episodes, record, crashes=crashes)
     with (
         stop_on_signals() as (stop, _),
         Coordinator(

@@ -23,6 +23,7 @@ from pathlib import Path
 from rich.console import Console
 
 from schemas.plan import Budget
+from schemas.terms import Recording
 from tests.builders.tools import find_system_tools
 from tests.chaos.cluster import LARGE_CRASH_BUDGET, ClusterCommands, fake_commands, real_commands
 from tests.chaos.faults import FAULTS
@@ -148,6 +149,12 @@ def main() -> int:
         default="fake",
         help="fake: no physics, tests the protocol; real: the installed command line.",
     )
+    parser.add_argument(
+        "--record",
+        choices=tuple(Recording),
+        default=Recording.FRAMES,
+        help="What the episodes of a fake simulation store (default frames).",
+    )
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     parser.add_argument("--root", type=Path, help="Working directory (default: a temporary folder).")
     parser.add_argument("--json", action="store_true", help="Prints the tally as JSON.")
@@ -187,7 +194,10 @@ def _command_sets(options: argparse.Namespace, root: Path) -> tuple[ClusterComma
     else:
         budgets = (LARGE_CRASH_BUDGET, Budget().crashes) if options.peers else (LARGE_CRASH_BUDGET,)
         choices = itertools.product(budgets, sorted({0, options.gateways}))
-        command_sets = [fake_commands(options.episodes, 2.0, number, crashes=crashes) for crashes, number in choices]
+        record = Recording(options.record)
+        command_sets = [
+            fake_commands(options.episodes, 2.0, number, crashes=crashes, record=record) for crashes, number in choices
+        ]
     return tuple(replace(commands, longest_s=options.longest or commands.longest_s) for commands in command_sets)
 
 

@@ -16,8 +16,11 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from schemas.plan import Plan
 from schemas.support.closing import Closing
+from schemas.terms import Recording
 from tests.builders.fork_server import Child, ForkServer
+from tests.builders.ledger import room_plan
 from tests.builders.ports import free_endpoint
 from tests.chaos.bundle_maker import BundleMaker
 from tests.chaos.disk import Disk
@@ -58,10 +61,22 @@ class ClusterCommands:
     """Like `worker`; the last argument is the share of damaged attempts."""
     crashes: int = LARGE_CRASH_BUDGET
     """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
+    record: Recording = Recording.FRAMES
+    """What an episode stores."""
+
+    @property
+    def plan(self) -> Plan:
+        """Plan of a run with a synthetic scene."""
+        return room_plan(self.episodes, self.record, crashes=self.crashes)
 
 
 def fake_commands(
-    episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: float = 30.0, crashes: int = LARGE_CRASH_BUDGET
+    episodes: int,
+    longest_s: float,
+    gateways: int = 0,
+    checkpoint_s: float = 30.0,
+    crashes: int = LARGE_CRASH_BUDGET,
+    record: Recording = Recording.FRAMES,
 ) -> ClusterCommands:
     """Returns real processes around a simulation without physics, to test the protocol.
 
@@ -71,6 +86,7 @@ def fake_commands(
         gateways: number of gateways; with 0 the workers connect to the coordinator.
         checkpoint_s: interval between two writes of the tables, seconds.
         crashes: budget of crashes of a job.
+        record: what an episode stores.
     """
 
     def worker(folder: Path, endpoints: str, script: str, *words: object) -> list[str]:
@@ -80,7 +96,7 @@ def fake_commands(
     return ClusterCommands(
         episodes,
         lambda root, endpoint: _module(
-            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s, crashes
+            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s, crashes, record
         ),
         lambda folder, endpoints, bundle_maker: worker(folder, endpoints, "light_simulation.py", bundle_maker),
         longest_s=_BASE_S + _EPISODE_S * episodes,
@@ -94,6 +110,7 @@ def fake_commands(
             folder, endpoints, "faulty_host.py", bundle_maker, share
         ),
         crashes=crashes,
+        record=record,
     )
 
 

@@ -38,7 +38,6 @@ from schemas.wire import (
     Refusal,
 )
 from tests.builders.bundle import parts_for
-from tests.builders.ledger import room_plan
 from tests.builders.wire_worker import WireWorker
 from tests.chaos.cluster import ChaosCluster
 from tests.chaos.fault_span import FaultSpan
@@ -84,7 +83,7 @@ class HostilePeer:
 
     def __init__(self, cluster: ChaosCluster, rng: random.Random, pause_s: tuple[float, float]) -> None:
         self._cluster, self._rng, self._pause_s = cluster, rng, pause_s
-        self._run = room_plan(cluster.commands.episodes, crashes=cluster.commands.crashes).run
+        self._run = cluster.commands.plan.run
         self.acts: list[tuple[str, FaultSpan]] = []
         """Kind and effect of each attack."""
         self.violations: list[str] = []

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from schemas.terms import Recording
 from tests.chaos.cluster import LARGE_CRASH_BUDGET, ChaosCluster, ClusterCommands
 from tests.chaos.disk import Disk
 from tests.chaos.fault_span import FaultSpan
@@ -165,4 +166,5 @@ def _hostile_peer(cluster: ChaosCluster, load: FaultLoad, rng: random.Random, st
 def _topology(commands: ClusterCommands, load: FaultLoad) -> str:
     where = f"with {commands.gateways} gateways" if commands.gateways else "without gateways"
     budget = f" and a budget of {commands.crashes} crashes" if commands.crashes < LARGE_CRASH_BUDGET else ""
-    return where + (" with peers" if load.peers is not None else "") + budget
+    states = " of states" if commands.record is Recording.STATES else ""
+    return where + (" with peers" if load.peers is not None else "") + budget + states

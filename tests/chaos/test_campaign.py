@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from schemas.plan import Budget
+from schemas.terms import Recording
 from tests.chaos.cluster import ChaosCluster, fake_commands
 from tests.chaos.peers import Peers
 from tests.chaos.round import FaultLoad, reference_digest, run_round
@@ -32,9 +33,11 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosClust
 
 
 @pytest.mark.slow
-def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(reference, tmp_path):
+@pytest.mark.parametrize("record", Recording)
+def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(record, tmp_path):
+    reference = reference_digest(fake_commands(EPISODES, 0.0, record=record), tmp_path / "reference")
     load = FaultLoad(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
-    tally = run_round(fake_commands(EPISODES, 3.0), tmp_path / "faults", load, 7, reference[0])
+    tally = run_round(fake_commands(EPISODES, 3.0, record=record), tmp_path / "faults", load, 7, reference)
     assert tally.violations == []
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES

@@ -11,7 +11,7 @@ from coordinator.gateway.gather import gather
 from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.validation.validator import Validator
 from schemas.encoding.digest import dataset_digest
-from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ledger import room_catalog
 from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.hostile_peer import HOSTILE_HOST
 
@@ -81,5 +81,5 @@ def _inconsistencies(cluster: ChaosCluster) -> Iterator[str]:
 
 
 def _repair_input(cluster: ChaosCluster) -> RepairInput:
-    plan, catalog = room_plan(cluster.commands.episodes, crashes=cluster.commands.crashes), room_catalog(cluster.place)
-    return RepairInput(cluster.out, cluster.out, f"sqlite:///{cluster.out / 'ledger.db'}", plan, catalog, {})
+    url, catalog = f"sqlite:///{cluster.out / 'ledger.db'}", room_catalog(cluster.place)
+    return RepairInput(cluster.out, cluster.out, url, cluster.commands.plan, catalog, {})

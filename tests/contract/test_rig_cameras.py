@@ -188,6 +188,28 @@ def test_the_left_camera_of_a_stereo_pair_sees_objects_further_to_the_right(gl: 
     assert middles[0] - middles[1] == pytest.approx(disparity, abs=1.0)
 
 
+@pytest.mark.gl
+def test_opencv_measures_the_depth_of_a_stereo_pair(gl: Renderer):
+    spots = np.random.default_rng(5).integers(0, 255, (1, 64, 64, 1), np.uint8)
+    texture = np.repeat(spots.repeat(TEXTURE_SIZE_PX // 64, 1).repeat(TEXTURE_SIZE_PX // 64, 2), 3, axis=3)
+    white = (255, 255, 255)
+    wall = Box((2.5, -6.0, -1.0), (2.6, 6.0, 4.0), white, texture=0)
+    box = Box((1.6, -0.4, 0.0), (1.9, 0.3, 0.6), white, texture=0)
+    gl.load(build_scene((wall, box), textures=texture), CameraConfig())
+    pair = [
+        camera.model_copy(update={"width": 320, "height": 200, "fx_px": 160.0})
+        for camera in load_rig("nova-carter").cameras[:2]
+    ]
+    left, right = (gl.render_camera(camera, Pose.planar(0.0, 0.0, 0.0)) for camera in pair)
+    matcher = cv2.StereoSGBM_create(numDisparities=32, blockSize=7, uniquenessRatio=5)
+    disparity = matcher.compute(_grey(left.rgb).astype(np.uint8), _grey(right.rgb).astype(np.uint8)) / 16
+    expected = 160.0 * 0.15 / np.where(left.depth > 0, left.depth, np.inf)
+    found = (disparity > 0) & (left.depth > 0)
+    assert found.mean() > 0.6
+    assert np.median(np.abs(disparity - expected)[found]) < 0.25
+    assert (np.abs(disparity - expected)[found] < 1).mean() > 0.95
+
+
 @pytest.mark.parametrize("camera", [pytest.param(each, id=each.name) for each in CAMERAS if each.name != "wide"])
 def test_faces_have_no_coarser_pixels_than_the_image(camera: Camera):
     plan = plan_faces(camera)

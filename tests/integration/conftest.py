@@ -8,7 +8,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from schemas.terms import Recording
-from tests.builders.driven import make_driven
+from tests.builders.driven import driven_recordings
 from tests.builders.evaluation import archive_drives
 from tests.builders.shared import build_once
 
@@ -22,7 +22,4 @@ def drives(shared: Path) -> Dataset:
 @pytest.fixture(scope="session")
 def recordings(shared: Path) -> dict[Recording, Path]:
     """The same two drives, recorded as frames and as states; tests only read them. Needs an EGL driver."""
-    return {
-        record: build_once(shared / f"driven-{record}", lambda folder, record=record: make_driven(folder, record))
-        for record in Recording
-    }
+    return driven_recordings(shared)

@@ -1,47 +1,86 @@
-"""Exports of a states dataset: the images and arrays of an export of a frames dataset, byte by byte."""
+"""Exports of a states dataset equal those of the frames dataset, byte by byte."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 
+from factory.dataset.reader import Dataset
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.output import WORK_FOLDER
-from factory.export.registry import find_exporter
-from schemas.terms import Recording
+from factory.export.registry import EXPORTERS, find_exporter
+from factory.export.rlds import rlds_metadata
+from schemas.terms import ExpertName, Recording
+from tests.builders.driven import make_driven
 
 pytestmark = pytest.mark.gl
+Recordings = dict[Recording, Path]
+EXPORTS: list[tuple[str, dict[str, Any]]] = [
+    ("paper", {"split_names": "published"}),
+    ("lerobot", {"depth": True, "ids": True, "fps": 10}),
+    ("lerobot-v2.1", {"fps": 6}),
+    ("webdataset", {}),
+    ("mcap", {"fps": 5}),
+    ("mcap", {"ros2": True}),
+    ("gnm", {"fps": 6}),
+    ("vlnce", {}),
+]
 
 
-def exported(root: Path, out: Path, name: str) -> dict[str, bytes]:
-    options = find_exporter(name).options()
+def exported(root: Path, out: Path, name: str, values: dict[str, Any]) -> dict[str, bytes]:
+    options = find_exporter(name).options.model_validate(values)
     assert run_export(ExportOrder(root=root, out=out, format=name, options=options)).complete
     files = {path.relative_to(out): path for path in out.rglob("*") if path.is_file()}
     return {str(file): path.read_bytes() for file, path in files.items() if file.parts[0] != WORK_FOLDER}
 
 
-TITLES = {"README.md", "export.json"}
-"""Files that name the run and the digest of the dataset."""
-DIFFERING = {
-    "webdataset": TITLES,
-    "gnm": TITLES,
-    "lerobot": {*TITLES, "meta/episodes/chunk-000/file-000.parquet"},  # it has the content digests
-    "paper": {
-        *(*TITLES, "dataset_meta.json", "metadata.parquet", "data/train_id.parquet"),
-        *(f"episodes/ep_00000{number}/meta.json" for number in (1, 2)),
-    },
-}
+def both(recordings: Recordings, out: Path, name: str, values: dict[str, Any]) -> list[dict[str, bytes]]:
+    return [exported(recordings[record], out / str(record), name, values) for record in Recording]
 
 
-@pytest.mark.parametrize("name", DIFFERING)
-def test_an_export_has_the_same_images_and_arrays(recordings: dict[Recording, Path], tmp_path: Path, name: str) -> None:
-    frames, states = (exported(recordings[record], tmp_path / str(record), name) for record in Recording)
-    assert frames.keys() == states.keys()
-    assert {file for file, data in frames.items() if states[file] != data} == DIFFERING[name]
+def test_every_format_is_compared() -> None:
+    assert {name for name, _ in EXPORTS} == EXPORTERS.keys()
 
 
-def test_meta_json_of_an_export_names_the_instances(recordings: dict[Recording, Path], tmp_path: Path) -> None:
-    meta = json.loads(exported(recordings[Recording.STATES], tmp_path / "out", "paper")["episodes/ep_000001/meta.json"])
+@pytest.mark.parametrize(("name", "values"), EXPORTS)
+def test_an_export_of_states_has_the_bytes_of_an_export_of_frames(
+    recordings: Recordings, tmp_path: Path, name: str, values: dict[str, Any]
+) -> None:
+    frames, states = both(recordings, tmp_path, name, values)
+    assert [file for file in sorted(frames.keys() | states.keys()) if frames.get(file) != states.get(file)] == []
+
+
+def test_the_visibility_that_the_planner_did_not_record_is_computed(tmp_path: Path) -> None:
+    planned = {record: tmp_path / str(record) for record in Recording}
+    for record, root in planned.items():
+        make_driven(root, record, episodes=1, expert=ExpertName.PLANNER)
+    assert Dataset(planned[Recording.STATES])[0].summary.steps_visible is None
+    frames, states = both(planned, tmp_path / "out", "paper", {})
+    assert frames == states
+    rows = pq.read_table(tmp_path / "out/states/metadata.parquet")
+    expected = Dataset(planned[Recording.FRAMES]).metadata
+    for column in ("steps_visible", "content_digest", "run", "plan_digest"):
+        assert rows[column].to_pylist() == expected[column].to_pylist()
+
+
+def test_meta_json_of_an_export_names_the_instances(recordings: Recordings, tmp_path: Path) -> None:
+    files = exported(recordings[Recording.STATES], tmp_path / "out", "paper", {})
+    meta = json.loads(files["episodes/ep_000001/meta.json"])
     assert meta["target_instance_id"] in [instance["id"] for instance in meta["instances"]]
+
+
+def test_rlds_metadata_of_both_recordings_are_equal(recordings: Recordings) -> None:
+    frames, states = (Dataset(recordings[record]) for record in Recording)
+    assert [rlds_metadata(episode) for episode in frames] == [rlds_metadata(episode) for episode in states]
+    assert frames[0].states_digest != frames[1].states_digest
+
+
+def test_an_export_that_was_begun_from_frames_is_continued_from_states(recordings: Recordings, tmp_path: Path) -> None:
+    for record in Recording:
+        order = ExportOrder(recordings[record], tmp_path / "out", "gnm", find_exporter("gnm").options())
+        report = run_export(order)
+        assert (report.complete, report.resumed) == (True, 0 if record is Recording.FRAMES else 2)

@@ -25,6 +25,7 @@ from coordinator.tables.split_faults import find_faults
 from factory.dataset.reader import Dataset
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children
+from schemas.terms import Recording
 from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.object_server import ObjectServer
@@ -117,7 +118,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subprocess.Popen[bytes]]:
     """Runs a coordinator in a separate process; returns when it listens."""
-    words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, store)
+    words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, Recording.FRAMES, store)
     command = [sys.executable, "-m", "tests.builders.room_coordinator", *map(str, words)]
     process = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=os.environ, stderr=subprocess.DEVNULL)
     try:

@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from coordinator.validation.validate import validate
@@ -19,9 +21,11 @@ from factory.dataset.site import site_of
 from factory.runs.render import StatesSource, prepare_rendering
 from factory.verify.dataset import verify
 from schemas.bundle import BundleReader, BundleWriter
-from schemas.dataset_files import EPISODES
+from schemas.dataset_files import EPISODES, METADATA_FILE, SCENES
+from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
+from schemas.storage.place import digest_of
 from schemas.terms import Recording
 from tests.builders.driven import make_driven
 from workers.sim.render_recording import render_recording
@@ -68,7 +72,7 @@ def test_an_interrupted_rendering_continues_and_makes_no_episode_twice(recording
     out = tmp_path / "frames"
     rendering = prepare_rendering(recordings[Recording.STATES], site_of(str(out)))
     first = "episodes/ep_000001.zip"
-    (out / EPISODES).mkdir()
+    (out / EPISODES).mkdir(exist_ok=True)
     shutil.copy(recordings[Recording.FRAMES] / first, out / first)
     before = (out / first).stat().st_mtime_ns
     done = factory("render", recordings[Recording.STATES], "-o", out, "--workers", 1, "--renderer", "gl", "--json")
@@ -87,9 +91,61 @@ def test_a_frames_dataset_and_another_run_are_refused(recordings: Recordings, tm
         prepare_rendering(recordings[Recording.STATES], site_of(str(other)))
 
 
-def test_damaged_states_are_not_used(recordings: Recordings, tmp_path: Path) -> None:
-    root = Path(shutil.copytree(recordings[Recording.STATES], tmp_path / "states"))
-    dataset = Dataset(root)
+@pytest.fixture
+def copied(recordings: Recordings, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recordings[Recording.STATES], tmp_path / "states"))
+
+
+def edit_metadata(root: Path, column: str, value: int) -> None:
+    rows = pq.read_table(root / METADATA_FILE)
+    place = rows.column_names.index(column)
+    pq.write_table(rows.set_column(place, column, pa.array([value] * rows.num_rows, pa.int64())), root / METADATA_FILE)
+
+
+def refusal(states: Path, out: Path, *words: str) -> str:
+    done = factory("render", states, "-o", out, *words)
+    assert done.returncode == 1, done.stderr
+    assert not out.exists()
+    return done.stderr
+
+
+def test_a_renderer_that_gives_other_frames_is_refused_before_the_start(copied: Path, tmp_path: Path) -> None:
+    recorded = Dataset(copied)[0].summary.renderer
+    error = refusal(copied, tmp_path / "out", "--renderer", "tiny")
+    assert f"ep_000001: frame 0 differs from the recorded digest; recorded with {recorded}, rendered with" in error
+    assert "TinyRenderer" in error
+
+
+def test_an_edited_and_a_missing_scene_are_refused_before_the_start(copied: Path, tmp_path: Path) -> None:
+    package = next((copied / SCENES).glob("*.scene.zip"))
+    package.write_bytes(package.read_bytes() + b"x")
+    error = refusal(copied, tmp_path / "out")
+    assert f"SHA-256 {Dataset(copied)[0].summary.scene_sha256} is missing: {package} has SHA-256 " in error
+    assert f"{digest_of(package)}; searched: {copied / SCENES}" in error
+    package.unlink()
+    assert "no package of scene box_room was found; searched:" in refusal(copied, tmp_path / "out")
+
+
+def test_episodes_of_a_newer_format_are_refused(copied: Path, tmp_path: Path) -> None:
+    edit_metadata(copied, "format", BUNDLE_FORMAT + 1)
+    expected = f"has episodes of bundle format {BUNDLE_FORMAT + 1}, this software reads up to {BUNDLE_FORMAT}: upgrade"
+    assert expected in refusal(copied, tmp_path / "out")
+
+
+def test_frames_that_do_not_fit_on_the_disk_are_refused(copied: Path, tmp_path: Path) -> None:
+    edit_metadata(copied, "num_steps", 10**12)
+    with pytest.raises(WorldError, match=r"2000000000000 frames need at least 300000000.00 GB, and .* GB free: free"):
+        prepare_rendering(copied, site_of(str(tmp_path / "out")))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_directory_inside_a_dataset_is_refused(copied: Path) -> None:
+    with pytest.raises(UsageError, match="is inside the dataset"):
+        prepare_rendering(copied, site_of(str(copied / "frames")))
+
+
+def test_damaged_states_are_not_used(copied: Path) -> None:
+    dataset = Dataset(root := copied)
     source, job = StatesSource(dataset), dataset[0].meta.job
     assert base64.b64decode(source(job) or "") == (root / "episodes/ep_000001.zip").read_bytes()
     assert source(job.model_copy(update={"attempt": job.attempt + 1})) is None

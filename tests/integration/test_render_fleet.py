@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
+from factory.verify.dataset import verify
 from schemas.terms import Recording
 from tests.builders.ports import free_endpoint
 
@@ -26,6 +27,21 @@ def test_workers_render_the_states_of_a_coordinator(recordings: dict[Recording, 
         coordinator.communicate()
     assert (coordinator.returncode, done.returncode) == (0, 0), done.stderr
     assert Dataset(out).digest == Dataset(recordings[Recording.FRAMES]).digest
+
+
+def test_episodes_that_are_rendered_at_gateways_are_gathered(recordings: dict[Recording, Path], tmp_path: Path) -> None:
+    core, door, out, gateway = free_endpoint(), free_endpoint(), tmp_path / "frames", tmp_path / "gw1"
+    start = ("coordinator", "start", "--states", str(recordings[Recording.STATES]), "--out", str(out), "--listen", core)
+    relay = ("gateway", "start", "--connect", core, "--out", str(gateway), "--listen", door, "--name", "gw1")
+    worker = ("worker", "--cores", "1", "--connect", door, "--spool", str(tmp_path / "spool"), "--wait", "60")
+    with subprocess.Popen([*FACTORY, *start]) as coordinator, subprocess.Popen([*FACTORY, *relay]) as between:
+        done = subprocess.run([*FACTORY, *worker], capture_output=True, text=True, check=False)
+        assert (done.returncode, coordinator.wait()) == (0, 0), done.stderr
+        between.terminate()
+    assert list((out / "episodes").iterdir()) == []
+    subprocess.run([*FACTORY, "gather", str(out), str(gateway)], check=True, capture_output=True)
+    report = verify(out, deep=True)
+    assert (report.ok, report.digest) == (True, Dataset(recordings[Recording.FRAMES]).digest)
 
 
 def test_a_plan_beside_states_is_refused(recordings: dict[Recording, Path], tmp_path: Path) -> None:

@@ -123,8 +123,8 @@ class Perspective(NamedTuple):
     def steps(self) -> tuple[Matrix, Matrix]:
         """Returns x (width,) of the columns and y (height,) of the rows on the plane z = 1, at pixel centres."""
         fx, fy = self.focal_px
-        across = (np.arange(self.width) + 0.5 - self.centre[0]) / fx
-        return across, (np.arange(self.height) + 0.5 - self.centre[1]) / fy
+        columns, rows = np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64)
+        return (columns + 0.5 - self.centre[0]) / fx, (rows + 0.5 - self.centre[1]) / fy
 
 
 def projection_matrix(camera: CameraConfig) -> Matrix:

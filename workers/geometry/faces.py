@@ -20,7 +20,7 @@ from schemas.support.portable import product
 from workers.geometry.camera import OpticalPose, Perspective
 from workers.geometry.lens import pixel_centres, unproject
 
-_KEPT_PLANS = 8
+_KEPT_PLANS = 16
 _MAX_FACE_PX, _MAX_ATLAS_PX = 4096, 16_384
 """Largest side of a face and of the atlas, pixels: limits of software and hardware drivers."""
 _ONE_FACE_REACH = 2.0
@@ -86,23 +86,27 @@ class FacePlan:
     """Sampling of the atlas; `None` if the atlas is the image."""
 
 
-@functools.lru_cache(maxsize=_KEPT_PLANS)
 def plan_faces(camera: Camera) -> FacePlan:
-    """Returns the plan of a camera.
+    """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
-    The faces have the smallest focal length with which no step from pixel to pixel, along the coarser direction of the
-    image, is smaller than a pixel of the face: no detail that the image can show is lost.
+    The faces have at least as many pixels per radian as the image: along its coarser direction everywhere, and along
+    rows and columns where these are coarsest. Only the oversampling of the poles of a panorama is not followed.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.
     """
+    return _plan(camera.lens())
+
+
+@functools.lru_cache(maxsize=_KEPT_PLANS)
+def _plan(camera: Camera) -> FacePlan:
     if isinstance(camera, PinholeCamera) and not camera.is_distorted:
         face = Face(_direct_view(camera), np.eye(3), 0)
         return FacePlan((face,), camera.width, camera.height, None)
     rays = unproject(camera, pixel_centres(camera))
     sides = _sides(rays)
     plane = _on_sides(rays, sides)
-    focal = _finest(plane, sides)
+    focal = max(_finest(plane, sides), _sharpest(rays))
     return _arrange(camera, rays, sides, plane, focal)
 
 
@@ -137,8 +141,14 @@ def _on_sides(rays: Floats, sides: NDArray[np.int8]) -> Floats:
     return plane
 
 
+def _sharpest(rays: Floats) -> float:
+    """Returns the pixels per radian along rows or columns, whichever has more, where they are coarsest."""
+    steps = [np.linalg.norm(np.diff(rays, axis=axis), axis=-1) for axis in (0, 1)]
+    return float(1 / min(np.nanmax(step) for step in steps))
+
+
 def _finest(plane: Floats, sides: NDArray[np.int8]) -> float:
-    """Returns the focal length of the faces, pixels."""
+    """Returns the focal length with which no step between pixels, along the coarser direction, is below a pixel."""
     across = np.linalg.norm(np.diff(plane, axis=1), axis=-1)[:-1]
     down = np.linalg.norm(np.diff(plane, axis=0), axis=-1)[:, :-1]
     corner = sides[:-1, :-1]
@@ -155,8 +165,9 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
     width, height = int(max(size[0] for size in sizes)), int(sum(size[1] for size in sizes))
     if max(map(max, sizes)) > _MAX_FACE_PX or height > _MAX_ATLAS_PX:
         raise UsageError(
-            f"camera {camera.name!r} has a part of {focal:.0f} pixels per radian, and needs an atlas of {width} x "
-            f"{height} pixels; {_MAX_FACE_PX} x {_MAX_ATLAS_PX} are possible: reduce its resolution or distortion"
+            f"the {camera.model} camera of {camera.width} x {camera.height} pixels has up to {focal:.0f} pixels per "
+            f"radian, and is composed of {width} x {height} pixels; {_MAX_FACE_PX} x {_MAX_ATLAS_PX} are possible: "
+            "reduce its resolution or distortion"
         )
     tops = np.concatenate(([0], np.cumsum([size[1] for size in sizes])))
     faces, places = [], np.zeros_like(plane)

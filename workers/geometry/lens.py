@@ -62,7 +62,7 @@ def _pixel_rays(camera: Camera) -> Floats:
 
 def axial_share(camera: Camera) -> Floats:
     """Returns the axial depth (height, width) of points at a distance of 1 m from the optical centre."""
-    return np.asarray(_pixel_rays(camera)[..., 2])
+    return np.asarray(_pixel_rays(camera.lens())[..., 2])
 
 
 def optical_flow(camera: Camera, distance_m: Floats, now: OpticalPose, later: OpticalPose) -> Floats:
@@ -79,7 +79,7 @@ def optical_flow(camera: Camera, distance_m: Floats, now: OpticalPose, later: Op
         at the second instant. Points that are hidden at the second instant have a flow too.
     """
     pixels = pixel_centres(camera)
-    points = _pixel_rays(camera) * np.where(distance_m > 0, distance_m, np.nan)[..., None]
+    points = _pixel_rays(camera.lens()) * np.where(distance_m > 0, distance_m, np.nan)[..., None]
     moved = (points @ now.rotation.T + (now.eye - later.eye)) @ later.rotation
     flow = project(camera, moved) - pixels
     if isinstance(camera, EquirectangularCamera):  # the shorter way around

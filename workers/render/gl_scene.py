@@ -165,7 +165,7 @@ class GpuScene:
 
     def close(self) -> None:
         """Frees the device memory."""
-        arrays = (self._plain, self._textured, self._uncoloured, *self._normals)
+        arrays: list[Any] = [self._plain, self._textured, self._uncoloured, *self._normals]
         for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
             held.release()
 

@@ -110,7 +110,7 @@ class FrameMemory:
 
     def take_frame(self, size: int) -> RenderedFrame:
         """Returns a copy of the stored frame, which has that size."""
-        return RenderedFrame(*(part(size, size).copy() for part in (self._rgb, self._depth, self._ids)))
+        return RenderedFrame(self._rgb(size, size).copy(), self._depth(size, size).copy(), self._ids(size, size).copy())
 
     def take_relief(self, size: int) -> DepthAndIds:
         """Returns a copy of depth and ids of the stored frame, which has that size."""
@@ -118,8 +118,9 @@ class FrameMemory:
 
     def take_image(self, height: int, width: int, normals: bool) -> CameraImage:
         """Returns a copy of the stored camera image, which has that size, with or without normals."""
-        rgb, depth, ids = (part(height, width).copy() for part in (self._rgb, self._depth, self._ids))
-        return CameraImage(rgb, depth, ids, self._normals(height, width).copy() if normals else None)
+        size = height, width
+        rgb, depth, ids = self._rgb(*size).copy(), self._depth(*size).copy(), self._ids(*size).copy()
+        return CameraImage(rgb, depth, ids, self._normals(*size).copy() if normals else None)
 
     def close(self) -> None:
         """Unmaps the memory; further calls have no effect."""

@@ -35,7 +35,7 @@ class SkyPainter:
         if key != self._key:
             self._key, self._image = key, _image(self._sky, rise, view)
         void = depth == 0
-        rgb[void, :3] = self._image[void]
+        rgb[..., :3][void] = self._image[void]
 
 
 def _image(sky: Sky, rise: NDArray[np.float64], view: Perspective) -> NDArray[np.uint8]:

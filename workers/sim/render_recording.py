@@ -12,13 +12,13 @@ from typing import BinaryIO
 import numpy as np
 
 from schemas.bundle import BundleReader, BundleWriter
-from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import Recording
 from workers.geometry.pose import Pose
+from workers.render.differing import differing_frame
 from workers.sim.attempt import Success
-from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.scene_renderer import SceneRenderer
 
 
 def render_recording(
@@ -42,14 +42,17 @@ def render_recording(
         place = stage.loaded(job.scene_sha256)
         stage.renderer.load(place.scene, job.camera)
         writer, visible = BundleWriter(out, stage.lap), 0
+        sampled = recorded.meta.sampled_digests
         for t, row in enumerate(recorded.arrays.poses):
             frame = stage.renderer.render(Pose.of(row))
             pixels = np.count_nonzero(frame.ids == recorded.meta.target_instance_id)
             visible += int(pixels) >= job.gains.min_mask_px
             writer.add_frame(frame.rgb, frame.depth, frame.ids)
+            if t in sampled and writer.frame_digests[t] != sampled[t]:
+                raise differing_frame(recorded.meta, t, stage.renderer.description)
             on_step(t + 1)
-        _require_same_frames(recorded.meta, writer.frame_digests, stage)
-        return Success(writer.finish(recorded.arrays, _meta(recorded.meta, job, place, visible)))
+        meta = recorded.meta.with_frames(job, visible, place.scene.info.instances)
+        return Success(writer.finish(recorded.arrays, meta))
 
 
 def _require_job(recorded: Job, job: Job) -> None:
@@ -57,25 +60,3 @@ def _require_job(recorded: Job, job: Job) -> None:
     of_plan = {"record": job.record, "plan_digest": job.plan_digest, "run": job.run}
     if recorded.record is not Recording.STATES or recorded.model_copy(update=of_plan) != job:
         raise WorldError(f"{job.episode_id}: the states are of another job: give the dataset that was recorded")
-
-
-def _require_same_frames(meta: EpisodeMeta, rendered: tuple[str, ...], stage: SceneRenderer) -> None:
-    sampled = meta.job.sampled_steps(len(rendered))
-    differing = [t for t, digest in zip(sampled, meta.frame_digests, strict=True) if rendered[t] != digest]
-    if differing:
-        recorded_with = meta.provenance.fingerprint.renderer
-        raise WorldError(
-            f"{meta.episode_id}: frame {differing[0]} differs from the recorded digest; recorded with {recorded_with}, "
-            f"rendered with {stage.renderer.description}: render with the recording's version of Mesa"
-        )
-
-
-def _meta(recorded: EpisodeMeta, job: Job, place: LoadedScene, visible: int) -> EpisodeMeta:
-    """Returns the metadata of a frames recording, without digests; the provenance is that of the simulation."""
-    return recorded.model_copy(
-        update={
-            "job": job,
-            "rollout": recorded.rollout.model_copy(update={"steps_visible": visible}),
-            "instances": place.scene.info.instances,
-        }
-    )

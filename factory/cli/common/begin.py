@@ -12,9 +12,8 @@ from coordinator.expansion.file import load_plan
 from coordinator.ledger.opening import require_plan
 from factory.cli.common.options import shrunk_plan
 from factory.dataset.site import Site
-from factory.runs.ledger import plan_of
-from schemas.dataset_files import EPISODES, is_dataset, is_part
-from schemas.errors import UsageError
+from factory.runs.ledger import plan_of, require_outside_datasets
+from schemas.dataset_files import EPISODES, is_part
 from schemas.plan import Plan
 from schemas.storage.disk import translated
 from schemas.storage.place import children
@@ -47,7 +46,8 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
         require_plan(begun, plan)
     elif site.store is None:
         with translated("look into", site.home):
-            _look_around(site.home)
+            require_outside_datasets(site)
+            _note_foreign_files(site.home)
     with translated("look into", site.home):
         has_episodes = bool(children(site.place / EPISODES))
     return Beginning(plan, begun is None and not has_episodes)
@@ -58,11 +58,8 @@ def _load(name: str, begun: Plan | None) -> Plan:
     return load_plan(name) if begun is None else load_plan(name, begun.task.success)
 
 
-def _look_around(out: Path) -> None:
-    """Refuses a directory inside a dataset; prints a note about files that do not belong to a dataset."""
-    around = next((parent for parent in out.absolute().parents if is_dataset(parent)), None)
-    if around is not None:
-        raise UsageError(f"{out} is inside the dataset {around}: choose an --out outside of it")
+def _note_foreign_files(out: Path) -> None:
+    """Prints a note about files that do not belong to a dataset."""
     strange = sorted(entry.name for entry in out.iterdir() if not is_part(entry.name)) if out.is_dir() else []
     if strange:
         some = ", ".join(strange[:3]) + (", ..." if len(strange) > 3 else "")

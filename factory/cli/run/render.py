@@ -7,9 +7,8 @@ import os
 import click
 
 from coordinator.settings import CoordinatorSettings
-from factory.cli.common.options import place_argument, renderer_option, verbose_option, workers_option
+from factory.cli.common.options import out_option, place_argument, renderer_option, verbose_option, workers_option
 from factory.cli.common.output import json_option, print_result
-from factory.cli.common.places import SITE
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.cli.run.run import RunBar
 from factory.dataset.site import Site
@@ -24,7 +23,7 @@ from workers.client.stopping import stop_on_signals
 
 @click.command("render")
 @place_argument
-@click.option("-o", "--out", "site", required=True, type=SITE, metavar="DIR", help="Directory of the frames dataset.")
+@out_option
 @workers_option("Number of rendering processes")
 @renderer_option
 @json_option
@@ -37,7 +36,7 @@ def command(root: Place, site: Site, workers: int | None, renderer: RendererKind
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory render`")
-    rendering = prepare_rendering(root, site)
+    rendering = prepare_rendering(root, site, renderer)
     run = LocalRun(
         rendering.plan,
         rendering.catalog,
@@ -45,13 +44,15 @@ def command(root: Place, site: Site, workers: int | None, renderer: RendererKind
         workers or os.cpu_count() or 1,
         renderer,
         verbose,
-        rendering.meta.gate,
-        find_states=rendering.states,
+        rendering.dataset.meta.gate,
+        site.store,
+        rendering.states,
+        root,
     )
     with stop_on_signals() as (stop, _), RunBar(rendering.plan) as bar:
         progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:
-        click.echo(f"interrupted; continue with: factory render {root} -o {site}", err=True)
+        click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
     summary = summarise(site.place, progress)
     print_result(summary, as_json, print_summary)

@@ -76,7 +76,7 @@ def command(
         with RunBar(plan) as bar:
             progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:
-        click.echo(f"interrupted; continue with: factory run --out {site}", err=True)
+        click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
     summary = summarise(site.place, progress)
     print_result(summary, as_json, print_summary)

@@ -20,13 +20,14 @@ MANIFEST_FILE = "export.json"
 
 
 class Source(Model):
-    """Source of an export. Exports with equal source, format and options are equal."""
+    """Source of an export, equal for both recordings. Exports with equal source, format and options are equal."""
 
     run: str
+    """Name of the run that records frames."""
     dataset_digest: Sha256
-    """SHA-256 over the content digests of all episodes of the dataset."""
+    """SHA-256 over the rows of all episodes of the dataset, see `factory.export.source.rows_digest`."""
     selection_digest: Sha256
-    """SHA-256 over the content digests of the selected episodes."""
+    """SHA-256 over the rows of the selected episodes."""
     splits: tuple[str, ...]
     """Selected splits; empty for all."""
     episodes: int

@@ -18,6 +18,7 @@ from factory.export.execution.report import ExportReport, Skip
 from factory.export.execution.selection import select
 from factory.export.output import Output
 from factory.export.registry import AnyExporter, find_exporter, require_packages
+from factory.export.source import open_source, rows_digest
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
 from schemas.storage.place import Place
@@ -135,7 +136,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
         UsageError: the options do not fit the format or the dataset, or no episode is selected.
         WorldError: the dataset does not exist.
     """
-    whole = Dataset(order.root)
+    whole = open_source(order.root)
     if isinstance(order.root, Path):
         one, two = order.root.resolve(), order.out.resolve()
         if one == two or one in two.parents or two in one.parents:
@@ -147,8 +148,8 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
     order.options.check(dataset.meta)
     source = Source(
         run=whole.meta.run,
-        dataset_digest=whole.digest,
-        selection_digest=dataset.digest,
+        dataset_digest=rows_digest(whole.metadata),
+        selection_digest=rows_digest(dataset.metadata),
         splits=tuple(order.splits),
         episodes=len(dataset),
     )

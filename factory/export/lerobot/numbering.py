@@ -37,8 +37,11 @@ ABOUT = (
     "final_ne_m",
     "final_surface_m",
     "collision_count",
-    "content_digest",
 )
+
+
+STATES_DIGEST = "states_digest"
+"""Column with the digest of actions, poses and metadata of the episode, see `Episode.states_digest`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,7 @@ class Numbered:
     def about(self) -> dict[str, Any]:
         """Returns the metadata of the episode for additional columns."""
         summary = self.piece.summary
-        return {name: getattr(summary, name) for name in ABOUT}
+        return {name: getattr(summary, name) for name in ABOUT} | {STATES_DIGEST: self.piece.facts.states_digest}
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,8 @@ class LeRobotFacts(EpisodeFacts):
 
     images: dict[str, ImageCounts]
     """Image feature -> histogram of its codes."""
+    states_digest: str
+    """Digest of actions, poses and metadata of the episode."""
 
 
 def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRobotFacts:
@@ -74,7 +76,8 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
                 _count(tallies, images, episode, t)
     columns = frame_columns(episode.actions, episode.poses, hz, stride)
     pq.write_table(_table(columns, pictures, options), folder / FRAMES_FILE, compression="snappy")
-    return LeRobotFacts(frames=len(kept), images={key: tally.result() for key, tally in tallies.items()})
+    counts = {key: tally.result() for key, tally in tallies.items()}
+    return LeRobotFacts(frames=len(kept), images=counts, states_digest=episode.states_digest)
 
 
 def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], options: LeRobotOptions) -> pa.Table:

@@ -17,7 +17,7 @@ from factory.export.base import Finish
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, video_keys
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
-from factory.export.lerobot.numbering import ABOUT, Numbered, Numbering
+from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
 from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
 from factory.export.lerobot.statistics import QUANTILES
 from factory.export.video import join_videos
@@ -47,6 +47,7 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
     """Exporter of format `lerobot`: joins pieces to files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
+    version = 2
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
     options = LeRobotOptions
 
@@ -92,7 +93,7 @@ def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema
             fields.append((f"stats/{key}/{stat}", pa.list_(pa.int64()) if stat == "count" else kind))
     fields += [(name, pa.int64()) for name in ("meta/episodes/chunk_index", "meta/episodes/file_index")]
     ours = parquet_schema(EpisodeSummary)
-    return pa.schema([*fields, *((name, ours.field(name).type) for name in ABOUT)])
+    return pa.schema([*fields, *((name, ours.field(name).type) for name in ABOUT), (STATES_DIGEST, pa.string())])
 
 
 def tasks_table(tasks: Sequence[str]) -> pa.Table:

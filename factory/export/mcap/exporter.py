@@ -17,6 +17,7 @@ from factory.export.base import Decimated, EpisodeFacts, Exporter, Finish, strid
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
+from factory.export.source import describe_episode, to_json
 from factory.runs.catalog import find_package
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
@@ -109,7 +110,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
 
     name = "mcap"
     about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
-    version = 2
+    version = 3
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     options = McapOptions
     facts = EpisodeFacts
@@ -168,10 +169,11 @@ class _Recording:
             "target_category": row.target_category,
             "target_id": row.target_id,
             "template_id": row.template_id,
-            "content_digest": row.content_digest,
+            "states_digest": episode.states_digest,
         }
         self._out.add_metadata("episode", {name: str(value) for name, value in facts.items()})
-        self._out.add_attachment(start_ns, start_ns, "meta.json", "application/json", episode.stored("meta.json"))
+        described = to_json(describe_episode(episode)).encode()
+        self._out.add_attachment(start_ns, start_ns, "meta.json", "application/json", described)
 
     def add(self, stamp_ns: int, message: TopicMessage) -> None:
         """Appends a message."""

@@ -16,8 +16,8 @@ from schemas.config import DemonstrationConfig
 from schemas.encoding.container import ContainerWriter
 from schemas.encoding.ndarray import encode_npy
 from schemas.errors import InvalidBundle
-from schemas.terms import SuccessMeasure
-from tests.builders.bundle import bundle_bytes, former_parts, parts_for
+from schemas.terms import Recording, SuccessMeasure
+from tests.builders.bundle import BundleParts, bundle_bytes, former_parts, job_for, parts_for
 
 Members = dict[str, bytes]
 
@@ -94,6 +94,19 @@ def test_provenance_is_outside_the_content_digest() -> None:
     parts = parts_for()
     made = parts.meta.provenance.model_copy(update={"worker": "host-2", "created_at": datetime(2027, 1, 1, tzinfo=UTC)})
     assert parts.with_meta(provenance=made).sealed().content_digest == parts.sealed().content_digest
+
+
+def states_digest(parts: BundleParts) -> str:
+    return BundleReader(io.BytesIO(parts.write())).states_digest()
+
+
+def test_the_digest_of_the_states_is_equal_in_both_recordings_and_changes_with_poses_and_job() -> None:
+    frames, states = (parts_for(job_for(record=record, run=f"{record}-1")) for record in Recording)
+    assert frames.sealed().content_digest != states.sealed().content_digest
+    wanted = states_digest(frames)
+    assert wanted == states_digest(states) == states_digest(states.with_rollout(steps_visible=None))
+    moved = frames.arrays.poses + np.array([1e-9, 0, 0, 0, 0, 0, 0])
+    assert wanted not in {states_digest(frames.with_arrays(poses=moved)), states_digest(frames.with_job(attempt=2))}
 
 
 def test_job_is_inside_the_content_digest() -> None:

@@ -48,7 +48,7 @@ class MinivlaNav(tfds.core.GeneratorBasedBuilder):
             "is_terminal": tfds.features.Scalar(dtype=np.bool_),
             "language_instruction": tfds.features.Text(),
         }
-        names = ("episode_id", "split", "scene", "target_category", "target_id", "template_id", "content_digest")
+        names = ("episode_id", "split", "scene", "target_category", "target_id", "template_id", "states_digest")
         metadata = {name: tfds.features.Text() for name in names}
         features = {"steps": tfds.features.Dataset(steps), "episode_metadata": metadata}
         return self.dataset_info_from_configs(features=tfds.features.FeaturesDict(features))

@@ -185,20 +185,21 @@ def test_the_command_prints_the_tables_in_80_columns_and_the_same_numbers_as_jso
     assert LanguageStatistics.model_validate(json.loads(done.stdout)) == measure_language(data)
 
 
-def test_a_damaged_episode_and_a_missing_scene_are_reported(tmp_path: Path) -> None:
+def test_a_damaged_episode_and_a_missing_scene_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_dataset(tmp_path / "data", 2)
     path = tmp_path / "data" / "episodes" / "ep_000002.zip"
     path.write_bytes(bytes(path.stat().st_size))
     found = measure_language(tmp_path / "data")
     assert (found.read, found.episodes) == (1, 2)
     assert [(remark.is_damage, remark.file) for remark in found.remarks] == [(True, "episodes/ep_000002.zip")]
-    for package in (tmp_path / "data" / "scenes").glob("*.scene.zip"):
-        package.unlink()
+    (tmp_path / "data" / "scenes").rename(tmp_path / "elsewhere")
     found = measure_language(tmp_path / "data")
     assert found.read == 0
     assert "the episodes of office are skipped" in found.remarks[0].text
     done = CliRunner().invoke(command, [str(tmp_path / "data"), "--language"], standalone_mode=False)
     assert (done.exception, done.return_value) == (None, 1)
+    monkeypatch.setenv("MINIVLA_SCENES", str(tmp_path / "elsewhere"))
+    assert measure_language(tmp_path / "data").read == 1
 
 
 def test_the_report_shows_the_same_shares(data: Path) -> None:

@@ -1,0 +1,84 @@
+"""Describes the source of an export by its content: a states dataset is described as the frames dataset of its plan.
+
+Times and workers are left out, so that datasets with equal content give equal exports. Reads tables and metadata only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+import pyarrow as pa
+
+from factory.dataset.episode import Episode
+from factory.dataset.reader import Dataset
+from schemas.dataset_meta import DatasetMeta, described_as_frames, read_dataset_meta
+from schemas.episode import EpisodeMeta
+from schemas.storage.place import Place
+from schemas.terms import Recording
+
+TIMES_AND_WORKERS = frozenset({"created_at", "updated_at", "worker"})
+"""Fields of `meta.json`, `dataset_meta.json` and the tables that differ between runs with equal content."""
+_OF_RECORDING = frozenset({"frame_digests", "content_digest"})
+_IDENTITY = (
+    *("episode_id", "split", "instruction", "target_id", "scene_sha256", "draw", "attempt", "renderer"),
+    *("num_steps", "spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "trajectory_length_m", "final_ne_3d_m", "min_ne_m"),
+)
+"""Columns that identify an episode independent of its recording."""
+
+
+def open_source(root: Place) -> Dataset:
+    """Opens a dataset whose description is that of a frames recording.
+
+    Raises:
+        WorldError: the dataset does not exist, or its format is newer than this software.
+        ArchiveCorrupt: the tables are damaged.
+    """
+    dataset = Dataset(root)
+    dataset.meta = described_as_frames(dataset.meta)
+    return dataset
+
+
+def rows_digest(rows: pa.Table) -> str:
+    """Returns the SHA-256 over the columns that identify the episodes of `metadata.parquet`, in their order."""
+    digest = hashlib.sha256()
+    for name in _IDENTITY:
+        digest.update(json.dumps([name, rows[name].to_pylist()]).encode())
+    return digest.hexdigest()
+
+
+def as_frames(episode: Episode, steps_visible: int) -> EpisodeMeta:
+    """Returns the metadata of a states recording as the frames recording has it, with the digests of the states.
+
+    Args:
+        episode: episode of a states recording.
+        steps_visible: number of frames in which the target is visible.
+    """
+    described = described_as_frames(read_dataset_meta(episode.path.parents[1]))
+    plan = {"record": Recording.FRAMES, "run": described.run, "plan_digest": described.plan_digest}
+    meta = episode.meta
+    return meta.with_frames(meta.job.model_copy(update=plan), steps_visible, episode.instances)
+
+
+def describe_episode(episode: Episode) -> dict[str, Any]:
+    """Returns the metadata of an episode without values that need all frames: digests and `steps_visible`."""
+    is_stored = episode.meta.job.record is Recording.FRAMES
+    values = plain_meta(episode.meta if is_stored else as_frames(episode, 0))
+    del values["rollout"]["steps_visible"]
+    return {name: value for name, value in values.items() if name not in _OF_RECORDING}
+
+
+def plain_meta(meta: EpisodeMeta) -> dict[str, Any]:
+    """Returns the metadata of an episode as JSON values, without time and worker."""
+    return meta.model_dump(mode="json", exclude={"provenance": set(TIMES_AND_WORKERS)})
+
+
+def plain_dataset_meta(meta: DatasetMeta) -> dict[str, Any]:
+    """Returns the description of a dataset as JSON values, without times."""
+    return meta.model_dump(mode="json", exclude=set(TIMES_AND_WORKERS))
+
+
+def to_json(values: dict[str, Any]) -> str:
+    """Returns JSON values as text with one value in a line."""
+    return json.dumps(values, indent=1, ensure_ascii=False)

@@ -1,0 +1,193 @@
+"""`make compare-recordings`: records a plan as states and as frames, renders the states, and compares the datasets.
+
+Prints what is equal and which values differ; exits with 1 if one differs that describes the episodes, not the recording
+or the run.
+
+    python -m tests.acceptance.compare_recordings PLAN [--episodes N] [--scene NAME] [--exported N] [--root DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+import filecmp
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from factory.dataset.reader import Dataset
+from factory.export.output import WORK_FOLDER
+
+OF_RUN = frozenset({"created_at", "updated_at", "worker", "at", "seconds", "file_sha256", "file_bytes"})
+"""Values that differ between two runs of one plan: times, workers, and the files that contain them."""
+OF_RECORDING = frozenset({"run", "plan_digest", "content_digest", "dataset_digest", "steps_visible"})
+"""Values that differ between both recordings: the plan with its digest, the digests with those of all frames, and the
+number of steps with the target in view, which is null in a states recording of an expert that uses no images."""
+EXPORTS: Mapping[str, tuple[str, ...]] = {
+    "paper": (),
+    "lerobot": ("--depth", "--ids"),
+    "lerobot-v2.1": (),
+    "webdataset": (),
+    "mcap": (),
+    "mcap --ros2": ("--ros2",),
+    "gnm": (),
+    "vlnce": (),
+}
+"""Export -> options."""
+
+
+class Difference(NamedTuple):
+    """Values of two datasets that differ."""
+
+    what: str
+    """File, and column or field."""
+    text: str
+    """Description of the difference."""
+    is_expected: bool
+    """Whether the value describes the recording or the run."""
+
+
+def compare_datasets(one: Path, other: Path, *, same_recording: bool) -> list[Difference]:
+    """Returns the differences of two datasets of one plan: tables, description, card, and every episode.
+
+    Args:
+        one: dataset directory.
+        other: dataset directory.
+        same_recording: whether both datasets have the same recording; then the values of the recording must be equal.
+    """
+    free = OF_RUN if same_recording else OF_RUN | OF_RECORDING
+    found = [*_compare_meta(one, other, free), *_compare_episodes(one, other, same_recording)]
+    for name in ("metadata.parquet", "attempts.parquet"):
+        found += _compare_tables(name, pq.read_table(one / name), pq.read_table(other / name), free)
+    if same_recording:
+        if (one / "README.md").read_bytes() != (other / "README.md").read_bytes():
+            found.append(Difference("README.md", "other text", is_expected=False))
+        for path in sorted((one / "data").iterdir()):
+            name = f"data/{path.name}"
+            found += _compare_tables(name, pq.read_table(path), pq.read_table(other / name), free)
+    return found
+
+
+def compare_trees(one: Path, other: Path) -> list[Difference]:
+    """Returns the files that differ in two exports."""
+    files = [_files(root) for root in (one, other)]
+    found = [Difference(name, "in one export only", is_expected=False) for name in sorted(files[0] ^ files[1])]
+    for name in sorted(files[0] & files[1]):
+        if not filecmp.cmp(one / name, other / name, shallow=False):
+            found.append(Difference(name, "other bytes", is_expected=False))
+    return found
+
+
+def _files(root: Path) -> set[str]:
+    names = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
+    return {str(name) for name in names if name.parts[0] != WORK_FOLDER}
+
+
+def _compare_tables(name: str, one: pa.Table, other: pa.Table, free: frozenset[str]) -> Iterator[Difference]:
+    if one.schema.names != other.schema.names or one.num_rows != other.num_rows:
+        text = f"{one.num_rows} and {other.num_rows} rows, {one.num_columns} and {other.num_columns} columns"
+        yield Difference(name, text, is_expected=False)
+        return
+    for column in one.schema.names:
+        pairs = zip(one[column].to_pylist(), other[column].to_pylist(), strict=True)
+        unequal = [pair for pair in pairs if pair[0] != pair[1]]
+        if unequal:
+            text = (
+                f"{len(unequal)} of {one.num_rows} rows differ, first: {unequal[0][0]!s:.80} and {unequal[0][1]!s:.80}"
+            )
+            yield Difference(f"{name}: {column}", text, is_expected=column in free)
+
+
+def _compare_meta(one: Path, other: Path, free: frozenset[str]) -> Iterator[Difference]:
+    first, second = (json.loads((root / "dataset_meta.json").read_text()) for root in (one, other))
+    if "run" in free:
+        for meta in (first, second):
+            meta["plan"].pop("record", None)
+    for key in sorted(first.keys() | second.keys()):
+        if first.get(key) != second.get(key):
+            text = f"{first.get(key)!s:.80} and {second.get(key)!s:.80}"
+            yield Difference(f"dataset_meta.json: {key}", text, is_expected=key in free)
+
+
+def _compare_episodes(one: Path, other: Path, same_recording: bool) -> Iterator[Difference]:
+    """Yields the episodes with other actions, poses or metadata, and for one recording with other frames."""
+    for first, second in zip(Dataset(one), Dataset(other), strict=True):
+        with first, second:
+            values: list[tuple[str, Any, Any]] = [("states", first.states_digest, second.states_digest)]
+            values.append(("instances", first.instances, second.instances))
+            if same_recording:
+                values.append(("frames", first.meta.frame_digests, second.meta.frame_digests))
+        unequal = [name for name, a, b in values if a != b]
+        if unequal:
+            yield Difference(first.episode_id, f"other {' and '.join(unequal)}", is_expected=False)
+
+
+def _report(title: str, found: list[Difference]) -> bool:
+    """Prints the differences; returns whether all are expected."""
+    unexpected = [one for one in found if not one.is_expected]
+    print(f"{title}: {'DIFFERENT' if unexpected else 'equal'}")  # noqa: T201 - the result of the command
+    for one in (*unexpected, *(one for one in found if one.is_expected)):
+        print(f"  {'recording or run' if one.is_expected else 'UNEXPECTED'}: {one.what}: {one.text}")  # noqa: T201
+    return not unexpected
+
+
+def _factory(*words: object) -> None:
+    subprocess.run([sys.executable, "-m", "factory", *map(str, words)], check=True, stdout=subprocess.DEVNULL)
+
+
+def _compare_exports(format_name: str, roots: Sequence[Path], episodes: int) -> bool:
+    """Exports the first episodes of the datasets and compares the files with those of the first dataset."""
+    words = ("--to", format_name.split()[0], *EXPORTS[format_name], "--episode", f"1-{episodes}", "--workers", 1)
+    with tempfile.TemporaryDirectory() as folder:
+        outs = [Path(folder) / root.name for root in roots]
+        for root, out in zip(roots, outs, strict=True):
+            _factory("export", root, "-o", out, *words)
+        first, *others = outs
+        title = f"{format_name} from {first.name} and from"
+        results = [_report(f"{title} {out.name}", compare_trees(first, out)) for out in others]
+        return all(results)
+
+
+def _record(root: Path, plan: str, words: Sequence[object]) -> tuple[Path, Path, Path]:
+    """Makes or continues the three datasets: frames, states, and rendered states."""
+    frames, states, rendered = (root / name for name in ("frames", "states", "rendered"))
+    for record in (states, frames):
+        _factory("run", plan, "--record", record.name, "--out", record, *words)
+    _factory("render", states, "-o", rendered)
+    return frames, states, rendered
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("plan", help="Built-in plan or TOML file.")
+    parser.add_argument("--episodes", type=int, help="Number of episodes. Default: the plan's.")
+    parser.add_argument("--scene", help="Only this scene. Default: all scenes of the plan.")
+    parser.add_argument("--exported", type=int, default=2, help="Number of exported episodes (default 2).")
+    parser.add_argument("--root", type=Path, help="Folder that keeps the datasets. Default: a temporary folder.")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Makes the three datasets and prints the comparison."""
+    options = _arguments()
+    words = [
+        word for name in ("episodes", "scene") if (value := getattr(options, name)) for word in (f"--{name}", value)
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        frames, states, rendered = _record(options.root or Path(folder), options.plan, words)
+        results = [
+            _report("frames and rendered", compare_datasets(frames, rendered, same_recording=True)),
+            _report("frames and states", compare_datasets(frames, states, same_recording=False)),
+        ]
+        results += [_compare_exports(name, (frames, states, rendered), options.exported) for name in EXPORTS]
+    return 0 if all(results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
