@@ -94,7 +94,7 @@ def first_fold(limit: float, coefficients: Sequence[float]) -> float | None:
 def unbend(radii: Floats, limit: float, coefficients: Sequence[float]) -> Floats:
     """Returns the angles (...), radians, of image radii (...) in focal lengths; NaN beyond the angle `limit`.
 
-    The radius must grow up to this angle, see `first_fold`.
+    Below this angle the radius must increase, see `first_fold`.
     """
     table = np.linspace(0, limit, 512)
     edge = float(bend(np.array(limit), coefficients))
