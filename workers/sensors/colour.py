@@ -14,7 +14,7 @@ from PIL import Image
 
 from schemas.rig.noise import ColourNoise
 from schemas.support.numpy_types import Floats, Ints
-from workers.sensors.streams import Effect, NoiseKey, normal_of
+from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 
 _CODES = 256
 """Number of values of a colour channel, and of equally probable values of its noise."""
@@ -61,8 +61,8 @@ def _recorded(noise: ColourNoise, gain: float) -> NDArray[np.uint8]:
     """
     white = noise.full_well_e / 10 ** (noise.gain_db / 20)
     electrons = white * gain * linear_of_codes()
-    spread = np.sqrt(electrons + noise.read_noise_e**2) if noise.has_electrons else np.zeros(_CODES)
-    middles = (np.arange(_CODES, dtype=np.uint16) << 8) + (1 << 7)
+    spread = np.sqrt(electrons + noise.read_noise_e**2) * noise.has_electrons
+    middles = np.arange(1 << 7, LEVELS, 1 << 8, dtype=np.uint16)
     light = (electrons[:, None] + spread[:, None] * normal_of(middles).astype(np.float64)) / white
     return codes_of(light).astype(np.uint8).ravel()
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.rig.noise import StereoDepthNoise, StructuredLightNoise
 from schemas.support.numpy_types import Bools, Ints, Singles
-from workers.sensors.streams import Effect, NoiseKey, normal_of
+from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 
 _EDGE_PX = 1.0
 """Second difference of the disparity over half a matching window above which the window contains an edge, pixels."""
@@ -94,7 +94,7 @@ def shifted(depth: Singles, std_px: float, key: NoiseKey, step: int) -> Singles:
 @functools.lru_cache(maxsize=16)
 def _displacements(std_px: float, width: int) -> tuple[Ints, int]:
     """Returns 256 equally probable displacements, as differences of pixel numbers, and the largest one in pixels."""
-    middles = (np.arange(16, dtype=np.uint16) << 12) + (1 << 11)
+    middles = np.arange(1 << 11, LEVELS, 1 << 12, dtype=np.uint16)
     values = np.rint(normal_of(middles) * std_px).astype(np.int64)
     return (values[:, None] * width + values).ravel(), int(values.max())
 

@@ -71,16 +71,16 @@ def sense_lidar(
         key: identity of the sensor in the episode, which determines the noise.
     """
     noise = lidar.noise
-    lag = np.zeros(1)
+    lag: Floats = np.zeros(1)
     if noise is not None and noise.sweep_s:
-        lag = np.arange(1 - lidar.samples, 1) * (noise.sweep_s * control_hz / lidar.samples)
+        lag = np.arange(1.0 - lidar.samples, 1) * (noise.sweep_s * control_hz / lidar.samples)
     origins, rotations = sensor_poses(poses_at(poses, step + lag), lidar.mount)
     directions = ray_directions(lidar)
     shape = directions.shape
     ways = turned(rotations, directions).reshape(-1, 3)
     hits = rays.nearest(np.broadcast_to(origins, shape).reshape(-1, 3), ways, lidar.range_max_m)
-    clean = (each.reshape(shape[:2]) for each in (hits.distances, hits.ids, hits.cosines))
-    scan = LidarScan(*clean)
+    lines = shape[:2]
+    scan = LidarScan(hits.distances.reshape(lines), hits.ids.reshape(lines), hits.cosines.reshape(lines))
     ranges = scan.ranges if noise is None else noisy_ranges(scan, noise, key, step)
     kept = (ranges >= lidar.range_min_m) & (ranges <= lidar.range_max_m)
     return LidarScan(ranges * kept, scan.ids * kept, scan.cosines * kept)
@@ -109,7 +109,7 @@ def noisy_ranges(scan: LidarScan, noise: LidarNoise, key: NoiseKey, step: int) -
     ranges = np.maximum(ranges + spread * key.normals(Effect.RANGE, ranges.shape, step), np.float32(0))
     if noise.range_step_m:
         ranges = np.rint(ranges / np.float32(noise.range_step_m)) * np.float32(noise.range_step_m)
-    return ranges * kept
+    return np.asarray(ranges * kept)
 
 
 @functools.lru_cache(maxsize=32)

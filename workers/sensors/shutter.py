@@ -45,7 +45,7 @@ def row_weights(noise: ColourNoise, rows: int) -> Singles:
     edges = np.arange(count + 1)[:, None] / count
     edges[-1] = 2.0
     weights = np.diff(np.clip(edges, begin, end), axis=0)
-    return (weights / weights.sum(axis=0)).astype(np.float32)
+    return np.asarray(weights / weights.sum(axis=0), np.float32)
 
 
 def exposed(images: NDArray[np.uint8], noise: ColourNoise) -> NDArray[np.uint8]:
@@ -56,7 +56,7 @@ def exposed(images: NDArray[np.uint8], noise: ColourNoise) -> NDArray[np.uint8]:
         noise: parameters.
     """
     if len(images) == 1:
-        return images[0]
+        return np.asarray(images[0])
     light = (linear_of_codes() * (_LIGHT_LEVELS - 1)).astype(np.float32)
     total = np.zeros(images.shape[1:], np.float32)
     for image, weights in zip(images, row_weights(noise, images.shape[1]), strict=True):

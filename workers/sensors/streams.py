@@ -83,7 +83,7 @@ class NoiseKey:
 def _philox_key(key: NoiseKey) -> NDArray[np.uint64]:
     name = int.from_bytes(hashlib.sha256(key.sensor.encode()).digest()[:8], "little")
     sequence = np.random.SeedSequence(key.seed, spawn_key=(_NOISE_STREAM, key.episode, name))
-    return sequence.generate_state(2, np.uint64)
+    return sequence.generate_state(2, np.uint64).astype(np.uint64, copy=False)
 
 
 def normal_of(bits: NDArray[np.uint16]) -> Singles:
