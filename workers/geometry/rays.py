@@ -15,7 +15,7 @@ from schemas.support.numpy_types import Floats, Singles
 class Caster:
     """Ray caster over a set of triangles."""
 
-    def __init__(self, triangles: Floats) -> None:
+    def __init__(self, triangles: Floats | Singles) -> None:
         """Builds the acceleration structure of triangles (T, 3, 3), metres."""
         corners = np.ascontiguousarray(triangles, np.float32)
         self._scene: Any = rtcore_scene.EmbreeScene()

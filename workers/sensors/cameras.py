@@ -18,7 +18,7 @@ def colour_steps(camera: Camera, step: int, control_hz: int) -> Floats:
 
     The poses at these times are those of `workers.sensors.frames.poses_at`.
     """
-    noise = camera.noise and camera.noise.colour
+    noise = camera.noise.colour if camera.noise else None
     return step + (np.zeros(1) if noise is None else shutter_offsets(noise, control_hz))
 
 
@@ -31,7 +31,7 @@ def sense_colour(camera: Camera, images: NDArray[np.uint8], key: NoiseKey, step:
         key: identity of the camera in the episode, which determines the noise.
         step: control step of the image.
     """
-    noise = camera.noise and camera.noise.colour
+    noise = camera.noise.colour if camera.noise else None
     return images[-1] if noise is None else noisy_colour(exposed(images, noise), noise, key, step)
 
 
@@ -44,7 +44,7 @@ def sense_depth(camera: Camera, depth: Singles, key: NoiseKey, step: int) -> Sin
         key: identity of the camera in the episode, which determines the noise.
         step: control step of the image.
     """
-    noise = camera.noise and camera.noise.depth
+    noise = camera.noise.depth if camera.noise else None
     if noise is None:
         return depth
     assert isinstance(camera, PinholeCamera), "the model of the camera has been validated"

@@ -95,9 +95,13 @@ def imu_errors(noise: ImuNoise, count: int, rate_hz: float, key: NoiseKey) -> Fl
     White noise has the standard deviation density x sqrt(rate), and a step of the bias walk / sqrt(rate) (Kalibr, "IMU
     noise model"; N. Trawny and S. I. Roumeliotis, "Indirect Kalman filter for 3D attitude estimation", 2005, Sec. 2.1).
     """
-    pair = lambda gyro, accelerometer: np.repeat((gyro, accelerometer), 3)  # noqa: E731
     normals = key.normals(Effect.IMU_STEPS, (count, 2, 6)).astype(np.float64)
-    white = normals[:, 0] * pair(noise.gyro_white, noise.accelerometer_white) * math.sqrt(rate_hz)
-    steps = normals[:, 1] * pair(noise.gyro_walk, noise.accelerometer_walk) / math.sqrt(rate_hz)
-    steps[0] = key.normals(Effect.IMU_START, 6) * pair(noise.gyro_bias_std, noise.accelerometer_bias_std)
+    white = normals[:, 0] * _per_axis(noise.gyro_white, noise.accelerometer_white) * math.sqrt(rate_hz)
+    steps = normals[:, 1] * _per_axis(noise.gyro_walk, noise.accelerometer_walk) / math.sqrt(rate_hz)
+    steps[0] = key.normals(Effect.IMU_START, 6) * _per_axis(noise.gyro_bias_std, noise.accelerometer_bias_std)
     return np.asarray(np.cumsum(steps, axis=0) + white)
+
+
+def _per_axis(gyro: float, accelerometer: float) -> Floats:
+    """Returns (6,) the first value for three axes, then the second."""
+    return np.repeat((gyro, accelerometer), 3)

@@ -89,6 +89,6 @@ def _two_sided(triangles: Singles, normals: Floats) -> Bools:
     return found
 
 
-def _dot(left: Floats, right: Floats) -> Floats:
+def _dot(left: Floats, right: Floats | Singles) -> Floats:
     """Returns the scalar products (N,) of vectors (N, 3)."""
     return np.asarray(left[:, 0] * right[..., 0] + left[:, 1] * right[..., 1] + left[:, 2] * right[..., 2])

@@ -1,6 +1,6 @@
 """Motion blur and rolling shutter: the images at several poses during an exposure, mixed in linear light.
 
-Says at which fractions of a control step to render, and mixes the images. Renders nothing.
+Names the times at which to render, and mixes the images. Renders nothing.
 """
 
 from __future__ import annotations
