@@ -45,7 +45,7 @@ check: $(READY)
 # jobs and the reader, compared with their targets: fifteen minutes on an otherwise idle machine
 bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
-	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
+	$(VENV)/bin/python -m tests.benchmarks.figures render coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
 # (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
@@ -121,7 +121,8 @@ test-install: $(READY)
 # training, recipes and their tests, in a separate environment, because PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build
 test-train: $(TRAIN)/.ready
-	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/dataset/test_dataset.py tests/integration/test_train.py \
+	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/dataset tests/integration/test_train.py \
+		tests/integration/test_render_training.py tests/integration/test_render_on_read.py \
 		tests/integration/test_recipes.py tests/integration/test_training_libraries.py
 
 $(TRAIN)/.ready: requirements.txt

@@ -94,7 +94,7 @@ class Coordinator(Closing):
 
     def progress(self) -> Progress:
         """Returns the progress of the run."""
-        return self._run.ledger.progress()
+        return self._run.ledger.progress().model_copy(update={"shards": len(self._run.archive.shards())})
 
     def is_finished(self) -> bool:
         """Returns whether no job can change any more without an admin request."""

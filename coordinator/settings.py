@@ -8,6 +8,7 @@ from pydantic import Field
 
 from schemas.base import Model, NonNegative, Positive
 from schemas.keys import MAX_CHUNK_BYTES
+from schemas.storage.shards import MAX_SHARD_EPISODES
 
 
 class CoordinatorSettings(Model):
@@ -36,6 +37,8 @@ class CoordinatorSettings(Model):
     """Free space below which no job is leased and no bundle is pulled, bytes."""
     checkpoint_s: Positive = 30.0
     """Interval of writing the dataset's tables, seconds."""
+    shard_episodes: Annotated[int, Field(ge=1, le=MAX_SHARD_EPISODES)] = MAX_SHARD_EPISODES
+    """Number of episode numbers per shard of a states dataset. A dataset of at most this size is not packed."""
     transport_lease_s: Positive = 5.0
     """Time without traffic after which zenoh closes a link, seconds."""
     admission_s: Positive = 2.0

@@ -1,4 +1,4 @@
-"""Writes the dataset's tables during a run and at its end. Does not change jobs."""
+"""Packs settled episodes and writes the dataset's tables, during a run and at its end. Does not change jobs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import structlog
 from coordinator.context import RunContext
 from coordinator.ledger import claims
 from coordinator.ledger.run_ledger import RESTART_REMEDY
+from coordinator.packing import pack_settled
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset_meta import GateOutcome
@@ -41,7 +42,7 @@ class TableWriter:
         self._changed.set()
 
     def write(self) -> None:
-        """Writes the tables if a change was recorded since the last write."""
+        """Packs settled episodes and writes the tables if a change was recorded since the last write."""
         run, terms = self._run, self._run.terms
         if not self._changed.is_set() or terms.evaluation is not None:
             return
@@ -51,6 +52,7 @@ class TableWriter:
                 is_over = not claims.has_open_jobs(connection)
                 # the first and the last write use the ledger only, because the file may have changed meanwhile
                 anew = is_over or not self._has_written
+                pack_settled(run.archive, connection, terms.plan, is_over, run.settings.shard_episodes)
                 write_checkpoint(run.archive, connection, terms.plan, terms.catalog, run.clock(), self._gate, anew=anew)
             self._has_written = True
         except Exception:

@@ -24,15 +24,18 @@ from minivla.packages import require_own_packages
 
 if TYPE_CHECKING:
     from factory.dataset.reader import Dataset, Episode, Frame
-    from factory.dataset.torch import FrameDataset, collate
+    from factory.dataset.sampler import SceneSampler
+    from factory.dataset.torch import ClipDataset, FrameDataset, collate
 
-__all__ = ["Dataset", "Episode", "Frame", "FrameDataset", "collate"]
+__all__ = ["ClipDataset", "Dataset", "Episode", "Frame", "FrameDataset", "SceneSampler", "collate"]
 
 _HOMES = {
+    "ClipDataset": "factory.dataset.torch",
     "Dataset": "factory.dataset.reader",
     "Episode": "factory.dataset.reader",
     "Frame": "factory.dataset.reader",
     "FrameDataset": "factory.dataset.torch",
+    "SceneSampler": "factory.dataset.sampler",
     "collate": "factory.dataset.torch",
 }
 

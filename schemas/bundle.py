@@ -129,10 +129,6 @@ class BundleWriter:
         self._out.close()
         return sealed
 
-    def abandon(self) -> None:
-        """Closes an unfinished bundle; the file cannot be read."""
-        self._out.close()
-
 
 class BundleReader(Closing):
     """Random access to an episode in a seekable file; frames are decoded on request.

@@ -129,6 +129,11 @@ class SpawnConfig(Model):
     """Smallest and largest distance along the floor from a start in the far tier to the target, metres: the shortest
     path to the success circle plus its radius. Omitted at its default."""
 
+    @property
+    def needs_free_line(self) -> bool:
+        """Whether starts of experts that drive straight need a free straight line to the success region."""
+        return self.screening in {Screening.FREE_LINE, Screening.FORESEEN}
+
     @model_validator(mode="after")
     def _far_range_is_ordered(self) -> SpawnConfig:
         low, high = self.far_floor_m

@@ -7,10 +7,12 @@ from pathlib import Path
 EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
 LEDGER_FILE = "ledger.db"
 METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
+SHARDS_FILE = "shards.parquet"
 META_FILE = "dataset_meta.json"
 CARD_FILE = "README.md"
 SPLITS_FOLDER = "data"
-_PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, METADATA_FILE, ATTEMPTS_FILE, CARD_FILE, QUARANTINE})
+_TABLES = {METADATA_FILE, ATTEMPTS_FILE, SHARDS_FILE}
+_PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, CARD_FILE, QUARANTINE, *_TABLES})
 
 
 def is_part(name: str) -> bool:

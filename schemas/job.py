@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +24,7 @@ from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName, Recording
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
+_EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip", re.ASCII)
 _SAMPLE_KEY = (1,)
 """Spawn key of the random stream for sampled frames; it differs from the streams of the attempt."""
 
@@ -30,6 +32,15 @@ _SAMPLE_KEY = (1,)
 def episode_id(index: int) -> str:
     """Returns the name of the episode with an index; indices start at 1, as in the published data."""
     return EPISODE_ID_FORMAT.format(index)
+
+
+def index_of_file(name: str) -> int | None:
+    """Returns the episode number in a file name, or `None` if the name is not an episode's file name."""
+    match = _EPISODE_FILE.fullmatch(name)
+    if match is None:
+        return None
+    index = int(match[1])
+    return index if index >= 1 and name == f"{episode_id(index)}.zip" else None
 
 
 class Job(EpisodeSpec):

@@ -32,7 +32,16 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
-from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, Recording, SceneCategories, Split, Tier
+from schemas.terms import (
+    BUILTIN_CATEGORIES,
+    CATEGORIES,
+    ExpertName,
+    Recording,
+    SceneCategories,
+    Screening,
+    Split,
+    Tier,
+)
 
 MAX_EPISODES = 9_999_999
 PAPER_TIERS = MappingProxyType({Tier.NEAR: 0.3, Tier.MID: 0.4, Tier.FAR: 0.3})
@@ -45,7 +54,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous"})
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"})
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -73,7 +82,8 @@ class ScenePlan(Model):
     """Whether textures of a custom scene may be stored outside its folder."""
     ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
     """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
-
+    screening: Screening | None = None
+    """Selection of the starts in this scene; null selects `spawn.screening` of the plan."""
     ambiguous: tuple[Name, ...] = ()
     """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
     tiers: dict[Tier, Fraction] = Field(default_factory=dict)
@@ -226,6 +236,17 @@ class Plan(Model):
     def splits_of(self, scene: ScenePlan) -> Mapping[Split, float]:
         """Returns the fractions of splits that apply to a scene."""
         return scene.splits or self.splits
+
+    def spawn_of(self, scene: str) -> SpawnConfig:
+        """Returns the parameters of the spawn that apply to the scene of that name."""
+        screening = next(part.screening for part in self.scenes if part.name == scene)
+        return self.spawn if screening is None else self.spawn.model_copy(update={"screening": screening})
+
+    @property
+    def screening(self) -> str:
+        """Selection of the starts, with the scenes in which another one applies: `none, office sight`."""
+        others = [f"{scene.name} {scene.screening}" for scene in self.scenes if scene.screening]
+        return ", ".join([self.spawn.screening, *others])
 
     def tier_share(self, tier: Tier) -> float:
         """Returns the requested fraction of all episodes in a tier, over all scenes."""

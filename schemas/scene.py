@@ -293,6 +293,17 @@ def read_scene_info(file: BinaryIO) -> SceneInfo:
     return _read_info(ContainerReader(file, _LIMITS))
 
 
+def read_survey(file: BinaryIO) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Reads `spawns` and `spawn_sees` of a package, without its other arrays.
+
+    Raises:
+        InvalidBundle: the package is damaged or has another format version.
+    """
+    reader = ContainerReader(file, _LIMITS)
+    spawns, sees = (_read_array(reader, SCENE_ARRAYS[name]) for name in ("spawns", "spawn_sees"))
+    return spawns.astype(np.float32), sees.astype(np.uint8)
+
+
 def _read_info(reader: ContainerReader) -> SceneInfo:
     try:
         info = SceneInfo.model_validate_json(reader.read("scene.json"))

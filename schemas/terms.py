@@ -66,6 +66,7 @@ class Screening(StrEnum):
     """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
 
     NONE = "none"  # any free pose of the tier, as published: drives may fail
+    SIGHT = "sight"  # near and mid: the same, in sight of the target, as in a room without inner walls
     FREE_LINE = "free_line"  # the straight line to the success circle is free
     FORESEEN = "foreseen"  # the line is free, and the predicted drive touches nothing if such a start is found
 

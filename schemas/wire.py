@@ -337,6 +337,8 @@ class Progress(Model):
     """Hosts that pause or are barred."""
     by_gateway: Counts = Field(default_factory=dict)
     """Number of archived episodes that a gateway stores, by its name; the core stores all others."""
+    shards: Count = 0
+    """Number of shards of the dataset; 0 if no episode is packed."""
     episodes_per_hour: NonNegative | None
     """Rate of archived episodes over the last ten minutes of archiving, 1/h; `None` before the second episode."""
     eta_s: NonNegative | None

@@ -1,4 +1,4 @@
-"""Defines the `Archive` interface and the base class of both implementations. Stores no data.
+"""Defines the `Archive` interface. Stores no data.
 
 Design: docs/design/data.md#archive.
 
@@ -7,36 +7,20 @@ Design: docs/design/data.md#archive.
 
 from __future__ import annotations
 
-import re
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol
 
 from coordinator.archive.staging import Staged
-from schemas.job import episode_id
-from schemas.storage.object_path import ObjectPath
-from schemas.storage.place import Place
+from schemas.storage.place import FilePlace, Place
 
-__all__ = ["Archive", "Listing", "Staged", "index_of_file", "scene_file"]
-
-_EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
-P = TypeVar("P", Path, ObjectPath)
+__all__ = ["Archive", "Staged", "scene_file"]
 
 
 def scene_file(name: str, sha256: str) -> str:
     """Returns the file name of a compiled scene in the scene folder."""
     return f"{name}-{sha256[:16]}.scene.zip"
-
-
-def index_of_file(name: str) -> int | None:
-    """Returns the episode number in a file name, or `None` if the name is not an episode's file name."""
-    match = _EPISODE_FILE.fullmatch(name)
-    if match is None:
-        return None
-    index = int(match[1])
-    return index if index >= 1 and name == f"{episode_id(index)}.zip" else None
 
 
 class Archive(AbstractContextManager["Archive", None], Protocol):
@@ -61,20 +45,53 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
             WorldError: the file cannot be stored; no incomplete file is published.
         """
 
-    def path_of(self, index: int) -> Place:
+    def path_of(self, index: int) -> FilePlace:
         """Returns the path of an episode, whether or not the episode is archived yet."""
 
-    def present(self) -> Mapping[int, Place]:
+    def present(self) -> Mapping[int, FilePlace]:
         """Returns the paths of the stored episodes by number, ascending. Does not read their contents."""
 
+    def unpacked(self) -> Mapping[int, Place]:
+        """Returns the paths of the episodes that are not packed by number, ascending."""
+
     def foreign(self) -> Sequence[Place]:
-        """Returns the paths in the episode folder that do not have an episode's file name."""
+        """Returns the paths in the episode folder that are neither episodes nor shards."""
+
+    def shards(self) -> Sequence[str]:
+        """Returns the file names of the shards, sorted."""
+
+    def pack(self, owned: Mapping[int, str], first: int, last: int) -> int:
+        """Moves episodes of one range of numbers from their files into a new shard, durably.
+
+        A file that is missing, large, or has another digest stays as it is; a warning names it.
+
+        Args:
+            owned: SHA-256 of each episode to pack, by number.
+            first: first number of the range.
+            last: last number of the range.
+
+        Returns:
+            The number of packed episodes.
+
+        Raises:
+            WorldError: the disk is full or unavailable; each episode is stored.
+        """
+
+    def write_shard_index(self) -> None:
+        """Writes `shards.parquet`, which lists the place of each packed episode.
+
+        Raises:
+            WorldError: the file cannot be written; the previous file is unchanged.
+        """
 
     def unpublish(self, index: int) -> None:
-        """Deletes an episode that the ledger does not own. Does nothing if the file does not exist."""
+        """Deletes an episode that the ledger does not own. Does nothing if the episode does not exist."""
 
-    def quarantine(self, path: Place, reason: str) -> Place:
-        """Moves a file to the quarantine folder, writes the reason to a file beside it, and returns the new path."""
+    def quarantine(self, path: FilePlace, reason: str) -> Place:
+        """Moves a file to the quarantine folder, writes the reason to a file beside it, and returns the new path.
+
+        A packed episode is copied there, and its shard is replaced by one without the episode.
+        """
 
     def restore(self, path: Place, index: int) -> Place:
         """Moves a file durably from the quarantine folder to the path of an episode, and returns that path.
@@ -105,19 +122,3 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
 
     def close(self) -> None:
         """Releases the dataset, so that another coordinator can open it."""
-
-
-class Listing(ABC, Generic[P]):
-    """Base class of archives: listing of the episode folder, independent of the storage."""
-
-    @abstractmethod
-    def _listing(self) -> Iterator[tuple[int | None, P]]:
-        """Yields the paths in the episode folder in any order, each with its episode number or `None`."""
-
-    def present(self) -> dict[int, P]:
-        """Returns the paths of the stored episodes by number, ascending. Does not read their contents."""
-        return dict(sorted((index, path) for index, path in self._listing() if index is not None))
-
-    def foreign(self) -> list[P]:
-        """Returns the paths in the episode folder that do not have an episode's file name."""
-        return sorted(path for index, path in self._listing() if index is None)

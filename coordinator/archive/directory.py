@@ -8,28 +8,41 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from coordinator.archive.contract import Listing, index_of_file, scene_file
+from coordinator.archive.contract import scene_file
+from coordinator.archive.packing import PackingArchive
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.job import episode_id
-from schemas.storage.disk import copy_hashed, replacing, set_aside, sync_directory, translated, world_error
+from schemas.job import episode_id, index_of_file
+from schemas.storage.disk import (
+    copy_hashed,
+    replacing,
+    set_aside,
+    set_copy_aside,
+    sync_directory,
+    translated,
+    world_error,
+)
+from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
 
 
-class DirectoryArchive(Listing[Path], Closing):
+class DirectoryArchive(PackingArchive, Closing):
     """Exclusively opened dataset directory: no other coordinator can open it until it is closed.
 
     Raises:
         WorldError: the directory cannot be written, or another coordinator holds it.
     """
 
+    root: Path
+
     def __init__(self, root: Path) -> None:
+        super().__init__()
         self.root = root
         self._publishing = threading.Lock()
         self._staging = Staging(root, str(root))
@@ -38,6 +51,7 @@ class DirectoryArchive(Listing[Path], Closing):
                 for name in (EPISODES, SCENES, QUARANTINE):
                     (root / name).mkdir(exist_ok=True)
                 sync_directory(root)
+            self._open_shards()
         except WorldError:
             self.close()
             raise
@@ -53,11 +67,10 @@ class DirectoryArchive(Listing[Path], Closing):
             ArchiveCorrupt: a file of that name exists; it is not changed, and the part file is removed.
             WorldError: the disk is full or unavailable; no incomplete file remains.
         """
-        final = self.path_of(index)
+        final = self._file_of(index)
         staged.flush()
         with self._publishing, staged:
-            if final.exists():
-                raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
+            self._require_free(index)
             try:
                 staged.path.rename(final)
                 sync_directory(final.parent)
@@ -65,8 +78,7 @@ class DirectoryArchive(Listing[Path], Closing):
                 raise world_error("rename into", final.parent, error) from error
         return final
 
-    def path_of(self, index: int) -> Path:
-        """Returns the path of an episode, whether or not the episode is archived yet."""
+    def _file_of(self, index: int) -> Path:
         return self.root / file_name_of(episode_id(index))
 
     def _listing(self) -> Iterator[tuple[int | None, Path]]:
@@ -75,25 +87,33 @@ class DirectoryArchive(Listing[Path], Closing):
                 is_file = entry.is_file(follow_symlinks=False)
                 yield index_of_file(entry.name) if is_file else None, Path(entry.path)
 
-    def unpublish(self, index: int) -> None:
-        """Deletes an episode that the ledger does not own. Does nothing if the file does not exist."""
-        path = self.path_of(index)
-        with self._publishing, translated("delete from", path.parent):
-            path.unlink(missing_ok=True)
-            sync_directory(path.parent)
+    def _store_shard(self, part: Path, name: str) -> None:
+        folder = self.root / EPISODES
+        with translated("rename into", folder):
+            part.rename(folder / name)
+            sync_directory(folder)
 
-    def quarantine(self, path: Place, reason: str) -> Path:
-        """See `Archive.quarantine`."""
+    def _delete(self, places: Collection[Place]) -> None:
+        folder = self.root / EPISODES
+        with translated("delete from", folder):
+            for place in places:
+                (folder / place.name).unlink(missing_ok=True)
+            if places:
+                sync_directory(folder)
+
+    def _set_aside(self, path: Place, reason: str) -> Path:
         assert isinstance(path, Path), path
         return set_aside(path, self.root / QUARANTINE, reason)
+
+    def _keep_copy(self, path: PackedPath, reason: str) -> Path:
+        return set_copy_aside(path.read_bytes(checked=False), str(path), self.root / QUARANTINE, reason)
 
     def restore(self, path: Place, index: int) -> Path:
         """See `Archive.restore`."""
         assert isinstance(path, Path), path
-        final = self.path_of(index)
+        final = self._file_of(index)
         with self._publishing, translated("move into", final.parent):
-            if final.exists():
-                raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
+            self._require_free(index)
             path.rename(final)
             path.with_name(f"{path.name}.reason.txt").unlink(missing_ok=True)
             sync_directory(final.parent)

@@ -13,19 +13,21 @@ import mmap
 import os
 import secrets
 import socket
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import structlog
 
-from coordinator.archive.contract import Listing, index_of_file, scene_file
+from coordinator.archive.contract import scene_file
+from coordinator.archive.packing import PackingArchive
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset import file_name_of
 from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.job import episode_id
+from schemas.job import episode_id, index_of_file
 from schemas.storage.disk import set_aside, translated
 from schemas.storage.object_path import ObjectPath
+from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import Place, digest_of
 from schemas.support.closing import Closing
 
@@ -35,7 +37,7 @@ _NAME = ".name"
 log = structlog.get_logger(__name__)
 
 
-class ObjectArchive(Listing[ObjectPath], Closing):
+class ObjectArchive(PackingArchive, Closing):
     """Exclusively opened dataset in object storage: no coordinator with another home can open it until it is closed.
 
     Args:
@@ -48,7 +50,10 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             ignores conditional writes.
     """
 
+    root: ObjectPath
+
     def __init__(self, root: ObjectPath, home: Path, *, take_over: bool = False) -> None:
+        super().__init__()
         self.root = root
         self._objects = root.objects
         self._home = home
@@ -60,6 +65,11 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             self._lock()
         except WorldError:
             self._staging.close()
+            raise
+        try:
+            self._open_shards()
+        except WorldError:
+            self.close()
             raise
 
     def stage(self, index: int) -> Staged:
@@ -76,52 +86,69 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             ArchiveCorrupt: an object with other bytes has that key; it is not changed, and the part file is removed.
             WorldError: the store rejects the object; no incomplete object is visible.
         """
-        final = self.path_of(index)
+        final = self._file_of(index)
         with staged:
+            if self._shards.find(index) is not None:
+                self._require_free(index)
             try:
                 self._put_new(final.key, staged.path)
-            except FileExistsError as error:
+            except FileExistsError:
                 if final.stat().st_size != staged.size or digest_of(final) != staged.sha256:
-                    message = f"{final} already exists and is not overwritten: run `factory verify --deep`"
-                    raise ArchiveCorrupt(message) from error
+                    self._require_free(index)
             found = final.stat().st_size
             if found != staged.size:
                 raise ArchiveCorrupt(f"{final} has {found} bytes, but {staged.size} were sent: run `factory repair`")
         return final
 
-    def path_of(self, index: int) -> ObjectPath:
-        """See `Archive.path_of`."""
+    def _file_of(self, index: int) -> ObjectPath:
         return self.root / file_name_of(episode_id(index))
 
     def _listing(self) -> Iterator[tuple[int | None, ObjectPath]]:
         # the listing includes the sizes, so that the size of a path needs no further request
         for path in (self.root / EPISODES).walk():
             index = index_of_file(path.name)
-            yield index if index is not None and path == self.path_of(index) else None, path
+            yield index if index is not None and path == self._file_of(index) else None, path
 
-    def unpublish(self, index: int) -> None:
-        """See `Archive.unpublish`."""
-        self._objects.delete(self.path_of(index).key)
+    def _store_shard(self, part: Path, name: str) -> None:
+        final = self.root / EPISODES / name
+        try:
+            self._put_new(final.key, part)
+        except FileExistsError:  # a lost response, or an object that was damaged in the store
+            if digest_of(final) != digest_of(part):
+                self._objects.put(final.key, part.read_bytes())
 
-    def quarantine(self, path: Place, reason: str) -> Place:
-        """See `Archive.quarantine`. A local file is moved to the quarantine folder of the home."""
+    def _delete(self, places: Collection[Place]) -> None:
+        self._objects.delete(*(f"{EPISODES}/{place.name}" for place in places))
+
+    def _set_aside(self, path: Place, reason: str) -> Place:
+        """Moves an object; a local file is moved to the quarantine folder of the home."""
         if isinstance(path, Path):
             folder = self._home / QUARANTINE
             with translated("open", folder):
                 folder.mkdir(exist_ok=True)
             return set_aside(path, folder, reason)
-        place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
-        self._objects.put(f"{place.key}.reason.txt", f"{path}\n{reason}\n".encode())
+        place = self._explained(path, reason)
         self._objects.copy(path.key, place.key)
         self._objects.delete(path.key)
+        return place
+
+    def _keep_copy(self, path: PackedPath, reason: str) -> ObjectPath:
+        place = self._explained(path, reason)
+        self._objects.put_new(place.key, path.read_bytes(checked=False))
+        return place
+
+    def _explained(self, path: ObjectPath | PackedPath, reason: str) -> ObjectPath:
+        """Returns a new path in the quarantine folder for an object, after writing the reason beside it."""
+        place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
+        self._objects.put(f"{place.key}.reason.txt", f"{path}\n{reason}\n".encode())
         log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
         return place
 
     def restore(self, path: Place, index: int) -> ObjectPath:
         """See `Archive.restore`."""
-        final = self.path_of(index)
-        if not isinstance(path, ObjectPath) or final.exists():
-            raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
+        assert isinstance(path, ObjectPath), path
+        final = self._file_of(index)
+        self._require_free(index)
         self._objects.copy(path.key, final.key)
         self._objects.delete(path.key)
         self._objects.delete(f"{path.key}.reason.txt")

@@ -32,6 +32,8 @@ class Staged(Closing):
         self.path = path
         self.size = 0
         """Bytes written so far."""
+        self.is_taken = False
+        """Whether the file is one that a process of this user wrote on this disk, see `take`."""
         self._file = file
         self._hash = hashlib.sha256()
 
@@ -52,7 +54,7 @@ class Staged(Closing):
         self.size += len(data)
 
     def take(self, source: Path) -> None:
-        """Replaces the part file with a hard link to an existing file and hashes it.
+        """Replaces the part file with a hard link to an existing file.
 
         No process may write to the file afterwards.
 
@@ -71,8 +73,8 @@ class Staged(Closing):
             taken = self.path.open("rb", buffering=0)
             self._file.close()
             self._file = taken
-            self._hash = hashlib.file_digest(self._file, "sha256")
             self.size = os.fstat(self._file.fileno()).st_size
+            self.is_taken = True
         except OSError as error:
             link.unlink(missing_ok=True)
             self.abandon()
@@ -80,7 +82,10 @@ class Staged(Closing):
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the bytes written so far, hexadecimal."""
+        """SHA-256 of the bytes written so far, hexadecimal; of a taken file, it is computed at every access."""
+        if self.is_taken:
+            self._file.seek(0)
+            return hashlib.file_digest(self._file, "sha256").hexdigest()
         return self._hash.hexdigest()
 
     def flush(self) -> None:

@@ -23,7 +23,7 @@ _DEMO = Plan(
 _PAPER = Plan(
     name="paper",
     scenes=(
-        ScenePlan(name="office", episodes=700),
+        ScenePlan(name="office", episodes=700, screening=Screening.SIGHT),
         ScenePlan(name="hospital", episodes=52),
         ScenePlan(name="full_warehouse", episodes=354),
         ScenePlan(name="warehouse_multiple_shelves", episodes=68),
@@ -31,7 +31,9 @@ _PAPER = Plan(
     robot=RobotConfig(max_braking_mps2=7.0),
     spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.5)),
 )
-"""1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law."""
+"""1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law. The
+paper's office is one open room: near and mid starts in this one, which has inner walls, need sight of the target
+(docs/decisions/0157-start-papers-office-episodes-in-sight-of-the-target.md)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
 """Categories that hardly any start shows alone (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
@@ -72,7 +74,7 @@ BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _B
 
 def is_paper_plan(plan: Plan) -> bool:
     """Returns whether a plan is `paper`, or a variant with fewer scenes or episodes, other expert, seed or record."""
-    theirs = [ScenePlan(name=scene.name, episodes=part.episodes) for scene in _PAPER.scenes for part in plan.scenes]
+    theirs = [scene.model_copy(update={"episodes": part.episodes}) for scene in _PAPER.scenes for part in plan.scenes]
     kept = {name: getattr(_PAPER, name) for name in ("scenes", "expert", "seed", "record")}
     whole = plan.model_copy(update=kept)
     return whole == _PAPER and all(scene in theirs for scene in plan.scenes)

@@ -176,8 +176,8 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
     The first redraws keep the category; later redraws use all targets of the cell. With `categories_overall`, half of
-    all draws keep the category. The result depends on plan, scene, index and draw only, so that it does not depend on
-    which worker failed or when.
+    all draws keep the category. The template changes if the target cannot. The result depends on plan, scene, index and
+    draw only, so that it does not depend on which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
@@ -192,7 +192,12 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     fresh = [target for target in same_category or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)
     colour, templates = cells.wording.colour_of(target), cells.wording.templates(former.split, target)
-    template_id = former.template_id if former.template_id in templates else _draw(templates, rng)
+    if former.template_id not in templates:
+        template_id = _draw(templates, rng)
+    elif fresh:
+        template_id = former.template_id
+    else:  # another template, so that this draw can succeed: one with a colour may fit the target alone
+        template_id = _draw([each for each in templates if each != former.template_id] or templates, rng)
     words = target.category, target.target_id, colour, template_id
     return PlannedJob(planned.index, draw, _episode(scene.name, former.tier, former.split, *words))
 
@@ -214,7 +219,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         task=plan.task,
         robot=plan.robot,
         camera=plan.camera,
-        spawn=plan.spawn,
+        spawn=plan.spawn_of(planned.episode.scene),
         gains=plan.gains,
         planner=plan.planner,
         record=plan.record,

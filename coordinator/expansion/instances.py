@@ -15,7 +15,7 @@ from coordinator.expansion.catalog import SceneEntry
 from coordinator.expansion.cells import Cells
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
-from schemas.terms import ExpertName, Screening, Split, Tier
+from schemas.terms import ExpertName, Split, Tier
 
 _SIDES_STREAM = 3
 
@@ -37,9 +37,9 @@ def side_of(split: Split) -> Side:
     return Side.TRAIN if split is Split.TRAIN_ID else Side.EVALUATION
 
 
-def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
-    """Returns the tiers from which the plan's expert can start for a target."""
-    is_any_start = plan.expert is ExpertName.PLANNER or plan.spawn.screening is Screening.NONE
+def startable_tiers(plan: Plan, scene: ScenePlan, target: Target) -> tuple[Tier, ...]:
+    """Returns the tiers from which the plan's expert can start for a target of a scene."""
+    is_any_start = plan.expert is ExpertName.PLANNER or not plan.spawn_of(scene.name).needs_free_line
     return target.tiers(plan.task.success, is_any_start)
 
 
@@ -58,14 +58,14 @@ def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cel
         return {}
     tiers = {tier for _, tier in quota}
     options = [t for t in targets if t.category in scene.categories.seen]
-    options = [t for t in options if tiers & set(startable_tiers(plan, t))]
+    options = [t for t in options if tiers & set(startable_tiers(plan, scene, t))]
     number = [part.name for part in plan.scenes].index(scene.name)
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _SIDES_STREAM, number)))
     sides: dict[str, Side] = {}
     for category in sorted({target.category for target in options}):
         group = [target for target in options if target.category == category]
-        sides |= _divide(plan, [group[int(place)] for place in rng.permutation(len(group))], wanted)
-    return _with_all_cells_filled(plan, quota, options, sides)
+        sides |= _divide(plan, scene, [group[int(place)] for place in rng.permutation(len(group))], wanted)
+    return _with_all_cells_filled(plan, scene, quota, options, sides)
 
 
 def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:
@@ -73,11 +73,11 @@ def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:
     return tuple(sorted({t.category for t in entry.info.targets if sides.get(t.target_id) is Side.SHARED}))
 
 
-def _divide(plan: Plan, group: list[Target], wanted: Mapping[Side, int]) -> dict[str, Side]:
+def _divide(plan: Plan, scene: ScenePlan, group: list[Target], wanted: Mapping[Side, int]) -> dict[str, Side]:
     if len(group) == 1:
         return {group[0].target_id: Side.SHARED}
     # targets that are startable from the most tiers come first, so that both sides get some of them
-    group = sorted(group, key=lambda target: -len(startable_tiers(plan, target)))
+    group = sorted(group, key=lambda target: -len(startable_tiers(plan, scene, target)))
     order = webster_sequence({side: float(count) for side, count in wanted.items()}, len(group))
     for side in wanted:
         if side not in order:
@@ -89,12 +89,16 @@ def _divide(plan: Plan, group: list[Target], wanted: Mapping[Side, int]) -> dict
 
 
 def _with_all_cells_filled(
-    plan: Plan, quota: Mapping[tuple[Split, Tier], int], options: list[Target], sides: dict[str, Side]
+    plan: Plan,
+    scene: ScenePlan,
+    quota: Mapping[tuple[Split, Tier], int],
+    options: list[Target],
+    sides: dict[str, Side],
 ) -> Sides:
     for split, tier in quota:
         if split is Split.TEST_OOD_OBJ:
             continue
-        able = [target for target in options if tier in startable_tiers(plan, target)]
+        able = [target for target in options if tier in startable_tiers(plan, scene, target)]
         if not any(sides[target.target_id] in (side_of(split), Side.SHARED) for target in able):
             opened = {target.category for target in able}
             sides |= {target.target_id: Side.SHARED for target in options if target.category in opened}

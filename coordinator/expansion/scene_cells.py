@@ -8,6 +8,7 @@ from functools import cached_property
 
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cells, cells
+from coordinator.expansion.far_tiers import with_far_tiers
 from coordinator.expansion.instances import Side, Sides, side_of, sides_of, startable_tiers
 from coordinator.expansion.wording import Wording
 from schemas.plan import Plan, ScenePlan
@@ -51,14 +52,14 @@ class SceneCells:
             target
             for target in self.wording.targets
             if target.category in categories
-            and tier in startable_tiers(self.plan, target)
+            and tier in startable_tiers(self.plan, self.scene, target)
             and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
         )
 
 
 def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
     """Returns the cells of one scene of a plan."""
-    return SceneCells(plan, scene, entry, cells(plan, scene))
+    return SceneCells(plan, scene, with_far_tiers(plan, entry), cells(plan, scene))
 
 
 def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy import Engine, select
@@ -17,11 +18,13 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
+from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.gateway_episodes import gateways_by_episode, record_at_core
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.reader import require_sound
 from coordinator.ledger.tables import episodes
+from coordinator.packing import pack_settled
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
@@ -29,8 +32,11 @@ from schemas.base import Model
 from schemas.dataset_files import EPISODES
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
+from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
-from schemas.storage.place import digest_of
+from schemas.storage.place import FilePlace, digest_of
+from schemas.storage.shard_index import episode_place
+from schemas.storage.shards import MAX_SHARD_EPISODES, range_of
 
 _COPY_BYTES = 1 << 20
 ProgressCallback = Callable[[int, int], None]
@@ -83,6 +89,7 @@ def gather(
     *,
     requeue_missing: bool = False,
     on_progress: ProgressCallback = lambda _done, _all: None,
+    shard_episodes: int = MAX_SHARD_EPISODES,
 ) -> GatherReport:
     """Copies episodes from gateways into the dataset, as far as their files are found.
 
@@ -92,6 +99,7 @@ def gather(
         now: current time.
         requeue_missing: whether to return missing episodes to the queue as lost.
         on_progress: progress callback with the number of processed episodes and the total.
+        shard_episodes: number of episode numbers per shard of a states dataset.
 
     Raises:
         UsageError: a source is not a directory of a gateway.
@@ -111,12 +119,16 @@ def gather(
         stack.callback(engine.dispose)
         with engine.connect() as connection:
             wanted = _wanted(connection)
+        packing = partial(_pack, archive, engine, dataset.plan, shard_episodes)
         for done, one in enumerate(wanted, 1):
+            if done > 1 and range_of(one.index, shard_episodes) != range_of(wanted[done - 2].index, shard_episodes):
+                packing()  # the range before is complete
             why = _fetch(archive, one, sources)
             if why:
                 missing.append(Missing(episode=episode_id(one.index), gateway=one.gateway, why=why))
             _settle(engine, one, why, now, requeue_missing=requeue_missing)
             on_progress(done, len(wanted))
+        packing()
         with engine.connect() as connection:
             write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive)
@@ -146,6 +158,11 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
             lose(connection, one.index, now, f"stored at gateway {one.gateway}: {why}")
 
 
+def _pack(archive: Archive, engine: Engine, plan: Plan, size: int) -> None:
+    with engine.connect() as connection:
+        pack_settled(archive, connection, plan, not has_open_jobs(connection), size)
+
+
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
     """Copies an episode durably into the dataset; returns the reason if that fails, else an empty string."""
     home = archive.path_of(one.index)
@@ -155,7 +172,7 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
         archive.quarantine(home, f"its SHA-256 is not {one.sha256}, which the ledger has")
     found = []
     for source in sources:
-        path = source / EPISODES / home.name
+        path = episode_place(source, one.index)
         if path.is_file():
             why = _copy(archive, one, path)
             if not why:
@@ -164,7 +181,7 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
     return "; ".join(found) or "found in none of the directories given"
 
 
-def _copy(archive: Archive, one: _Wanted, path: Path) -> str:
+def _copy(archive: Archive, one: _Wanted, path: FilePlace) -> str:
     with archive.stage(one.index) as staged:
         try:
             with path.open("rb") as file:

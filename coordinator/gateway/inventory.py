@@ -22,6 +22,7 @@ from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
 from schemas.job import Job
 from schemas.keys import Verb
+from schemas.storage.place import FilePlace, at_hand
 from schemas.wire import Ack
 
 _LAST = 2**31 - 1
@@ -92,7 +93,7 @@ def _inventories(sizes: dict[int, int], *, is_new: bool) -> Iterator[Inventory]:
 
 def _settle(
     stray: Stray,
-    path: Path,
+    path: FilePlace,
     archive: DirectoryArchive,
     core: CoreLink,
     checker: Checker,
@@ -107,12 +108,13 @@ def _settle(
         inventory.adopted.append(stray.index)
 
 
-def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: threading.Event) -> str:
+def _offer(stray: Stray, path: FilePlace, core: CoreLink, checker: Checker, stop: threading.Event) -> str:
     """Validates a file and offers it to the core; returns the reason if it is not adopted, else an empty string."""
     if stray.job is None:
         return stray.why
     try:
-        summary = checker.check(path, _job_of(path, stray.job), stray.target)
+        with at_hand(path) as file:
+            summary = checker.check(file, _job_of(file, stray.job), stray.target)
     except InvalidBundle as error:
         return str(error)
     ack = core.insist(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)

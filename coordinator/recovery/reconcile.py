@@ -34,7 +34,7 @@ from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.puller import Checker, Judge
 from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
-from schemas.storage.place import Place, at_hand
+from schemas.storage.place import FilePlace, Place, at_hand
 
 log = structlog.get_logger(__name__)
 
@@ -109,7 +109,7 @@ def _judge_all(
     engine: Engine,
     terms: Terms,
     checker: Judge,
-    unsure: Mapping[int, Place],
+    unsure: Mapping[int, FilePlace],
     difference: ArchiveDifference,
 ) -> Mapping[int, _Verdict]:
     if not unsure:
@@ -127,7 +127,7 @@ def _judge_all(
     return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
 
 
-def _judge_result(ledger: Connection, index: int, path: Place, terms: Terms, checker: Judge) -> _Verdict:
+def _judge_result(ledger: Connection, index: int, path: FilePlace, terms: Terms, checker: Judge) -> _Verdict:
     """Validates a result of an evaluation, which does not contain its attempt, against the current attempt."""
     row = current_job(ledger, index)
     if row is None:
@@ -160,7 +160,7 @@ def _settle(
     engine: Engine,
     terms: Terms,
     now: datetime,
-    unsure: Mapping[int, Place],
+    unsure: Mapping[int, FilePlace],
     verdicts: Mapping[int, _Verdict],
     changed: Mapping[int, str],
     result: Reconciled,

@@ -18,12 +18,14 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
+from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.opening import holds_run, open_run, read_info
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
 from coordinator.ledger.repair import record_whole
+from coordinator.packing import pack_settled
 from coordinator.recovery.reconcile import quarantine_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
 from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
@@ -34,11 +36,12 @@ from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_column
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
+from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, EPISODES, META_FILE, METADATA_FILE, SHARDS_FILE
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
+from schemas.storage.episode_list import list_episodes
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, relative_name
 
@@ -90,11 +93,12 @@ def repair(
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
+        actions = list(_of_shards(dataset.root))  # opening the archive repairs them
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
         trouble = dataset.stranger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
             survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
-            actions = [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
+            actions += [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
             actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
             _apply_actions(dataset, archive, survey, trouble, now)
@@ -126,6 +130,16 @@ def _reading(url: str, trouble: str) -> Iterator[Connection | None]:
         engine.dispose()
 
 
+def _of_shards(root: Place) -> Iterator[Action]:
+    listed = list_episodes(root)
+    for name, why in listed.damaged.items():
+        yield Action(kind=RepairKind.REWRITE, what=f"{EPISODES}/{name}", why=f"{why}; its intact episodes are kept")
+    for why in listed.twice:
+        yield Action(kind=RepairKind.REWRITE, what=EPISODES, why=why)
+    if listed.index_fault:
+        yield Action(kind=RepairKind.REWRITE, what=SHARDS_FILE, why=listed.index_fault)
+
+
 def _of_ledger(trouble: str) -> Iterator[Action]:
     if trouble:
         yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
@@ -140,9 +154,9 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
     for summary in survey.adopt:
         why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
         yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
-    for path, summary in survey.restore:
+    for quarantined, summary in survey.restore:
         why = f"a whole episode in quarantine, draw {summary.draw}, attempt {summary.attempt}"
-        yield Action(kind=RepairKind.RESTORE, what=relative_name(path, root), why=why)
+        yield Action(kind=RepairKind.RESTORE, what=relative_name(quarantined, root), why=why)
     for path, why in survey.quarantine:
         yield Action(
             kind=RepairKind.QUARANTINE, what=relative_name(path, root), why=" ".join(why.split())[:_LISTED_CHARS]
@@ -189,15 +203,15 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
 def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
     """Applies the actions: files first, then the ledger, then the tables. An interrupted repair can be repeated."""
     for name, why in dataset.scenes.items():
-        path = archive.scene_path(name, dataset.catalog[name].sha256)
-        if path.exists():
-            archive.quarantine(path, why)
+        package = archive.scene_path(name, dataset.catalog[name].sha256)
+        if package.exists():
+            archive.quarantine(package, why)
     for name, entry in dataset.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256)
     for path, why in survey.quarantine:
         archive.quarantine(path, why)
-    for path, summary in survey.restore:
-        archive.restore(path, summary.index)
+    for quarantined, summary in survey.restore:
+        archive.restore(quarantined, summary.index)
     if trouble:
         quarantine_ledger(archive, dataset.url, trouble)
     engine = open_writer(dataset.url)
@@ -213,6 +227,7 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
         for summary in whole:
             _adopt(engine, dataset, archive, summary, now)
         with engine.connect() as connection:
+            pack_settled(archive, connection, dataset.plan, not has_open_jobs(connection))
             write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive, deep=True)
     finally:

@@ -20,11 +20,11 @@ from coordinator.ledger.tables import jobs
 from coordinator.transfer.puller import Checker
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary, summary_of
-from schemas.dataset_files import EPISODES
 from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id
 from schemas.plan import Plan
-from schemas.storage.place import Place, at_hand, children, digest_of
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import FilePlace, Place, at_hand, digest_of
 
 _SAMPLE = 25
 
@@ -90,7 +90,7 @@ class StrayClassifier:
     ) -> None:
         self._draws, self._checker, self._ledger, self._validated = draws, checker, ledger, validated
 
-    def classify(self, path: Place, index: int, *, replaces: bool = False) -> EpisodeSummary | str:
+    def classify(self, path: FilePlace, index: int, *, replaces: bool = False) -> EpisodeSummary | str:
         """Returns the row of the episode that a file contains, or the reason why it is rejected.
 
         Args:
@@ -127,7 +127,7 @@ class StrayClassifier:
 
 def count_plans(root: Place) -> Counter[str]:
     """Returns the number of episodes per plan digest in a sample of a dataset; damaged files are skipped."""
-    files = children(root / EPISODES)
+    files = list(list_episodes(root).episodes.values())
     found: Counter[str] = Counter()
     for path in files[:: max(1, len(files) // _SAMPLE)]:
         try:

@@ -8,7 +8,6 @@ from itertools import count
 
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import index_of_file
 from coordinator.archive.difference import GONE, ListedFile, RecordedFile, diff_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.gateway_episodes import recorded_files
@@ -16,10 +15,11 @@ from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import validated_files
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import EPISODES, QUARANTINE
+from schemas.dataset_files import QUARANTINE
+from schemas.job import index_of_file
 from schemas.plan import Plan
-from schemas.storage.object_path import ObjectPath
-from schemas.storage.place import Place, children, digest_of
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import FilePlace, Place, children, digest_of
 
 ProgressCallback = Callable[[int, int], None]
 
@@ -34,7 +34,7 @@ class Survey:
     """Intact episodes of the plan without an equal ledger record."""
     restore: list[tuple[Place, EpisodeSummary]] = field(default_factory=list)
     """Intact episodes of the plan that exist in the quarantine folder only, with their paths."""
-    quarantine: list[tuple[Place, str]] = field(default_factory=list)
+    quarantine: list[tuple[FilePlace, str]] = field(default_factory=list)
     """Files to quarantine, with the reason."""
     requeue: list[tuple[int, str]] = field(default_factory=list)
     """Episodes to collect again, with the reason."""
@@ -60,8 +60,9 @@ def survey_archive(
     """
     result = Survey()
     recorded = recorded_files(ledger) if ledger is not None else {}
-    files, foreign = _listing(root)
-    result.quarantine += [(path, "no episode by its name") for path in foreign]
+    listed = list_episodes(root)
+    files = listed.episodes
+    result.quarantine += [(path, "no episode by its name") for path in listed.foreign]
     judge = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
     difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
     result.whole = len(difference.same) + len(difference.elsewhere)
@@ -78,7 +79,7 @@ def survey_archive(
 
 
 def _read_files(
-    files: Mapping[int, Place], recorded: Mapping[int, RecordedFile], on_progress: ProgressCallback
+    files: Mapping[int, FilePlace], recorded: Mapping[int, RecordedFile], on_progress: ProgressCallback
 ) -> dict[int, ListedFile]:
     """Returns the files, with the digest if the size is as recorded; reports progress for each intact file."""
     found, done = {}, count(1)
@@ -89,7 +90,7 @@ def _read_files(
     return found
 
 
-def _read_file(path: Place, record: RecordedFile | None) -> ListedFile:
+def _read_file(path: FilePlace, record: RecordedFile | None) -> ListedFile:
     size = path.stat().st_size
     if record is None or size != record.size:
         return ListedFile(size)
@@ -99,20 +100,8 @@ def _read_file(path: Place, record: RecordedFile | None) -> ListedFile:
         return ListedFile(size, fault=f"cannot be read: {error.strerror}")
 
 
-def _listing(root: Place) -> tuple[dict[int, Place], list[Place]]:
-    folder = root / EPISODES
-    paths = sorted(folder.walk()) if isinstance(folder, ObjectPath) else children(folder)
-    found = {path: index_of_file(path.name) if _is_episode(path, folder) else None for path in paths}
-    files = {index: path for path, index in found.items() if index is not None}
-    return dict(sorted(files.items())), [path for path, index in found.items() if index is None]
-
-
-def _is_episode(path: Place, folder: Place) -> bool:
-    return path.parent == folder and path.is_file() and not path.is_symlink()
-
-
 def _judge(
-    path: Place, index: int, change: str | None, judge: StrayClassifier, result: Survey, record: RecordedFile | None
+    path: FilePlace, index: int, change: str | None, judge: StrayClassifier, result: Survey, record: RecordedFile | None
 ) -> None:
     verdict = judge.classify(path, index, replaces=change is not None)
     if not isinstance(verdict, str):

@@ -60,6 +60,8 @@ class TableAggregates:
     refused: Counter[str] = field(default_factory=Counter)
     """Number of task failures by scene."""
     renderers: set[str] = field(default_factory=set)
+    makers: set[tuple[str, str, str]] = field(default_factory=set)
+    """Renderer, package versions as JSON, and CPU of the workers."""
 
     def count_failures(self, rows: Iterable[Failure]) -> Iterator[Failure]:
         """Yields the rows unchanged and counts the task failures."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Collection, Iterable
 
@@ -55,6 +56,8 @@ With minivla-factory {version}, simulated in PyBullet and drawn by
 recorded from people. Every planned cell of scene, split and tier is filled exactly; an attempt that fails is repeated
 and recorded in `attempts.parquet`. Plan, versions and digests are in `dataset_meta.json`: with the same software,
 `factory replay` makes any episode again, to the bit.
+
+{software}
 
 ## What it holds
 {scenes}
@@ -120,11 +123,13 @@ _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
 _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
+_DRAWN_THUMBNAIL = ", with a `thumbnail` of frame 0 where `factory push --thumbnails` has rendered it"
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
+_SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
-    'screened by `spawn.screening = "{}"` of the plan.'
+    "screened by `spawn.screening` of the plan: {}."
 )
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
@@ -151,6 +156,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         expert=meta.plan.expert,
         version=meta.software.get("minivla-factory", "(not installed)"),
         renderers=" and ".join(meta.renderers) or "no renderer yet",
+        software=_software_part(aggregates, stores_frames),
         radius=meta.plan.task.success_radius_m,
         goal=_GOALS[meta.plan.task.success],
         hz=meta.plan.task.control_hz,
@@ -161,9 +167,34 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
         frames=_FRAMES if stores_frames else "",
         rendered="" if stores_frames else _RENDERED,
-        thumbnail=_THUMBNAIL if stores_frames else "",
-        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.spawn.screening),
+        thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
+        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
         templates=len(TEMPLATES),
+    )
+
+
+def with_shards(card: str, shards: int) -> str:
+    """Returns a card that states the number of shards; a card without shards has no such line."""
+    lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
+    at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
+    said = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"
+    return "".join([*lines[:at], said, *lines[at:]] if shards else lines)
+
+
+def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:
+    """Returns the software and machines that make identical bytes."""
+    rows = set()
+    for renderer, software, cpu in aggregates.makers:
+        versions = json.loads(software)
+        machine = cpu.rpartition("(")[2].rstrip(")")
+        rows.add((renderer, versions.get("minivla-factory", "-"), versions.get("libc", "-"), machine))
+    if not rows:
+        return ""
+    what = "make" if stores_frames else "make and read"
+    return (
+        f"Machines with this software {what} the same frames, bit by bit; `deploy/Dockerfile` of minivla-factory\n"
+        "installs fixed versions. `factory verify . --render all` measures how far pixels of another machine differ.\n"
+        "\n" + _table(("renderer", "minivla-factory", "C library", "machine"), sorted(rows))
     )
 
 

@@ -25,6 +25,7 @@ from schemas.support.foreign import PARSER_ERRORS
 GROUP_ROWS = 2000
 """Number of episode numbers per row group."""
 _SUMS = ("num_steps", "spawn_dist_m", "trajectory_length_m", "final_ne_m")
+_MAKER = ("renderer", "software", "cpu")
 _CELL = ["scene", "split", "spawn_tier"]
 
 
@@ -151,6 +152,7 @@ def _add(aggregates: TableAggregates, table: pa.Table) -> None:
     names, digests = table["episode_id"].to_pylist(), table["content_digest"].to_pylist()
     aggregates.digests.extend(zip(names, digests, strict=True))
     aggregates.renderers.update(table["renderer"].unique().to_pylist())
+    aggregates.makers.update(zip(*(table[name].to_pylist() for name in _MAKER), strict=True))
     for row in _sums(table, ["target_category"], ()):
         aggregates.categories[row["target_category"]] += row["count_all"]
     for row in _sums(table, _CELL, ()):

@@ -22,7 +22,7 @@ from schemas.terms import Recording, Split
 
 THUMBNAIL = "thumbnail"
 """Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available, or
-if the dataset records states."""
+if the dataset records states and `factory push --thumbnails` has not rendered it."""
 DIGEST_KEY, PICTURES_KEY = b"minivla_rows", b"minivla_thumbnails"
 """Keys of the file metadata: digest of the rows and number of thumbnails."""
 UNREADABLE = (pa.ArrowException, OSError, KeyError, ValueError)
@@ -101,6 +101,15 @@ def has_pictures(root: Place) -> bool:
         return read_dataset_meta(root).plan.record is Recording.FRAMES
     except WorldError:
         return True
+
+
+def lacks_pictures(path: Place) -> bool:
+    """Returns whether a split table has rows without thumbnails; `False` if it does not exist or is unreadable."""
+    try:
+        found = pq.read_metadata(table_of(path))
+    except UNREADABLE:
+        return False
+    return bool(int((found.metadata or {}).get(PICTURES_KEY, b"0")) < found.num_rows)
 
 
 def read_pictures(path: Place) -> dict[str, bytes]:

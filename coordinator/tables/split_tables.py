@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -29,6 +29,7 @@ from coordinator.tables.split_layout import (
     THUMBNAIL,
     SplitTable,
     has_pictures,
+    lacks_pictures,
     read_pictures,
     split_tables_of,
 )
@@ -46,16 +47,21 @@ _QUALITY = 85
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 _FEATURES = json.dumps({"info": {"features": {THUMBNAIL: {"_type": "Image"}}}}).encode()
 
+FrameSource = Callable[[str], NDArray[np.uint8]]
+
 log = structlog.get_logger(__name__)
 
 
-def write_split_tables(archive: Archive, seconds: float | None = None, deep: bool = False) -> None:
+def write_split_tables(
+    archive: Archive, seconds: float | None = None, deep: bool = False, draw: FrameSource | None = None
+) -> None:
     """Writes the split tables that are missing, damaged or outdated, then lists them in the card.
 
     Args:
         archive: archive of the dataset, with a current `metadata.parquet`.
         seconds: time limit for thumbnails, seconds; the remaining ones are null until the next call. `None` for none.
         deep: whether to check every row and thumbnail for damage, instead of the metadata of each file only.
+        draw: returns frame 0 of an episode that does not store it, by id; thumbnails that are missing are then made.
 
     Raises:
         WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.
@@ -66,9 +72,9 @@ def write_split_tables(archive: Archive, seconds: float | None = None, deep: boo
     for table in split_tables_of(archive.root):
         wanted.add(table.name)
         fault = fault_of(archive.root, table, deep)
-        if fault:
-            is_damaged = fault.kind is FaultKind.DAMAGED
-            _write(archive, table, {} if is_damaged else read_pictures(archive.root / table.name), deadline)
+        if fault or (draw is not None and lacks_pictures(archive.root / table.name)):
+            is_damaged = fault is not None and fault.kind is FaultKind.DAMAGED
+            _write(archive, table, {} if is_damaged else read_pictures(archive.root / table.name), deadline, draw)
             written += 1
     for place in surplus_tables(archive.root, wanted):
         archive.quarantine(place, SURPLUS)
@@ -76,13 +82,17 @@ def write_split_tables(archive: Archive, seconds: float | None = None, deep: boo
     log.info("split_tables_written", files=written, of=len(wanted))
 
 
-def _write(archive: Archive, table: SplitTable, former: Mapping[str, bytes], deadline: float) -> None:
-    rows, are_made = table.sources(), has_pictures(archive.root)
+def _write(
+    archive: Archive, table: SplitTable, former: Mapping[str, bytes], deadline: float, draw: FrameSource | None
+) -> None:
+    rows, are_stored = table.sources(), has_pictures(archive.root)
 
     def picture_of(row: Mapping[str, Any]) -> bytes | None:
         kept = former.get(row["content_digest"])
-        if kept is not None or not are_made or time.monotonic() > deadline:
+        if kept is not None or not (are_stored or draw) or time.monotonic() > deadline:
             return kept
+        if draw is not None and not are_stored:
+            return _shrink_frame(draw(row["episode_id"]))
         return _read_thumbnail(archive.root / row["file_name"], row["num_steps"])
 
     with ThreadPoolExecutor(_READERS) as readers:

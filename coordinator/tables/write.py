@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
 from coordinator.tables.aggregates import TableAggregates
-from coordinator.tables.card import dataset_card
+from coordinator.tables.card import dataset_card, with_shards
 from coordinator.tables.card_configs import splits_at
 from coordinator.tables.metadata_table import Episodes, ListedEpisodes, plain_row, write_metadata
 from schemas.base import Model
@@ -90,7 +90,8 @@ def write_tables(
         shared_instances=None if shared is None else dict(shared),
         gate=tuple(gate) or (former.gate if former else ()),
     )
-    _write_text(archive, CARD_FILE, dataset_card(meta, aggregates, splits_at(archive.root)))
+    card = dataset_card(meta, aggregates, splits_at(archive.root))
+    _write_text(archive, CARD_FILE, with_shards(card, len(archive.shards())))
     _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last, because it describes the other files
     return meta
 

@@ -55,8 +55,8 @@ def nothing_nearby(_lease: Lease) -> None:
 class Judge(Protocol):
     """Interface of thread-safe bundle validators."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> BundleReceipt:
-        """Validates a bundle and returns its receipt, or raises `InvalidBundle` or `TransientError`."""
+    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> BundleReceipt:
+        """Validates a bundle, `sampled` some of its frames, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
         """Ends the validator; a running check raises `TransientError`."""
@@ -65,7 +65,7 @@ class Judge(Protocol):
 class Checker(Judge, Protocol):
     """Interface of validators of collected episodes."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
+    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:
         """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
@@ -226,14 +226,20 @@ class Pullers(Closing):
                 f"too slow: {staged.size} of {pull.size} bytes in {transfer.seconds:.0f} s; a worker has to serve "
                 f"{self._settings.min_bytes_per_s:.0f} bytes a second",
             )
-        elif staged.sha256 != pull.sha256:
-            self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
+        elif not staged.is_taken and self._is_another(pull, staged.sha256):
+            return True
         else:
             self._ledger.keep(pull, _VALIDATION_S)
-            summary = self._judge(pull, staged.path)
-            if summary is not None:
+            summary = self._judge(pull, staged)
+            if summary is not None and not (staged.is_taken and self._is_another(pull, summary.file_sha256)):
                 self._publish(pull, staged, summary)
         return True
+
+    def _is_another(self, pull: Pull, sha256: str) -> bool:
+        """Returns whether a bundle differs from the announced one, and refuses it if so."""
+        if sha256 != pull.sha256:
+            self._refuse(pull, f"SHA-256 {sha256} arrived, {pull.sha256} was announced")
+        return sha256 != pull.sha256
 
     def _begin(self, transfer: _Transfer) -> bool:
         """Opens the part file of a bundle; returns `False` if the bundle is not needed."""
@@ -319,10 +325,10 @@ class Pullers(Closing):
         except OSError as error:
             log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
 
-    def _judge(self, pull: Pull, path: Path) -> BundleReceipt | None:
+    def _judge(self, pull: Pull, staged: Staged) -> BundleReceipt | None:
         begun = time.monotonic()
         try:
-            return self._checker.check(path, pull.job, pull.target)
+            return self._checker.check(staged.path, pull.job, pull.target, sampled=staged.is_taken)
         except InvalidBundle as error:
             self._refuse(pull, str(error))
             return None

@@ -1,11 +1,12 @@
-"""Validates the frames of a bundle: digests, value ranges, instance ids, agreement of depth and ids, frozen images.
+"""Validates frames of a bundle: digests, value ranges, instance ids, agreement of depth and ids, frozen images.
 
-The module decodes every frame once and keeps two frames in memory. It does not render and does not validate motion.
+The module decodes each validated frame once and keeps two frames in memory. It does not render and does not validate
+motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,25 +37,28 @@ Image = NDArray[np.generic]
 
 @dataclass(frozen=True)
 class FrameSurvey:
-    """Result of the validation of all frames."""
+    """Result of the validation of frames."""
 
-    digests: tuple[str, ...]
-    """Digest of every decodable frame."""
-    target_pixels: tuple[int, ...]
-    """Number of pixels of the target in every decodable frame."""
+    digests: dict[int, str]
+    """Digest of each decodable frame, by step."""
+    target_pixels: dict[int, int]
+    """Number of pixels of the target in each decodable frame, by step."""
     findings: tuple[str, ...]
     """Violations."""
 
 
-def survey_frames(bundle: BundleReader, on_frame: Callable[[int], None] = lambda _t: None) -> FrameSurvey:
-    """Decodes and validates every frame.
+def survey_frames(
+    bundle: BundleReader, steps: Iterable[int], on_frame: Callable[[int], None] = lambda _t: None
+) -> FrameSurvey:
+    """Decodes and validates the frames of some steps.
 
     Args:
         bundle: open bundle.
+        steps: steps in ascending order.
         on_frame: progress callback with the number of each processed frame.
     """
     survey = _Survey(bundle.meta, bundle.arrays.poses)
-    for t in range(bundle.length):
+    for t in steps:
         try:
             survey.take(t, bundle.rgb(t), bundle.depth(t), bundle.ids(t))
         except InvalidBundle as error:
@@ -71,18 +75,18 @@ class _Survey:
         self._known[[0, *(instance.id for instance in meta.instances)]] = True
         self._colour = _Stuck("rgb_front", poses, *FROZEN_COLOUR)
         self._depth = _Stuck("depth_front", poses, *FROZEN_DEPTH)
-        self._digests: list[str] = []
-        self._pixels: list[int] = []
+        self._digests: dict[int, str] = {}
+        self._pixels: dict[int, int] = {}
         self._findings: list[str] = []
         self._suppressed = 0
 
     def take(self, t: int, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
         digest = frame_digest(rgb, depth, ids)
-        self._digests.append(digest)
+        self._digests[t] = digest
         recorded = self._meta.frame_digests
         if t < len(recorded) and recorded[t] != digest:
             self.note(f"frame {t}: decodes to digest {digest}, meta.json says {recorded[t]}")
-        self._pixels.append(int(np.count_nonzero(ids == self._meta.target_instance_id)))
+        self._pixels[t] = int(np.count_nonzero(ids == self._meta.target_instance_id))
         self.note(*self._colour.take(t, rgb), *self._depth.take(t, depth))
         self.note(*(f"frame {t}: {text}" for text in self._image_findings(depth, ids)))
 
@@ -110,7 +114,7 @@ class _Survey:
 
     def result(self) -> FrameSurvey:
         rest = [f"and {self._suppressed} more findings about frames"] if self._suppressed else []
-        return FrameSurvey(tuple(self._digests), tuple(self._pixels), (*self._findings, *rest))
+        return FrameSurvey(self._digests, self._pixels, (*self._findings, *rest))
 
 
 def _disagreement(depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,20 +38,18 @@ def rollout_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
     ]
 
 
-def visibility_findings(meta: EpisodeMeta, target_pixels: Sequence[int]) -> list[str]:
-    """Returns the differences between the recorded visibility and the id images, and a missed requirement on it.
+def visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> list[str]:
+    """Returns a finding if the recorded visibility of the target contradicts the id images.
 
     Args:
         meta: metadata of the episode.
-        target_pixels: number of pixels of the target in every frame.
+        target_pixels: number of pixels of the target by step, in all frames or in some.
     """
-    least = meta.job.gains.min_mask_px
-    visible = sum(pixels >= least for pixels in target_pixels)
-    found = []
-    if visible != meta.rollout.steps_visible:
-        shown = f"{visible} frames show {least} or more pixels of the target"
-        found.append(f"steps_visible {meta.rollout.steps_visible}, but {shown}")
-    return [*found, *arrival_findings(meta, target_pixels[-1])]
+    seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
+    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
+    if said is None or seen <= said <= most:
+        return []
+    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} examined frames show the target"]
 
 
 def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:

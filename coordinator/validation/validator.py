@@ -64,6 +64,8 @@ class ValidationTask(Model):
     """Leased job."""
     target: Target | None = None
     """Target in the compiled scene; `None` skips the comparison."""
+    sampled: bool = False
+    """Whether only a sample of the frames is decoded."""
 
 
 class Verdict(Model):
@@ -98,13 +100,14 @@ class Validator(Closing):
         for child in self._all:
             self._free.put(child)
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
-        """Validates a whole bundle against its job.
+    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:
+        """Validates a bundle against its job.
 
         Args:
             path: path of the bundle, usually a part file.
             job: leased job.
             target: target in the compiled scene; `None` skips the comparison.
+            sampled: whether only a sample of the frames is decoded.
 
         Returns:
             The row of the episode, with SHA-256 and size of the file.
@@ -113,7 +116,7 @@ class Validator(Closing):
             InvalidBundle: the bundle has violations, or two children terminated while they validated it.
             TransientError: no child can be started on this machine now, or the file cannot be opened now.
         """
-        task = ValidationTask(job=job, target=target)
+        task = ValidationTask(job=job, target=target, sampled=sampled)
         with self._child() as child:
             for _ in range(_TRIES):
                 verdict = self._ask(child, task, path)

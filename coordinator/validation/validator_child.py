@@ -39,7 +39,7 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
         if size > MAX_BUNDLE_BYTES:
             return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
         with BundleReader(file) as bundle:
-            findings = validate(bundle, task.job, task.target)
+            findings = validate(bundle, task.job, task.target, sampled=task.sampled)
             if not findings:
                 return Verdict(summary=summary_of(bundle.meta, sha256, size))
     except InvalidBundle as error:

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Self
 
 from schemas.base import Model
-from schemas.terms import Screening
+from schemas.terms import ExpertName, Recording
 
 
 class Spread(Model):
@@ -102,6 +102,36 @@ class SceneRollout(Model):
     """Frames per second of wall time, divided by those of the plain pipeline."""
 
 
+class CollectPace(Model):
+    """Pace of whole runs of one plan."""
+
+    record: Recording
+    expert: ExpertName
+    episodes: int
+    """Number of archived episodes of each run."""
+    attempts: int
+    """Number of attempts of the first run, failed ones included."""
+    episodes_per_hour: Spread
+    """Archived episodes per hour of wall time, start and end of the run included."""
+    cpu_s_per_episode: Spread
+    """CPU time of all processes of the run per archived episode, seconds."""
+
+
+class CollectBench(Model):
+    """Result of `factory bench collect`."""
+
+    bench: str = "collect"
+    machine: Machine
+    plan: str
+    screening: str
+    """Selection of the starts of the plan."""
+    workers: int
+    """Number of simulation processes."""
+    repeats: int
+    variants: dict[str, CollectPace]
+    """Pace by recording and expert."""
+
+
 class MemoryBench(Model):
     """Result of `factory bench memory`."""
 
@@ -129,7 +159,8 @@ class RolloutBench(Model):
     machine: Machine
     renderer: str
     plan: str
-    screening: Screening
+    screening: str
+    """Selection of the starts of the plan."""
     repeats: int
     scenes: dict[str, SceneRollout]
 
@@ -142,7 +173,7 @@ class SceneRender(Model):
     """Frames of three images per second of wall time."""
     stages: tuple[StageCost, ...]
     without_colour: tuple[StageCost, ...]
-    """Cost of depth and ids without colour, as an expert uses them; the difference to `stages` is due to colour."""
+    """Cost of depth and ids without colour, as an expert uses them; empty for frames of another size than 640."""
     triangles: int
     """Number of triangles in the scene."""
     triangles_in_view: float
@@ -155,6 +186,10 @@ class RenderBench(Model):
     bench: str = "render"
     machine: Machine
     renderer: str
+    size: int
+    """Width and height of the frames, pixels."""
+    antialias: int
+    """Samples per pixel along each axis."""
     repeats: int
     scenes: dict[str, SceneRender]
 
@@ -234,14 +269,21 @@ class ReadBench(Model):
     episodes: int
     frames: int
     repeats: int
+    size: int
+    """Width and height of the frames, pixels."""
+    antialias: int
+    """Samples per pixel along each axis."""
     random_frames_per_s: Spread
     """Random frames of random episodes (colour, depth and ids) per second of wall time, on one core."""
-    random_frames_per_cpu_s: Spread
+    random_frames_per_cpu_s: Spread | None
+    """The same per second of CPU time; `None` if frames are rendered, which takes place in another process."""
     by_image: dict[str, Spread]
-    """Random single images per second of wall time, by kind of image."""
+    """Random single images of 640 pixels per second of wall time, by kind of image; empty for another size."""
     open_ms: Spread
     """Time to open an episode and read its first array, milliseconds."""
     loader_workers: int
+    one_thread_frames_per_s: Spread | None = None
+    """Frames per second of a shuffled DataLoader that reads in one thread; `None` without torch."""
     loader_frames_per_s: Spread | None = None
     """Frames per second of a shuffled DataLoader with worker processes; `None` without torch."""
     threads_frames_per_s: Spread | None = None

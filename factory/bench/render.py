@@ -9,11 +9,13 @@ import numpy as np
 
 from factory.bench.machine import StageRecorder, StageTimes, stage_costs
 from factory.bench.model import SceneRender, Spread, StageCost
+from factory.dataset.antialias import shrink_frame
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
-from workers.render import Renderer
+from workers.render import RenderedFrame, Renderer
 from workers.render.cull import PartBounds, visible_parts
 
 _SEED = 20
@@ -35,6 +37,8 @@ def bench_render(
     camera: CameraConfig,
     frames: int,
     repeats: int,
+    size: int = FRAME_SIZE_PX,
+    antialias: int = 1,
 ) -> SceneRender:
     """Renders the same poses in every repetition, after one warm-up round, and returns the measurements.
 
@@ -45,11 +49,23 @@ def bench_render(
         camera: Camera of the robot.
         frames: Number of poses.
         repeats: Number of timed rounds.
+        size: Width and height of the frames, pixels.
+        antialias: Samples per pixel along each axis.
     """
+
+    def draw(pose: Pose) -> RenderedFrame:
+        frame = renderer.render(pose, size * antialias)
+        if antialias > 1:
+            frame = shrink_frame(frame, antialias)
+            recorder("antialias")
+        return frame
+
     poses = poses_in(scene, frames)
     renderer.load(scene, camera)
-    seconds, stages = _time(renderer.render, recorder, poses, repeats)
-    _, without = _time(renderer.render_depth_and_ids, recorder, poses, repeats)
+    seconds, stages = _time(draw, recorder, poses, repeats)
+    without: tuple[StageCost, ...] = ()
+    if (size, antialias) == (FRAME_SIZE_PX, 1):
+        _, without = _time(renderer.render_depth_and_ids, recorder, poses, repeats)
     return SceneRender(
         frames=frames,
         frames_per_s=Spread.of([frames / each for each in seconds]),

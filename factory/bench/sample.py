@@ -15,7 +15,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand, to_job
 from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset import EpisodeSummary, file_name_of, summary_of
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
@@ -81,7 +81,7 @@ def make_sample(
             tell()
             if row is not None:
                 rows.append(row)
-                samples.append(BenchSample(job, archive.path_of(job.index)))
+                samples.append(BenchSample(job, root / file_name_of(job.episode_id)))
         if not rows:
             raise WorldError(f"none of {plan.episodes} attempts succeeded, so nothing can be measured")
         scenes = {name: entry.sha256 for name, entry in catalog.items()}

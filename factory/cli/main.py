@@ -54,6 +54,7 @@ VERBS = MappingProxyType(
         "jobs": CommandEntry("inspect.jobs", _INSPECT, "List, show, retry and cancel jobs; release barred hosts."),
         "verify": CommandEntry("inspect.verify", _INSPECT, "Check the files, tables and hashes of a dataset."),
         "repair": CommandEntry("inspect.repair", _INSPECT, "Repair a damaged dataset, its ledger and its tables."),
+        "pack": CommandEntry("inspect.pack", _INSPECT, "Pack the episodes of a states dataset into shards."),
         "replay": CommandEntry("inspect.replay", _INSPECT, "Simulate one episode again and compare its content."),
         "stats": CommandEntry("inspect.stats", _INSPECT, "Print the statistics of a dataset."),
         "report": CommandEntry("inspect.report", _INSPECT, "Write an HTML report with figures of a dataset."),

@@ -8,6 +8,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from factory.dataset.antialias import shrink_frame
 from factory.dataset.packages import ScenePackage
 from factory.dataset.shared_renderer import View, shared_renderer
 from schemas.bundle import BundleReader, encode_depth
@@ -46,18 +47,20 @@ class EpisodeBundle(BundleReader):
         """Instances that the ids refer to, from the metadata or the scene."""
         return self.meta.instances if self.has_frames else self.package.info().instances
 
-    def render(self, t: int, size: int = FRAME_SIZE_PX) -> RenderedFrame:
+    def render(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> RenderedFrame:
         """Renders frame t from its pose; equal to the recorded frame if renderer and size are equal.
 
         Args:
             t: step.
             size: width and height, pixels.
+            antialias: samples per pixel along each axis; colours are their mean, depth and ids those of the middle.
 
         Raises:
             ArchiveCorrupt: the scene package is missing or was changed.
+            UsageError: `size * antialias` is larger than the renderer supports.
             WorldError: this machine cannot render.
         """
-        return shared_renderer().render(*self._view(t, size))
+        return shrink_frame(shared_renderer().render(*self._view(t, size * antialias)), antialias)
 
     def render_camera(self, pose: Pose, camera: Camera) -> CameraImage:
         """Renders the image of a camera of a rig from a pose of base_link; raises the errors of `render`."""

@@ -24,7 +24,8 @@ from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.rig import Imu, Rig, Sensor, WheelOdometry
 from schemas.scene import Instance
-from schemas.storage.place import Place
+from schemas.storage.place import FilePlace
+from schemas.storage.shard_index import episode_place
 from schemas.support.closing import Closing
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Episode(Closing):
         ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
-    def __init__(self, path: Place, summary: EpisodeSummary, rig: Rig | None = None) -> None:
+    def __init__(self, path: FilePlace, summary: EpisodeSummary, rig: Rig | None = None) -> None:
         self.path = path
         self.summary = summary
         """Row of the episode in the metadata table."""
@@ -132,22 +133,24 @@ class Episode(Closing):
         with self._reading() as bundle:
             return bundle.stored(name)
 
-    def frame(self, t: int, size: int = FRAME_SIZE_PX) -> Frame:
+    def frame(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Frame:
         """Returns all images at step t; a negative t counts from the end.
 
         Args:
             t: step.
             size: width and height, pixels; frames of another size than the recorded 640 are rendered.
+            antialias: samples per pixel along each axis; with more than 1, frames are rendered. The colour of a pixel
+                is the mean of its samples, depth and id are those of the middle sample.
         """
         with self._reading() as bundle:
-            if bundle.has_frames and size == FRAME_SIZE_PX:
+            if bundle.has_frames and (size, antialias) == (FRAME_SIZE_PX, 1):
                 return Frame(self.rgb(t), self.depth(t), self.ids(t))
-            found = bundle.render(self._step(t), size)
+            found = bundle.render(self._step(t), size, antialias)
         return Frame(found.rgb, found.depth, found.ids)
 
-    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX) -> Iterator[Frame]:
+    def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Iterator[Frame]:
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
-        return (self.frame(t, size) for t in range(0, len(self), stride))
+        return (self.frame(t, size, antialias) for t in range(0, len(self), stride))
 
     def observe(self, t: int, sensors: Iterable[str] | None = None) -> dict[str, CameraObservation | LidarScan]:
         """Returns the images of the rig's cameras and the scans of its lidars at step t, by name (docs/rigs.md).
@@ -208,8 +211,18 @@ class Episode(Closing):
     def _bundle(self) -> EpisodeBundle:
         with self._opening:
             if self._opened is None or self._opened.pid != os.getpid():  # a forked process shares the file position
-                self._opened = _Opened(self.path, len(self))
+                self._opened = self._open()
             return self._opened.bundle
+
+    def _open(self) -> _Opened:
+        try:
+            return _Opened(self.path, len(self))
+        except FileNotFoundError:  # the coordinator of a run may have packed the episode meanwhile
+            self.path = episode_place(self.path.parents[1], self.summary.index)
+        try:
+            return _Opened(self.path, len(self))
+        except FileNotFoundError as error:
+            raise ArchiveCorrupt(f"{self.path} is missing: run `factory verify`") from error
 
     @contextmanager
     def _reading(self) -> Iterator[EpisodeBundle]:
@@ -224,18 +237,23 @@ class Episode(Closing):
             self._opened.close()
             self._opened = None
 
-    def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary, Rig | None]]:
+    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary, Rig | None]]:
         return type(self), (self.path, self.summary, self.rig)
 
 
 class _Opened:
-    """Open bundle with its file and the id of the process that opened it; garbage collection closes the file."""
+    """Open bundle with its file and the id of the process that opened it; garbage collection closes the file.
 
-    def __init__(self, path: Place, steps: int) -> None:
+    Raises:
+        FileNotFoundError: the file does not exist.
+        ArchiveCorrupt: the file cannot be read or is damaged.
+    """
+
+    def __init__(self, path: FilePlace, steps: int) -> None:
         try:
             file: BinaryIO = path.open("rb")
-        except FileNotFoundError as error:
-            raise ArchiveCorrupt(f"{path} is missing: run `factory verify`") from error
+        except FileNotFoundError:
+            raise
         except OSError as error:
             raise ArchiveCorrupt(f"{path} cannot be read: {error.strerror}") from error
         self.close = weakref.finalize(self, file.close)
@@ -248,7 +266,7 @@ class _Opened:
             raise refusal from error
 
 
-def _refusal(path: Place, file: BinaryIO, steps: int) -> ArchiveCorrupt:
+def _refusal(path: FilePlace, file: BinaryIO, steps: int) -> ArchiveCorrupt:
     """Returns the error for a bundle that does not have the expected number of steps."""
     try:
         own = BundleReader(file)
@@ -257,5 +275,5 @@ def _refusal(path: Place, file: BinaryIO, steps: int) -> ArchiveCorrupt:
     return ArchiveCorrupt(f"{path} has {own.length} steps, the metadata says {steps}: run `factory verify --deep`")
 
 
-def _corrupt(path: Place, error: InvalidBundle) -> ArchiveCorrupt:
+def _corrupt(path: FilePlace, error: InvalidBundle) -> ArchiveCorrupt:
     return ArchiveCorrupt(f"{path} is damaged ({'; '.join(error.findings)}): run `factory verify --deep`")

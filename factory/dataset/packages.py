@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from factory.support.settings import cache_directory, scene_path
 from schemas.dataset_files import SCENES
 from schemas.errors import ArchiveCorrupt
-from schemas.scene import CompiledScene, SceneInfo, decode_scene, read_scene_info
+from schemas.scene import SceneInfo, decode_scene, read_scene_info
 from schemas.storage.disk import translated
 from schemas.storage.place import Place, digest_of
 from schemas.support.extras import require_package
@@ -32,14 +32,13 @@ class ScenePackage(NamedTuple):
     sha256: str
     """SHA-256 of the package."""
 
-    def decode(self) -> CompiledScene:
-        """Returns the scene.
+    def read(self) -> bytes:
+        """Returns the bytes of the package.
 
         Raises:
             ArchiveCorrupt: No package has the digest.
         """
-        with find_package_file(*self).open("rb") as file:
-            return decode_scene(file)
+        return find_package_file(*self).read_bytes()
 
     def rays(self) -> SceneRays:
         """Returns the ray caster of the scene; those of the most recently used scenes are kept.
@@ -52,7 +51,7 @@ class ScenePackage(NamedTuple):
 
     @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - the keys are values, and few
     def info(self) -> SceneInfo:
-        """Returns the metadata of the scene; raises the errors of `decode`."""
+        """Returns the metadata of the scene; raises the errors of `read`."""
         with find_package_file(*self).open("rb") as file:
             return read_scene_info(file)
 
@@ -62,7 +61,8 @@ def _rays_of(package: ScenePackage) -> SceneRays:
     require_package("embreex", "a lidar")
     from workers.sensors.rays import SceneRays
 
-    return SceneRays(package.decode())
+    with find_package_file(*package).open("rb") as file:
+        return SceneRays(decode_scene(file))
 
 
 def find_package_file(root: Place, name: str, sha256: str) -> Path:
@@ -73,7 +73,8 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
     """
     found = []
     folders = (root / SCENES, *scene_path())
-    for place in (place for folder in folders for place in packages_of(folder, name)):
+    places = [place for folder in folders for place in packages_of(folder, name)]
+    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):  # reading each would take long
         path = package_file(place)
         digest = digest_of(path)
         if digest == sha256:

@@ -22,6 +22,7 @@ from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
 from schemas.storage.place import Place, place_of
+from schemas.storage.shard_index import packed_place
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
 
@@ -122,7 +123,8 @@ class Dataset:
             raise IndexError(f"{self.root}: index {position} is out of range for {len(self)} episodes")
         (row,) = self.metadata.slice(position % len(self), 1).to_pylist()
         summary = _parse(self.root, row)
-        return Episode(self.root / file_name_of(summary.episode_id), summary, self.rig)
+        place = packed_place(self.root, summary.index)
+        return Episode(place or self.root / file_name_of(summary.episode_id), summary, self.rig)
 
     def _position(self, episode_id: str) -> int:
         position = int(pc.index(self.metadata["episode_id"], episode_id).as_py())

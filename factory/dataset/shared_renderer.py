@@ -1,13 +1,14 @@
-"""Renders frames of episodes for this process: one rendering process, shared by all threads and all episodes.
+"""Renders frames of episodes for this process, in rendering processes that all threads and all episodes share.
 
-A forked process starts another rendering process. The module reads no bundles.
+A forked process starts other rendering processes. The module reads no bundles.
 """
 
 from __future__ import annotations
 
 import os
 import threading
-from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple, cast
 
 from factory.dataset.packages import ScenePackage
@@ -15,13 +16,14 @@ from factory.support.settings import read_renderer
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
 from schemas.rig import Camera
-from schemas.scene import CompiledScene
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, RenderedFrame, Renderer
-from workers.render.choose import open_renderer
+from workers.render import CameraImage, RenderedFrame
+from workers.render.choose import open_apart
+from workers.render.process import ProcessRenderer
 
-_KEPT_SCENES = 2
+KEPT_SCENES = 4
+"""Number of scenes that a rendering process keeps prepared; the least recently used one is dropped."""
 _REMEDY = (
     "the episode stores states, and its frames are rendered with OpenGL: on Debian `apt-get install libegl1 "
     "libgl1-mesa-dri`; MINIVLA_RENDERER=tiny uses PyBullet's TinyRenderer, whose colours differ"
@@ -39,7 +41,10 @@ class View(NamedTuple):
 
 
 class SharedRenderer:
-    """Renderer that is opened at the first frame; threads take turns.
+    """Renderer for all threads of a process.
+
+    The first frame opens a rendering process. A thread that finds all of them busy opens another one, up to one for
+    each core.
 
     Args:
         kind: type of the renderer.
@@ -47,9 +52,10 @@ class SharedRenderer:
 
     def __init__(self, kind: RendererKind) -> None:
         self._kind = kind
-        self._turn = threading.Lock()
-        self._renderer: Renderer | None = None
-        self._scenes: OrderedDict[str, CompiledScene] = OrderedDict()
+        self._most = len(os.sched_getaffinity(0))
+        self._returned = threading.Condition()
+        self._free: list[ProcessRenderer] = []
+        self._opened = 0
         self._last = threading.local()
         self._warned: set[str] = set()
 
@@ -73,43 +79,55 @@ class SharedRenderer:
             ArchiveCorrupt: the package of the scene was not found.
             UsageError: moderngl is not installed; the message names the extra.
         """
-        with self._turn:
-            renderer = self._opened()
+        package = view.package
+        with self._borrowed(package.sha256) as renderer:
             self._warn_of_other(renderer.description, recorded_with)
-            renderer.load(self._scene(view.package), view.camera)
+            renderer.load_package(package.sha256, package.read, view.camera)
             return renderer.render(view.pose, view.size)
 
     def render_camera(self, package: ScenePackage, camera: Camera, pose: Pose, recorded_with: str) -> CameraImage:
         """Returns the image of a camera of a rig for a pose of base_link; arguments and errors as those of `render`."""
-        with self._turn:
-            renderer = self._opened()
+        with self._borrowed(package.sha256) as renderer:
             self._warn_of_other(renderer.description, recorded_with)
-            renderer.load(self._scene(package), CameraConfig())
+            renderer.load_package(package.sha256, package.read, CameraConfig())
             return renderer.render_camera(camera, pose)
 
     @property
     def description(self) -> str:
         """Description of the renderer, as episodes record it."""
-        with self._turn:
-            return self._opened().description
+        with self._borrowed() as renderer:
+            return renderer.description
 
-    def _scene(self, package: ScenePackage) -> CompiledScene:
-        """Returns a decoded scene; the most recently used ones are kept by digest."""
-        if package.sha256 not in self._scenes:
-            scene = package.decode()
-            while len(self._scenes) >= _KEPT_SCENES:
-                self._scenes.popitem(last=False)
-            self._scenes[package.sha256] = scene
-        self._scenes.move_to_end(package.sha256)
-        return self._scenes[package.sha256]
+    @property
+    def prepared_scenes(self) -> list[tuple[object, ...]]:
+        """SHA-256 of the scenes that each idle rendering process keeps prepared."""
+        with self._returned:
+            return [renderer.prepared for renderer in self._free]
 
-    def _opened(self) -> Renderer:
-        if self._renderer is None:
-            try:
-                self._renderer = open_renderer(self._kind, apart=True)
-            except WorldError as error:
-                raise WorldError(f"{error}; {_REMEDY}") from error
-        return self._renderer
+    @contextmanager
+    def _borrowed(self, sha256: str = "") -> Iterator[ProcessRenderer]:
+        """Yields a renderer to one thread, if possible one that has prepared the scene."""
+        with self._returned:
+            self._returned.wait_for(lambda: self._free or self._opened < self._most)
+            places = sorted(range(len(self._free)), key=lambda place: sha256 not in self._free[place].prepared)
+            renderer = self._free.pop(places[0]) if places else None
+            self._opened += renderer is None
+        try:
+            renderer = renderer or self._open()
+            yield renderer
+        finally:
+            with self._returned:
+                if renderer is None or not renderer.is_open:
+                    self._opened -= 1
+                else:
+                    self._free.append(renderer)
+                self._returned.notify()
+
+    def _open(self) -> ProcessRenderer:
+        try:
+            return open_apart(self._kind, kept_scenes=KEPT_SCENES)
+        except WorldError as error:
+            raise WorldError(f"{error}; {_REMEDY}") from error
 
     def _warn_of_other(self, here: str, recorded_with: str) -> None:
         if recorded_with in (here, *self._warned):

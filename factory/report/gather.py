@@ -21,6 +21,7 @@ from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import SceneInfo, decode_scene
 from schemas.storage.place import Place
+from schemas.storage.shard_index import episode_place
 
 ProgressCallback = Callable[[int, int], None]
 _TRACK_POINTS = 48
@@ -67,7 +68,7 @@ def _read_drive(
     root: Place, row: EpisodeSummary, is_sample: bool, infos: Mapping[str, SceneInfo], drives: Drives, rows: Rows
 ) -> None:
     name = file_name_of(row.episode_id)
-    with Episode(root / name, row) as episode:
+    with Episode(episode_place(root, row.index), row) as episode:
         try:
             tokens, track = episode.tokens, _thin(episode.poses[:, :2])
         except ArchiveCorrupt as error:

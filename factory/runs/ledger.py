@@ -12,11 +12,13 @@ from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
-from schemas.dataset_files import EPISODES, LEDGER_FILE, META_FILE, is_dataset
+from schemas.dataset_files import LEDGER_FILE, META_FILE, is_dataset
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
-from schemas.storage.place import Place, children
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import Place
+from schemas.storage.shard_index import shard_places
 from schemas.wire import Progress
 
 
@@ -35,7 +37,7 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
             f"the ledger of {site} is missing in {site.home}; {begin}, or rebuild the ledger with `factory repair "
             f"{site}`"
         )
-    if url is None and not (site.home / LEDGER_FILE).is_file() and (count := len(children(site.place / EPISODES))):
+    if url is None and not (site.home / LEDGER_FILE).is_file() and (count := len(list_episodes(site.place).episodes)):
         raise WorldError(
             f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair {site}`, or continue "
             "the run with the command that started it"
@@ -90,7 +92,9 @@ def progress_of(site: Site, url: str | None = None) -> Progress:
     location does not; there, heartbeats decide whether workers are alive.
     """
     with read_ledger(site, url) as connection:
-        progress = read_progress(connection, datetime.now(UTC))
+        progress = read_progress(connection, datetime.now(UTC)).model_copy(
+            update={"shards": len(shard_places(site.place))}
+        )
         has_coordinator = is_held(site.home) if url is None else has_writer(connection)
     if has_coordinator is not False:
         return progress

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +23,6 @@ from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.ledger import plan_of, require_outside_datasets
-from schemas.dataset import file_name_of
 from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
 from schemas.dataset_meta import DatasetMeta, described_as_frames
 from schemas.encoding.digest import frame_digest
@@ -30,7 +30,9 @@ from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
+from schemas.scene import decode_scene
 from schemas.storage.place import Place, children
+from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
 from schemas.wire import MAX_STATES_CHARS
 from workers.geometry.pose import Pose
@@ -101,7 +103,7 @@ def _require_recorded_frame(episode: Episode, kind: RendererKind) -> None:
     """Raises `WorldError` if a renderer gives another frame 0 than the recorded one."""
     with episode, open_renderer(kind, apart=True) as renderer:
         meta = episode.meta
-        renderer.load(episode.package.decode(), meta.job.camera)
+        renderer.load(decode_scene(io.BytesIO(episode.package.read())), meta.job.camera)
         frame = renderer.render(Pose.of(episode.poses[0]))
         if frame_digest(frame.rgb, frame.depth, frame.ids) != meta.sampled_digests[0]:
             raise differing_frame(meta, 0, renderer.description)
@@ -157,7 +159,7 @@ class StatesSource:
         draw, attempt, sha256 = self._files.get(job.index, (-1, -1, b""))
         if (draw, attempt) != (job.draw, job.attempt):
             return None
-        path = self._root / file_name_of(job.episode_id)
+        path = episode_place(self._root, job.index)
         try:
             data = path.read_bytes()
         except OSError as error:

@@ -15,7 +15,7 @@ import numpy as np
 from factory.runs.catalog import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
-from schemas.storage.place import Place
+from schemas.storage.place import FilePlace, Place
 from schemas.terms import RendererKind
 from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
@@ -41,7 +41,9 @@ class Replay:
         return self.archived_digest == self.replayed_digest
 
 
-def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step: Callable[[int, int], None]) -> Replay:
+def replay_episode(
+    root: Place, episode: FilePlace, renderer: RendererKind, on_step: Callable[[int, int], None]
+) -> Replay:
     """Simulates the job of an archived episode again; renders in a separate process, so that any program can call it.
 
     Args:

@@ -82,5 +82,5 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
         other_error=rollouts.navigation_errors(episodes_by_other, scenes, radius_m) if episodes_by_other else (),
         correlation=rollouts.correlations(episodes, scenes),
         overlap=counts.overlaps(episodes, plan),
-        far=rollouts.far_starts(episodes, scenes, radius_m),
+        far=rollouts.far_starts(episodes, scenes, radius_m, plan.spawn.far_floor_m[0]),
     )

@@ -167,8 +167,10 @@ class FarRow(Model):
     mean_m: float | None
     interval_m: Interval | None
     """95 % interval of the mean (Student's t), metres."""
+    least_m: float = 5.0
+    """Smallest distance along the floor that the plan permits, metres."""
     short: Share
-    """Share of starts less than 5 m from the target along the floor."""
+    """Share of starts less than `least_m` from the target along the floor."""
     corner: Share
     """Share of starts without a free straight line to the success region; they need a corner."""
 

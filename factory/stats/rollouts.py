@@ -16,8 +16,6 @@ from schemas.terms import Split, SuccessMeasure, Tier
 ALL = "all"
 """Name of the group of all episodes."""
 Episodes = Sequence[EpisodeSummary]
-_FAR_M = 5.0
-"""Smallest distance along the floor of a far start from the target, metres."""
 _STRAIGHT_M = 0.001
 """Largest difference between the geodesic and the straight distance on a free line, metres; poses are float32."""
 
@@ -81,19 +79,22 @@ def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
     )
 
 
-def far_starts(episodes: Episodes, scenes: Iterable[str], radius_m: float) -> tuple[FarRow, ...]:
+def far_starts(episodes: Episodes, scenes: Iterable[str], radius_m: float, least_m: float) -> tuple[FarRow, ...]:
     """Returns the distances along the floor of the far starts of each scene and of all scenes.
 
     Args:
         episodes: Rows of the episodes.
         scenes: Scene names of the plan.
         radius_m: Success radius, metres.
+        least_m: Smallest distance along the floor that the plan permits, metres.
     """
     far = [row for row in episodes if row.spawn_tier is Tier.FAR]
-    return tuple(_far_row(name, group, radius_m) for name, group in _groups(far, scenes, lambda row: row.scene))
+    return tuple(
+        _far_row(name, group, radius_m, least_m) for name, group in _groups(far, scenes, lambda row: row.scene)
+    )
 
 
-def _far_row(scene: str, group: Episodes, radius_m: float) -> FarRow:
+def _far_row(scene: str, group: Episodes, radius_m: float, least_m: float) -> FarRow:
     ways = [(row.geodesic_m + radius_m, row.spawn_dist_m) for row in group if row.geodesic_m is not None]
     lengths = [length for length, _ in ways]
     return FarRow(
@@ -101,7 +102,8 @@ def _far_row(scene: str, group: Episodes, radius_m: float) -> FarRow:
         n=len(ways),
         mean_m=mean_of(lengths),
         interval_m=interval_of(lengths),
-        short=share_of(sum(length < _FAR_M for length in lengths), len(ways)),
+        least_m=least_m,
+        short=share_of(sum(length < least_m for length in lengths), len(ways)),
         corner=share_of(sum(length > straight + _STRAIGHT_M for length, straight in ways), len(ways)),
     )
 

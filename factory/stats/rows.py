@@ -15,10 +15,11 @@ from factory.dataset.reader import Dataset
 from factory.dataset.table import read_table
 from factory.stats.model import Remark
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, FailedAttempt, file_name_of
+from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE, METADATA_FILE
 from schemas.dataset_meta import DatasetMeta
-from schemas.storage.place import Place, children
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import FilePlace, Place
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.terms import Split
 
@@ -93,11 +94,11 @@ def _without_duplicates(rows: Rows, episodes: list[EpisodeSummary]) -> list[Epis
 
 
 def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
-    found = {f"{EPISODES}/{place.name}": place for place in children(root / EPISODES)}
+    found = list_episodes(root).episodes
     if rows.episodes and not found and not (root / EPISODES).is_dir():
         rows.add_remark(EPISODES, "does not exist; the statistics use the tables only")
         return rows.episodes
-    sizes = {row.episode_id: _size_of(found.get(file_name_of(row.episode_id))) for row in rows.episodes}
+    sizes = {row.episode_id: _size_of(found.get(row.index)) for row in rows.episodes}
     missing = [name for name, size in sizes.items() if size is None]
     cut = [
         f"{row.episode_id} ({sizes[row.episode_id]} bytes, recorded {row.file_bytes})"
@@ -111,7 +112,7 @@ def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
     return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
 
 
-def _size_of(place: Place | None) -> int | None:
+def _size_of(place: FilePlace | None) -> int | None:
     try:
         return None if place is None else place.stat().st_size
     except OSError:

@@ -16,6 +16,7 @@ from schemas.instruction.referents import referents, referents_of
 from schemas.measure import target_in_view
 from schemas.scene import SceneInfo, read_scene_info
 from schemas.storage.place import Place
+from schemas.storage.shard_index import episode_place
 
 ProgressCallback = Callable[[int, int], None]
 
@@ -37,7 +38,7 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
     views = []
     for done, row in enumerate(chosen, 1):
         name = file_name_of(row.episode_id)
-        with Episode(root / name, row) as episode:
+        with Episode(episode_place(root, row.index), row) as episode:
             try:
                 view = read_view(episode, infos)
             except ArchiveCorrupt as error:

@@ -7,93 +7,36 @@ trainings need the same cache, the first one writes it under a lock and the othe
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import time
 import zipfile
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from factory.dataset.reader import Dataset, Episode
-from factory.train import preprocess
-from factory.train.labels import chosen_frames, label_episode, stop_frame
-from schemas.base import Model, Positive, Sha256
-from schemas.errors import UsageError, WorldError
-from schemas.plan import canonical_json
+from factory.dataset.reader import Dataset
+from factory.dataset.sampler import scene_numbers
+from factory.train.frames import (
+    MASK_SHRINK,
+    CacheKey,
+    FramesIndex,
+    LabelledSteps,
+    Pictures,
+    ProgressCallback,
+    TrainingFrames,
+    label_steps,
+    require_episodes,
+)
+from schemas.errors import WorldError
 from schemas.storage.disk import sync_directory, translated
 from workers.client.host_lock import exclusive_lock
 
-CACHE_FORMAT = 1
-MASK_SHRINK = 8
-"""Downscaling factor from the picture to the target mask: the resolution of the network's second stage."""
 _INDEX = "index.json"
 _POLL_S = 0.2
-ProgressCallback = Callable[[int, int], None]
 
 
-class CacheKey(Model):
-    """Inputs that determine the content of a cache."""
-
-    format: int = CACHE_FORMAT
-    look: int = preprocess.PREPROCESS_VERSION
-    dataset: Sha256
-    """Digest of the cached episodes."""
-    size: int
-    hold: int
-
-    @property
-    def name(self) -> str:
-        """Folder name of the cache."""
-        return hashlib.sha256(canonical_json(self).encode()).hexdigest()[:32]
-
-
-class CachedEpisode(Model):
-    """Rows of one episode in a cache."""
-
-    episode_id: str
-    instruction: str
-    category: str
-    first: int
-    frames: int
-
-
-class _Index(Model):
-    key: CacheKey
-    episodes: tuple[CachedEpisode, ...]
-    control_hz: int
-    fov_deg: Positive
-    max_speed_mps: Positive
-    max_yaw_rate_rps: Positive
-
-
-@dataclass(frozen=True)
-class FrameCache:
-    """Cached frames: N frames of the episodes in order, with memory-mapped pictures."""
-
-    index: _Index
-    rgb: NDArray[np.uint8]
-    """(N, S, S, 3) sRGB."""
-    depth: NDArray[np.uint16]
-    """(N, S, S) depth, millimetres."""
-    mask: NDArray[np.uint8]
-    """(N, S/8, S/8) share of each cell that shows the target, 0..255."""
-    actions: NDArray[np.float32]
-    """(N, 2) action labels: v in m/s and w in rad/s."""
-    is_stop: NDArray[np.bool_]
-    """(N,) whether the label is a stop."""
-    episode: NDArray[np.int32]
-    """(N,) index of the frame's episode in `index.episodes`."""
-
-    def __len__(self) -> int:
-        return len(self.actions)
-
-
-def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: ProgressCallback) -> FrameCache:
+def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: ProgressCallback) -> TrainingFrames:
     """Returns the frames of a dataset's episodes from the cache; decodes them if they are not cached.
 
     Args:
@@ -109,10 +52,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
         ArchiveCorrupt: An episode is damaged.
         WorldError: The cache cannot be written.
     """
-    if not len(dataset):
-        raise UsageError(
-            f"{dataset.root} has no episodes of this split, scene and tier; `factory status` prints those that it has"
-        )
+    require_episodes(dataset)
     key = CacheKey(dataset=dataset.digest, size=size, hold=hold)
     folder = root / key.name
 
@@ -131,7 +71,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
                     index = _read_index(folder)
     if index is None:
         raise WorldError(f"the cache {folder} was deleted while it was opened: run the command again")
-    return _open(folder, index)
+    return _open(folder, index, dataset)
 
 
 def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: ProgressCallback) -> None:
@@ -149,86 +89,46 @@ def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: ProgressCallback)
 
 
 def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback) -> None:
-    lengths = dataset.metadata["num_steps"].to_pylist()
-    chosen = [chosen_frames(steps, key.hold) for steps in lengths]
-    rows = sum(map(len, chosen))
-    side = key.size // MASK_SHRINK
-    create = np.lib.format.open_memmap
-    rgb = create(part / "rgb.npy", mode="w+", dtype=np.uint8, shape=(rows, key.size, key.size, 3))
-    depth = create(part / "depth.npy", mode="w+", dtype=np.uint16, shape=(rows, key.size, key.size))
-    mask = create(part / "mask.npy", mode="w+", dtype=np.uint8, shape=(rows, side, side))
-    actions, is_stop = np.zeros((rows, 2), np.float32), np.zeros(rows, np.bool_)
-    owner, episodes, first = np.zeros(rows, np.int32), [], 0
-    settings: set[tuple[int, float, float, float]] = set()
-    for number, (episode, frames) in enumerate(zip(dataset, chosen, strict=True)):
+    found = label_steps(dataset, key.size, key.hold, lambda _done, _of: None)
+    pictures = _create(part, len(found.step), key.size)
+    for number, (episode, rows) in enumerate(zip(dataset, found.index.episodes, strict=True)):
         with episode:
-            here = slice(first, first + len(frames))
-            settings.add(_settings(episode))
-            actions[here], is_stop[here] = _labels(episode, frames, key.hold)
-            owner[here] = number
-            target = episode.meta.target_instance_id
-            for row, t in enumerate(frames.tolist(), first):
-                frame = episode.frame(t)
-                rgb[row] = preprocess.shrink_rgb(frame.rgb, key.size)
-                depth[row] = preprocess.shrink_depth(frame.depth, key.size)
-                mask[row] = preprocess.shrink_mask(frame.ids, target, side)
-            episodes.append(_describe(episode, first, len(frames)))
-        first += len(frames)
-        tell(number + 1, len(lengths))
-    for array in (rgb, depth, mask):
-        array.flush()
-    np.savez(part / "labels.npz", actions=actions, is_stop=is_stop, episode=owner)
-    if len(settings) > 1:
-        raise UsageError(
-            f"{dataset.root} has scenes with different rates, cameras or robots: select one scene with --scene"
-        )
-    hz, fov, speed, yaw_rate = settings.pop()
-    index = _Index(
-        key=key,
-        episodes=tuple(episodes),
-        control_hz=hz,
-        fov_deg=fov,
-        max_speed_mps=speed,
-        max_yaw_rate_rps=yaw_rate,
-    )
-    (part / _INDEX).write_text(index.model_dump_json(), encoding="utf-8")
+            for row in range(rows.first, rows.first + rows.frames):
+                pictures.put(row, episode.frame(int(found.step[row])), episode.meta.target_instance_id)
+        tell(number + 1, len(dataset))
+    for array in pictures:
+        array.flush()  # type: ignore[union-attr]
+    _write_labels(part, found)
 
 
-def _settings(episode: Episode) -> tuple[int, float, float, float]:
-    job = episode.meta.job
-    return job.task.control_hz, job.camera.fov_deg, job.robot.max_speed_mps, job.robot.max_yaw_rate_rps
+def _create(part: Path, rows: int, size: int) -> Pictures:
+    """Returns new memory-mapped files."""
+    side = size // MASK_SHRINK
+    create = np.lib.format.open_memmap
+    rgb = create(part / "rgb.npy", mode="w+", dtype=np.uint8, shape=(rows, size, size, 3))
+    depth = create(part / "depth.npy", mode="w+", dtype=np.uint16, shape=(rows, size, size))
+    return Pictures(rgb, depth, create(part / "mask.npy", mode="w+", dtype=np.uint8, shape=(rows, side, side)))
 
 
-def _labels(episode: Episode, frames: NDArray[np.int64], hold: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    job = episode.meta.job
-    stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
-    return label_episode(episode.actions, frames, stop, hold)
+def _write_labels(part: Path, found: LabelledSteps) -> None:
+    np.savez(part / "labels.npz", actions=found.actions, is_stop=found.is_stop, episode=found.episode)
+    (part / _INDEX).write_text(found.index.model_dump_json(), encoding="utf-8")
 
 
-def _describe(episode: Episode, first: int, frames: int) -> CachedEpisode:
-    return CachedEpisode(
-        episode_id=episode.episode_id,
-        instruction=episode.instruction,
-        category=episode.summary.target_category,
-        first=first,
-        frames=frames,
-    )
-
-
-def _read_index(folder: Path) -> _Index | None:
+def _read_index(folder: Path) -> FramesIndex | None:
     try:
-        return _Index.model_validate_json((folder / _INDEX).read_bytes())
+        return FramesIndex.model_validate_json((folder / _INDEX).read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError:
         return None  # written by another version: written again
 
 
-def _open(folder: Path, index: _Index) -> FrameCache:
+def _open(folder: Path, index: FramesIndex, dataset: Dataset) -> TrainingFrames:
     try:
         rgb, depth, mask = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("rgb", "depth", "mask"))
         with (folder / "labels.npz").open("rb") as file, np.load(file) as labels:
             actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder; it is created again") from error
-    return FrameCache(index, rgb, depth, mask, actions, is_stop, episode)
+    return TrainingFrames(index, actions, is_stop, episode, scene_numbers(dataset)[episode], Pictures(rgb, depth, mask))

@@ -1,4 +1,4 @@
-"""Training loop: epochs over a cache, validation, and the state from which a training resumes. Accesses no files.
+"""Training loop: epochs over frames, validation, and the state from which a training resumes. Accesses no files.
 
 The random numbers of an epoch depend on (seed, epoch) only, so that a training that was interrupted after an epoch and
 resumed produces the same weights, bit for bit, on the same device with the same number of threads.
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from factory.dataset.sampler import shuffle_by_scene
 from factory.train import preprocess
-from factory.train.cache import FrameCache
+from factory.train.frames import TrainingFrames
 from factory.train.network import BcNetwork, NetworkOutput
 from factory.train.options import BcOptions
 from factory.train.preprocess import Batch, augment
@@ -87,7 +88,7 @@ class BcTraining:
         self._optimizer.load_state_dict(state["optimizer"])
         self.epochs_done, self._steps_done = int(state["epochs_done"]), int(state["steps_done"])
 
-    def run_epoch(self, train: FrameCache, val: FrameCache | None, tell: LossCallback) -> EpochMeasures:
+    def run_epoch(self, train: TrainingFrames, val: TrainingFrames | None, tell: LossCallback) -> EpochMeasures:
         """Trains for one epoch and validates the averaged weights.
 
         Args:
@@ -97,7 +98,7 @@ class BcTraining:
         """
         start_s = time.monotonic()
         rng = np.random.default_rng((self._options.seed, self.epochs_done))
-        order = rng.permutation(len(train))
+        order = np.concatenate(shuffle_by_scene(train.scene, rng))
         said = self._sentences(train)
         batches = max(1, len(order) // self._options.batch)
         steps = batches * self._options.epochs
@@ -152,7 +153,7 @@ class BcTraining:
         return 5 * twist * (1 - is_stop) + stop * weight
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
-    def _measure(self, val: FrameCache) -> dict[str, float | None]:
+    def _measure(self, val: TrainingFrames) -> dict[str, float | None]:
         self.mean.eval()
         said = self._sentences(val)
         losses, drives, stops, pointed = [], [], [], []
@@ -187,19 +188,19 @@ class BcTraining:
         action: NDArray[np.float32] = answer.action.cpu().numpy() * scale
         return action, (answer.stop > 0).cpu().numpy()
 
-    def _sentences(self, cache: FrameCache) -> NDArray[np.int64]:
+    def _sentences(self, frames: TrainingFrames) -> NDArray[np.int64]:
         """Returns the token indices of the instruction of every episode, (E, W)."""
         ablate = self._options.ablate_language
-        return np.stack([encode(episode.instruction, self._words, ablate) for episode in cache.index.episodes])
+        return np.stack([encode(episode.instruction, self._words, ablate) for episode in frames.index.episodes])
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self._device)
 
 
-def _read(cache: FrameCache, rows: NDArray[np.int64]) -> Batch:
-    pictures = preprocess.to_input(np.asarray(cache.rgb[rows]), np.asarray(cache.depth[rows]))
-    mask = np.asarray(cache.mask[rows]).astype(np.float32) / np.float32(255)
-    return Batch(pictures, mask, cache.actions[rows], cache.is_stop[rows])
+def _read(frames: TrainingFrames, rows: NDArray[np.int64]) -> Batch:
+    found = frames.pictures.take(rows)
+    mask = found.mask.astype(np.float32) / np.float32(255)
+    return Batch(preprocess.to_input(found.rgb, found.depth), mask, frames.actions[rows], frames.is_stop[rows])
 
 
 def _blocks(rows: int, size: int) -> Iterator[NDArray[np.int64]]:

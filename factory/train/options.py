@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 from factory.train.preprocess import PREPROCESS_VERSION, SIZES
 from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
 
-CHECKPOINT_FORMAT = 1
+CHECKPOINT_FORMAT = 2
 """Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""
 Head = Literal["continuous", "tokens"]
 
@@ -25,6 +25,8 @@ class BcOptions(Model):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128
     """Side of the network's input picture, pixels."""
+    antialias: Annotated[int, Field(ge=1)] | None = None
+    """Samples per pixel and axis of the frames of a states dataset; `None` gives the pictures of stored frames."""
     width: Annotated[int, Field(ge=4, le=256, multiple_of=4)] = 24
     """Channels of the first stage, a multiple of four (GroupNorm); later stages have two and four times as many."""
     hold: Annotated[int, Field(ge=1, le=60)] = 6

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+
+from factory.dataset.antialias import mean_of_blocks, middle_of_blocks
 
 PREPROCESS_VERSION = 1
 """Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and policies are not reused."""
@@ -29,21 +30,20 @@ def shrink_rgb(rgb: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     """Returns the mean colour of each pixel block, (size, size, 3).
 
     Args:
-        rgb: (640, 640, 3) sRGB.
-        size: One of `SIZES`.
+        rgb: (S, S, 3) sRGB; S is a multiple of `size`.
+        size: Width and height, pixels.
     """
-    return np.asarray(Image.fromarray(rgb).reduce(len(rgb) // size), np.uint8)
+    return mean_of_blocks(rgb, len(rgb) // size)
 
 
 def shrink_depth(depth: NDArray[np.float32], size: int) -> NDArray[np.uint16]:
     """Returns the depth at the centre of each block, (size, size) millimetres, at most `FAR_M`.
 
     Args:
-        depth: (640, 640) metres along the optical axis.
-        size: One of `SIZES`.
+        depth: (S, S) metres along the optical axis; S is a multiple of `size`.
+        size: Width and height, pixels.
     """
-    block = len(depth) // size
-    middle = depth[block // 2 :: block, block // 2 :: block]
+    middle = middle_of_blocks(depth, len(depth) // size)
     metres = np.where((middle <= 0) | (middle > FAR_M), FAR_M, middle)
     return np.rint(metres * _MM_PER_M).astype(np.uint16)
 

@@ -1,4 +1,4 @@
-"""Runs a training from a dataset to a folder: caches, epochs, checkpoints, logs. Resumes an interrupted training.
+"""Runs a training from a dataset to a folder: frames, epochs, checkpoints, logs. Resumes an interrupted training.
 
 The folder contains `policy.pt` (used by `--policy bc:OUT`), `state.pt` (the state to resume from), `metrics.json` and
 `tensorboard/`. Both checkpoints are written atomically after every epoch. Defines no network and no loss.
@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from factory.dataset.reader import Dataset
 from factory.support.settings import cache_directory
-from factory.train.cache import FrameCache, open_cache
+from factory.train.cache import open_cache
 from factory.train.checkpoint import (
     POLICY,
     STATE,
@@ -27,13 +27,15 @@ from factory.train.checkpoint import (
     write_atomically,
     write_checkpoint,
 )
+from factory.train.frames import TrainingFrames
 from factory.train.options import BcOptions, CheckpointMeta
+from factory.train.rendered import render_frames
 from factory.train.report import EpochMeasures, TrainReport
 from factory.train.torch_import import choose_device, load_torch, require_logs, summary_writer
 from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import translated
-from schemas.terms import Split
+from schemas.terms import Recording, Split
 
 if TYPE_CHECKING:
     from factory.train.fit import BcTraining
@@ -53,6 +55,8 @@ class TrainOrder:
     device: str = "auto"
     minutes: float | None = None
     """Time limit, minutes: no epoch starts that would end later. `None` means no limit."""
+    memory_bytes: int = 2_000_000_000
+    """Memory for the rendered frames of each split of a states dataset; does not change the result."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class TrainCallbacks:
     """Callbacks of a training."""
 
     caching: Callable[[int, int], None]
-    """Called with decoded and total episodes."""
+    """Called with decoded (of a states dataset: labelled) and total episodes."""
     learning: Callable[[int, int, int, float], None]
     """Called with finished epochs, finished and total batches of the current epoch, and its mean loss."""
     measured: Callable[[EpochMeasures], None]
@@ -79,7 +83,7 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     device = choose_device(order.device)
     require_logs()
     resumed = _check_folder(order)
-    train, val = _caches(order, callbacks)
+    train, val = _frames(order, callbacks)
     meta = _meta(order, train)
     if resumed is not None:
         _require_same_data(resumed, meta, order.out)
@@ -142,8 +146,10 @@ def _describe_data(meta: CheckpointMeta) -> str:
     return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}"
 
 
-def _caches(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[FrameCache, FrameCache | None]:
-    root, options = cache_directory() / "train", order.options
+def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrames, TrainingFrames | None]:
+    options = order.options
+    if options.antialias is not None and order.dataset.meta.plan.record is Recording.FRAMES:
+        raise UsageError(f"--antialias {options.antialias}: {order.dataset.root} stores frames, which are not rendered")
     part = order.dataset.filter(split=order.split)
     if not len(part):
         found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
@@ -156,14 +162,18 @@ def _caches(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[FrameCache, F
         if callbacks.is_stopped():
             raise KeyboardInterrupt
 
-    train = open_cache(part, options.size, options.hold, root, tell)
+    def frames_of(dataset: Dataset) -> TrainingFrames:
+        if order.dataset.meta.plan.record is Recording.FRAMES:
+            return open_cache(dataset, options.size, options.hold, cache_directory() / "train", tell)
+        return render_frames(dataset, options.size, options.hold, options.antialias, order.memory_bytes, tell)
+
     val = (
         order.dataset.filter(split=Split.VAL_ID) if order.split is not Split.VAL_ID else order.dataset.filter(split=())
     )
-    return train, open_cache(val, options.size, options.hold, root, tell) if len(val) else None
+    return frames_of(part), frames_of(val) if len(val) else None
 
 
-def _meta(order: TrainOrder, train: FrameCache) -> CheckpointMeta:
+def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
     index = train.index
     version = importlib.metadata.version("minivla-factory")
     return CheckpointMeta(
@@ -215,8 +225,8 @@ def _log(log: Any, measured: EpochMeasures) -> None:
 def _report(
     order: TrainOrder,
     training: BcTraining,
-    train: FrameCache,
-    val: FrameCache | None,
+    train: TrainingFrames,
+    val: TrainingFrames | None,
     epochs: list[EpochMeasures],
     device: str,
 ) -> TrainReport:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from types import MappingProxyType
 
@@ -15,14 +15,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.cells import cells
 from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
-from factory.dataset.reader import Dataset
+from factory.dataset.reader import Dataset, Episode
 from factory.scenes.targets.target_list import list_file_name
-from factory.verify.episode import EpisodeCheck, check_episode, target_of
+from factory.support.logs import configure_logs
+from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import (
@@ -32,13 +32,16 @@ from schemas.dataset_files import (
     META_FILE,
     METADATA_FILE,
     SCENES,
+    SHARDS_FILE,
     SPLITS_FOLDER,
     is_part,
 )
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.job import episode_id
-from schemas.storage.place import Place, at_hand, children, table_of
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import Place, at_hand, children, relative_name, table_of
+from schemas.terms import Recording
 
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
 
@@ -64,6 +67,7 @@ def verify(
     on_progress: ProgressCallback = lambda _done, _all: None,
     processes: int = 1,
     render: int = 0,
+    reference: Place | None = None,
 ) -> VerifyReport:
     """Verifies a dataset.
 
@@ -77,11 +81,12 @@ def verify(
         on_progress: Called with the number of checked episodes and the total.
         processes: Number of processes that check episodes; 1 runs in the calling process.
         render: Number of episodes, evenly spread, whose frames are rendered again and compared with their digests.
+        reference: Frames recording of the same episodes, with which rendered frames of a states recording are compared.
 
     Raises:
         WorldError: The dataset does not exist, its format is newer than this software, or frames are to be rendered
             and this machine cannot.
-        UsageError: Frames are to be rendered, and the episodes have no exact poses.
+        UsageError: Frames are to be rendered, and the episodes have no exact poses; or the reference stores no frames.
     """
     report = VerifyReport(root, deep)
     try:
@@ -95,9 +100,11 @@ def verify(
     _check_tables(dataset, rows, report)
     drawn = _drawn_again(rows, render)
     report.rendered = len(drawn)
-    checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report, drawn)
-    for done, findings in enumerate(_run_checks(checks, processes), 1):
-        report.findings += findings
+    frames_of = _reference_episodes(reference, [rows[name] for name in drawn])
+    checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report, drawn, frames_of)
+    for done, result in enumerate(_run_checks(checks, processes), 1):
+        report.findings += result.findings
+        report.difference.merge(result.difference)
         on_progress(done, len(rows))
     if deep:
         _check_quotas(dataset.meta, rows, report)
@@ -136,36 +143,60 @@ def _drawn_again(rows: Rows, count: int) -> set[str]:
     return chosen
 
 
+def _reference_episodes(root: Place | None, rows: Iterable[EpisodeSummary]) -> dict[str, Episode]:
+    """Returns the episodes of a reference by id, as far as it has them with the same number of steps."""
+    if root is None:
+        return {}
+    reference = Dataset(root)
+    if reference.meta.plan.record is not Recording.FRAMES:
+        raise UsageError(f"--reference {root} stores no frames; `factory render` makes a dataset that stores them")
+    held = set(reference.metadata["episode_id"].to_pylist())
+    found = {row.episode_id: reference[row.episode_id] for row in rows if row.episode_id in held}
+    return {
+        row.episode_id: found[row.episode_id] for row in rows if len(found.get(row.episode_id, ())) == row.num_steps
+    }
+
+
 def _plan_checks(
-    rows: Rows, scenes: dict[str, SceneEntry], report: VerifyReport, drawn: Collection[str]
+    rows: Rows,
+    scenes: dict[str, SceneEntry],
+    report: VerifyReport,
+    drawn: Collection[str],
+    frames_of: Mapping[str, Episode],
 ) -> list[EpisodeCheck]:
     checks = []
     for row in rows.values():
         target, findings = target_of(row, scenes.get(row.scene))
         report.findings += findings
-        checks.append(EpisodeCheck(report.root, row, target, report.deep, row.episode_id in drawn))
+        name = row.episode_id
+        checks.append(EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name)))
     return checks
 
 
-def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Finding]]:
+def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:
     if processes <= 1 or len(checks) <= 1:
         yield from map(check_episode, checks)
         return
     fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
-    with ProcessPoolExecutor(min(processes, len(checks)), mp_context=fresh) as pool:
+    with ProcessPoolExecutor(min(processes, len(checks)), fresh, initializer=configure_logs) as pool:
         yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
 
 
 def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
-    for entry in children(root / EPISODES):
-        name = f"{EPISODES}/{entry.name}"
-        index = index_of_file(entry.name) if entry.is_file() and not entry.is_symlink() else None
-        if index is None:
-            report.add(Kind.FOREIGN, name, "is not named like an episode")
-        elif episode_id(index) not in rows:
+    listed = list_episodes(root)
+    for foreign in listed.foreign:
+        report.add(Kind.FOREIGN, relative_name(foreign, root), "is not named like an episode")
+    for name, damage in listed.damaged.items():
+        report.add(Kind.DAMAGED, f"{EPISODES}/{name}", f"{damage}; `factory repair` keeps its intact episodes")
+    for text in listed.twice:
+        report.add(Kind.SURPLUS, EPISODES, f"{text}; `factory repair` keeps one of equal ones")
+    if listed.index_fault:
+        report.add(Kind.CONTRADICTION, SHARDS_FILE, f"{listed.index_fault}; rewrite it with `factory repair`")
+    for index, path in listed.episodes.items():
+        if episode_id(index) not in rows:
             report.add(
                 Kind.SURPLUS,
-                name,
+                relative_name(path, root),
                 f"{METADATA_FILE} does not list it (during a run, the table is updated with a delay)",
             )
     for entry in children(root):

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.episode import Episode
+from factory.verify.difference import RenderDifference
 from factory.verify.rendering import compare_rendered
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
-from schemas.dataset import EpisodeSummary, file_name_of, summary_of
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
-from schemas.storage.place import Place, at_hand
+from schemas.storage.place import Place, opened
+from schemas.storage.shard_index import episode_place
 
 _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
 
@@ -31,23 +36,32 @@ class EpisodeCheck:
     deep: bool
     render: bool = False
     """Whether to render frames again and compare them with their digests."""
+    reference: Episode | None = None
+    """The same episode in a frames recording, to measure how far pixels differ."""
 
 
-def check_episode(check: EpisodeCheck) -> list[Finding]:
-    """Returns all findings of an episode file.
+class EpisodeFindings(NamedTuple):
+    """Result of the check of one episode."""
+
+    findings: list[Finding]
+    difference: RenderDifference
+    """Comparison of rendered frames; empty if none were rendered."""
+
+
+def check_episode(check: EpisodeCheck) -> EpisodeFindings:
+    """Returns all findings of an episode file, and the comparison of its rendered frames.
 
     They concern size and SHA-256, with `deep` every frame, the motion and the row, with `render` the rendered frames.
 
     Raises:
         WorldError: frames are to be rendered, and this machine cannot.
     """
-    row = check.row
-    path = check.root / file_name_of(row.episode_id)
+    row, difference = check.row, RenderDifference()
     found: list[Finding] = []
     try:
-        with at_hand(path) as local, local.open("rb") as file:
+        with opened(episode_place(check.root, row.index)) as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            size = file.tell()
+            size = file.seek(0, os.SEEK_END)
             if size != row.file_bytes:
                 found.append(Finding(Kind.TRUNCATED, row.file_name, f"{size} bytes, recorded {row.file_bytes}"))
             elif sha256 != row.file_sha256:
@@ -60,7 +74,8 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
             if check.render:
                 with EpisodeBundle(file, check.root) as episode:
-                    found += [Finding(Kind.RENDERED, row.file_name, text) for text in compare_rendered(episode)]
+                    texts = compare_rendered(episode, difference, check.reference)
+                found += [Finding(Kind.RENDERED, row.file_name, text) for text in texts]
     except FileNotFoundError:
         found.append(Finding(Kind.MISSING, row.file_name, "is missing"))
     except InvalidBundle as error:
@@ -69,7 +84,7 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be rendered: {error}"))
     except OSError as error:
         found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
-    return found
+    return EpisodeFindings(found, difference)
 
 
 def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | None, list[Finding]]:

@@ -2,95 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-from numpy.typing import NDArray
 
-from coordinator.validation.rollout import arrival_findings
+from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.episode import Episode, Frame
 from factory.dataset.shared_renderer import shared_renderer
+from factory.verify.difference import RenderDifference
 from schemas.encoding.digest import frame_digest
-from schemas.episode import EpisodeMeta
 from schemas.terms import Recording
-from workers.render import RenderedFrame
 
 
-def compare_rendered(bundle: EpisodeBundle) -> list[str]:
+def compare_rendered(
+    bundle: EpisodeBundle, difference: RenderDifference, reference: Episode | None = None
+) -> list[str]:
     """Renders every frame with a recorded digest and returns the findings.
 
-    A finding about digests has the number of differing frames and both renderers; if frames are stored, also how far
-    colour, depth and ids differ: largest difference, share of the values, and mean difference of the differing frames.
+    Args:
+        bundle: open episode.
+        difference: the frames are added to it. How far pixels differ is measured if they are stored: in the episode, or
+            in the reference.
+        reference: the same episode in a frames recording.
 
     Raises:
         WorldError: this machine cannot render.
-        ArchiveCorrupt: the scene package is missing or was changed.
+        ArchiveCorrupt: the scene package is missing or was changed, or the reference cannot be read.
     """
     job, digests = bundle.meta.job, bundle.meta.frame_digests
     steps = range(bundle.length) if job.record is Recording.FRAMES else job.sampled_steps(bundle.length)
     found: list[str] = []
     differing: list[int] = []
     target_pixels: dict[int, int] = {}
-    distances = {name: _Distance() for name in ("rgb", "depth", "ids")}
     for t, recorded in zip(steps, digests, strict=False):  # a wrong number of digests is another finding
         frame = bundle.render(t)
         if t == 0 and not bundle.has_frames:  # the validator has checked stored frames
             found += start_findings(bundle.meta, bundle.arrays, frame.ids)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
-        if frame_digest(frame.rgb, frame.depth, frame.ids) != recorded:
-            differing.append(t)
-            if bundle.has_frames:
-                _add_distances(distances, bundle, t, frame)
-    found += _visibility_findings(bundle.meta, target_pixels)
+        if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:
+            difference.add_equal(frame.depth.size, bundle.has_frames or reference is not None)
+            continue
+        differing.append(t)
+        stored = _stored_frame(bundle, reference, t)
+        if stored is not None and reference is not None and frame_digest(*stored) != recorded:
+            found.append(f"frame {t} of the reference {reference.path} is not the recorded one")
+            stored = None
+        difference.add_differing(stored, Frame(frame.rgb, frame.depth, frame.ids))
+    found += visibility_findings(bundle.meta, target_pixels)
     if not bundle.has_frames and bundle.length - 1 in target_pixels:
         found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
-    return [*found, _digest_finding(bundle, differing, distances)] if differing else found
+    difference.recorded_with.add(bundle.meta.provenance.fingerprint.renderer)
+    difference.rendered_with.add(shared_renderer().description)
+    return [*found, _digest_finding(bundle, differing)] if differing else found
 
 
-def _digest_finding(bundle: EpisodeBundle, differing: list[int], distances: dict[str, _Distance]) -> str:
-    text = (
+def _stored_frame(bundle: EpisodeBundle, reference: Episode | None, t: int) -> Frame | None:
+    """Returns the recorded frame, or `None` if neither the episode nor a reference stores it."""
+    if bundle.has_frames:
+        return Frame(bundle.rgb(t), bundle.depth(t), bundle.ids(t))
+    return None if reference is None else reference.frame(t)
+
+
+def _digest_finding(bundle: EpisodeBundle, differing: list[int]) -> str:
+    return (
         f"{len(differing)} of {len(bundle.meta.frame_digests)} frames differ when they are rendered again, first frame "
         f"{differing[0]}; recorded with {bundle.meta.provenance.fingerprint.renderer}, rendered with "
         f"{shared_renderer().description}"
     )
-    return "; ".join([text, *(f"{name}: {far}" for name, far in distances.items() if bundle.has_frames)])
-
-
-def _visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> list[str]:
-    """Returns a finding if the recorded visibility of the target contradicts the rendered frames.
-
-    Args:
-        meta: metadata of the episode.
-        target_pixels: number of pixels of the target by rendered step.
-    """
-    seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
-    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
-    if said is None or seen <= said <= most:
-        return []
-    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} rendered frames show the target"]
-
-
-def _add_distances(distances: dict[str, _Distance], bundle: EpisodeBundle, t: int, frame: RenderedFrame) -> None:
-    distances["rgb"].add(bundle.rgb(t), frame.rgb)
-    distances["depth"].add(bundle.depth(t), frame.depth)
-    distances["ids"].add(bundle.ids(t), frame.ids)
-
-
-class _Distance:
-    """Distance between recorded and rendered images of one modality."""
-
-    def __init__(self) -> None:
-        self._largest = self._sum = 0.0
-        self._unequal = self._values = 0
-
-    def add(self, recorded: NDArray[np.generic], rendered: NDArray[np.generic]) -> None:
-        apart = np.abs(recorded.astype(np.float64) - rendered.astype(np.float64))
-        self._largest = max(self._largest, float(apart.max()))
-        self._sum += float(apart.sum())
-        self._unequal += int(np.count_nonzero(apart))
-        self._values += apart.size
-
-    def __str__(self) -> str:
-        share, mean = 100 * self._unequal / self._values, self._sum / self._values
-        return f"largest difference {self._largest:.4g}, {share:.3g} % of the values, mean {mean:.3g}"

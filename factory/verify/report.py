@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from factory.verify.difference import RenderDifference
 from schemas.storage.place import Place
 
 
@@ -48,6 +49,8 @@ class VerifyReport:
     digest: str | None = None
     """Digest of the dataset, computed from its tables; `None` when they cannot be read."""
     findings: list[Finding] = field(default_factory=list)
+    difference: RenderDifference = field(default_factory=RenderDifference)
+    """Comparison of the frames that were rendered again with the recorded ones."""
 
     @property
     def ok(self) -> bool:

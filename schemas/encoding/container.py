@@ -144,6 +144,41 @@ class ContainerReader:
         """Returns the size of a member in bytes without reading it."""
         return self._members[name][1]
 
+    def offset(self, name: str) -> int:
+        """Returns the offset of a member's local header according to the directory."""
+        return self._members[name][0]
+
+
+class LocalHeader(NamedTuple):
+    """Local header of a stored member."""
+
+    name: str
+    """Name of the member."""
+    size: int
+    """Size of the member, bytes."""
+    crc: int
+    """CRC-32 of the member."""
+
+
+def local_header_bytes(name: str) -> int:
+    """Returns the size of the local header that `ContainerWriter` writes before a member."""
+    return _LOCAL.size + len(name.encode())
+
+
+def read_local_header(data: bytes, at: int = 0) -> LocalHeader | None:
+    """Returns the local header at an offset, or `None` if `ContainerWriter` does not write these bytes.
+
+    A name that is not ASCII gives `None`, too.
+    """
+    if len(data) < at + _LOCAL.size:
+        return None
+    mark, version, flags, method, *time, crc, packed, size, name_bytes, extra_bytes = _LOCAL.unpack_from(data, at)
+    encoded = data[at + _LOCAL.size : at + _LOCAL.size + name_bytes]
+    fixed = (mark, version, flags, method, tuple(time), extra_bytes)
+    if fixed != (_LOCAL_MARK, _VERSION, 0, _STORED, _EPOCH, 0) or packed != size:
+        return None
+    return LocalHeader(encoded.decode(), size, crc) if len(encoded) == name_bytes and encoded.isascii() else None
+
 
 _Member = tuple[int, int, int, bytes]
 """Directory entry of a member: offset of its local header, size in bytes, CRC-32, encoded name. A plain tuple, because

@@ -69,13 +69,41 @@ def set_aside(path: Path, folder: Path, reason: str) -> Path:
     place = folder / f"{path.name}.{secrets.token_hex(4)}"
     with translated("move into", folder):
         path.rename(place)
-        place.with_name(f"{place.name}.reason.txt").write_text(f"{path}\n{reason}\n", encoding="utf-8")
-        sync_directory(folder)
+        _explain(place, str(path), reason)
         sync_directory(path.parent)
+    return place
+
+
+def set_copy_aside(data: bytes, origin: str, folder: Path, reason: str) -> Path:
+    """Writes the content of a file into a folder under a unique name, and the reason to a file beside it.
+
+    Args:
+        data: content of the file.
+        origin: path of the file, which need not be a path of the file system.
+        folder: folder of the copy.
+        reason: why the file is set aside.
+
+    Returns:
+        The path of the copy.
+
+    Raises:
+        WorldError: the folder cannot be written.
+    """
+    place = folder / f"{origin.rpartition('/')[2]}.{secrets.token_hex(4)}"
+    with replacing(place, durable=True) as part:
+        part.write_bytes(data)
+    with translated("write into", folder):
+        _explain(place, origin, reason)
+    return place
+
+
+def _explain(place: Path, origin: str, reason: str) -> None:
+    """Writes the origin and the reason to a file beside a quarantined file, and logs them."""
+    place.with_name(f"{place.name}.reason.txt").write_text(f"{origin}\n{reason}\n", encoding="utf-8")
+    sync_directory(place.parent)
     import structlog  # not at the start of each process that reads a dataset, which it would slow down
 
-    structlog.get_logger(__name__).warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
-    return place
+    structlog.get_logger(__name__).warning("quarantined", file=origin, moved_to=str(place), reason=reason)
 
 
 def sync_file(path: Path) -> None:
@@ -123,7 +151,7 @@ def replacing(path: Path, *, part: Path | None = None, durable: bool = False) ->
 
 
 @contextlib.contextmanager
-def translated(what: str, where: Path) -> Iterator[None]:
+def translated(what: str, where: object) -> Iterator[None]:
     """Converts an `OSError` of the block to a `WorldError` that names the path and the remedy."""
     try:
         yield
@@ -131,7 +159,7 @@ def translated(what: str, where: Path) -> Iterator[None]:
         raise world_error(what, where, error) from error
 
 
-def world_error(what: str, where: Path, error: OSError) -> WorldError:
+def world_error(what: str, where: object, error: OSError) -> WorldError:
     """Returns the error to raise: `cannot <what> <where>`, the reason and the remedy."""
     remedy = _REMEDIES.get(error.errno or 0, "check the disk, or choose another --out")
     return WorldError(f"cannot {what} {where}: {error.strerror or error}; {remedy}")

@@ -21,8 +21,11 @@ _TAIL_BYTES = 512 << 10
 frames, so that one request opens it."""
 
 
-class _Stat(NamedTuple):
+class Stat(NamedTuple):
+    """Part of `os.stat_result` that paths in object storage and in shards have."""
+
     st_size: int
+    """Size of the file, bytes."""
 
 
 class ObjectPath:
@@ -94,9 +97,9 @@ class ObjectPath:
         """Returns the content of an object as text."""
         return self.read_bytes().decode(encoding)
 
-    def stat(self) -> _Stat:
+    def stat(self) -> Stat:
         """Returns the size of an object, from the listing that contained it or else from the store."""
-        return _Stat(self.objects.head(self.key).size if self._size is None else self._size)
+        return Stat(self.objects.head(self.key).size if self._size is None else self._size)
 
     def is_file(self) -> bool:
         """Returns whether the path is an object; sends no request for a path from a listing."""
@@ -122,9 +125,14 @@ class ObjectPath:
         yield from (ObjectPath(self.objects, key) for key in folders)
         yield from (ObjectPath(self.objects, found.key, found.size) for found in files)
 
-    def walk(self) -> Iterator[ObjectPath]:
-        """Yields all objects below a folder, recursively, with their sizes."""
-        return (ObjectPath(self.objects, found.key, found.size) for found in self.objects.walk(self.key))
+    def walk(self, after: str = "") -> Iterator[ObjectPath]:
+        """Yields all objects below a folder, recursively, with their sizes.
+
+        Args:
+            after: name in the folder; objects whose keys precede it are omitted.
+        """
+        found = self.objects.walk(self.key, f"{self.key}/{after}" if after else None)
+        return (ObjectPath(self.objects, one.key, one.size) for one in found)
 
     def glob(self, pattern: str) -> Iterator[ObjectPath]:
         """Yields the entries of the folder whose name matches a pattern."""

@@ -12,7 +12,7 @@ import errno
 import functools
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -104,9 +104,11 @@ class Objects:
         """Returns the key and size of an object."""
         return Listed(key, self._call("read", key, lambda api, store: api.head(store, key))["size"])
 
-    def walk(self, folder: str) -> Iterator[Listed]:
-        """Yields all objects below a folder, recursively."""
-        batches = iter(self._call("list", folder, lambda api, store: api.list(store, folder, chunk_size=_BATCH)))
+    def walk(self, folder: str, after: str | None = None) -> Iterator[Listed]:
+        """Yields all objects below a folder, recursively; with `after` only those with greater keys."""
+        batches = iter(
+            self._call("list", folder, lambda api, store: api.list(store, folder, offset=after, chunk_size=_BATCH))
+        )
         while (batch := self._call("list", folder, lambda _api, _store: next(batches, None))) is not None:
             yield from (Listed(found["path"], found["size"]) for found in batch)
 
@@ -119,10 +121,15 @@ class Objects:
         """Copies an object within the store."""
         self._call("copy", key, lambda api, store: api.copy(store, key, to))
 
-    def delete(self, key: str) -> None:
-        """Deletes an object, if it exists."""
+    def delete(self, *keys: str) -> None:
+        """Deletes objects, if they exist."""
+        for start in range(0, len(keys), _BATCH):
+            self._delete(keys[start : start + _BATCH])
+
+    def _delete(self, keys: Sequence[str]) -> None:
+        paths = keys[0] if len(keys) == 1 else list(keys)
         with contextlib.suppress(FileNotFoundError):
-            self._call("delete", key, lambda api, store: api.delete(store, key))
+            self._call("delete", keys[0], lambda api, store: api.delete(store, paths))
 
     def _call(self, what: str, key: str, action: Callable[[Any, Any], Any]) -> Any:
         import obstore

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import tempfile
 from collections.abc import Iterator
+from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 from urllib.parse import unquote, urlsplit
@@ -13,12 +14,16 @@ from urllib.parse import unquote, urlsplit
 from schemas.errors import UsageError
 from schemas.storage.disk import translated
 from schemas.storage.object_path import ObjectPath
+from schemas.storage.packed_path import PackedPath
 from schemas.support.foreign import path_trouble
 
 if TYPE_CHECKING:
     from pyarrow import BufferReader
 
 Place: TypeAlias = Path | ObjectPath
+"""File or folder of a dataset."""
+FilePlace: TypeAlias = Path | ObjectPath | PackedPath
+"""File of a dataset, which may be packed in a shard."""
 
 
 def place_of(name: str | Place) -> Place:
@@ -52,12 +57,12 @@ def children(folder: Place) -> list[Place]:
         return []
 
 
-def relative_name(place: Place, root: Place) -> str:
+def relative_name(place: FilePlace, root: Place) -> str:
     """Returns the path of a file relative to its dataset."""
     return str(place).removeprefix(f"{root}/")
 
 
-def digest_of(place: Place) -> str:
+def digest_of(place: FilePlace) -> str:
     """Returns the SHA-256 of a file; reads it once and stores no copy."""
     if isinstance(place, Path):
         with place.open("rb") as file:
@@ -69,8 +74,8 @@ def digest_of(place: Place) -> str:
 
 
 @contextlib.contextmanager
-def at_hand(place: Place) -> Iterator[Path]:
-    """Yields the local path of a file: the file itself, or a temporary copy of an object.
+def at_hand(place: FilePlace) -> Iterator[Path]:
+    """Yields the local path of a file: the file itself, or a temporary copy of an object or a packed file.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -86,6 +91,21 @@ def at_hand(place: Place) -> Iterator[Path]:
                 with translated("copy an episode into", copy.parent):
                     file.write(piece)
         yield copy
+
+
+@contextlib.contextmanager
+def opened(place: FilePlace) -> Iterator[BufferedReader | BytesIO]:
+    """Yields an open file with the content of a file: the file itself, a temporary copy of an object, or memory.
+
+    Raises:
+        FileNotFoundError: the file does not exist.
+        WorldError: the store does not answer, or the disk is full.
+    """
+    if isinstance(place, PackedPath):
+        yield place.open("rb")
+        return
+    with at_hand(place) as local, local.open("rb") as file:
+        yield file
 
 
 def table_of(place: Place) -> Path | BufferReader:

@@ -116,6 +116,7 @@ def test_a_plan_is_shown_with_its_categories_templates_and_expected_ambiguity(fa
     assert "expected ambiguity: 50.0% of the instructions fit several objects of the scene" in shown
     assert "50.0% get a start that shows only the target, 0.0% do not" in shown
     content = factory.json("plan", "show", plan)["content"]
+    assert content["far_corner_shares"] == {}
     assert {row["category"]: (row["episodes"], row["share"]) for row in content["categories"]} == {
         "chair": (20, 0.5),
         "trash_can": (20, 0.5),

@@ -2,7 +2,7 @@
 
 Wall-clock times are meaningful only on an otherwise idle machine; the table shows the load before each benchmark.
 
-    python -m tests.benchmarks.figures [rollout] [coordinator] [read]
+    python -m tests.benchmarks.figures [rollout] [render] [coordinator] [read] [loader]
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from typing import Any, NamedTuple
 from factory.cli.common.output import print_table
 
 BENCHES = {
-    "rollout": ["--against", "plain"],
-    "coordinator": ["--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"],
-    "read": [],
+    "rollout": ["rollout", "--against", "plain"],
+    "render": ["render", "--size", "224"],
+    "coordinator": ["coordinator", "--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"],
+    "read": ["read"],
+    "loader": ["read", "--size", "224"],
 }
 
 
@@ -61,14 +63,36 @@ def of_read(report: dict[str, Any]) -> Iterator[Figure]:
     yield Figure("random frames (colour, depth, ids)/s a core", report["random_frames_per_s"]["median"], 250)
 
 
-FIGURES = {"rollout": of_rollout, "coordinator": of_coordinator, "read": of_read}
+def of_render(report: dict[str, Any]) -> Iterator[Figure]:
+    """Frames of 224 x 224 pixels: colour, depth and ids, rendered on one core."""
+    for scene, found in report["scenes"].items():
+        yield Figure(f"{scene}: 224 x 224 frames/s a core", found["frames_per_s"]["median"], 250)
+
+
+def of_loader(report: dict[str, Any]) -> Iterator[Figure]:
+    """PyTorch loader of rendered frames on all cores; the target is for two cores."""
+    rates = {name: report[f"{name}_frames_per_s"] for name in ("one_thread", "threads", "loader")}
+    if all(rates.values()):  # torch is installed
+        alone, *others = (rate["median"] for rate in rates.values())
+        yield Figure("rendered frames/s, loader with one thread", alone, 250)
+        for name, rate in zip(("threads", "worker processes"), others, strict=True):
+            yield Figure(f"the same with {name}, times one thread", rate / alone, 1.7)
+
+
+FIGURES = {
+    "rollout": of_rollout,
+    "render": of_render,
+    "coordinator": of_coordinator,
+    "read": of_read,
+    "loader": of_loader,
+}
 
 
 def main(names: list[str]) -> None:
     """Runs the named benchmarks, or all, and prints their results."""
     rows = []
     for name in names or list(BENCHES):
-        command = [sys.executable, "-m", "factory", "bench", name, *BENCHES[name], "--json"]
+        command = [sys.executable, "-m", "factory", "bench", *BENCHES[name], "--json"]
         report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
         rows += [figure.row() for figure in FIGURES[name](report)]
         rows.append((f"(load before `bench {name}`)", report["machine"]["load_1m"], "", ""))

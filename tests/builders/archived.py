@@ -12,11 +12,12 @@ from coordinator.expansion.draw import to_job
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import ledger_url_of, planned_of
+from coordinator.packing import pack_settled
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset import summary_of
-from schemas.terms import FailReason
+from schemas.terms import FailReason, Recording
 from schemas.wire import Done
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
@@ -30,12 +31,15 @@ class ArchivedRun:
         planned: number of planned episodes.
         done: number of archived episodes.
         misses: number of failed attempts of the first episode; two exhaust a draw.
+        record: what the episodes store.
     """
 
-    def __init__(self, root: Path, planned: int = 3, done: int = 3, misses: int = 0) -> None:
+    def __init__(
+        self, root: Path, planned: int = 3, done: int = 3, misses: int = 0, record: Recording = Recording.FRAMES
+    ) -> None:
         self.root = root
         root.mkdir()
-        self.plan = room_plan(planned, attempts_per_draw=2, draws=3)
+        self.plan = room_plan(planned, record, attempts_per_draw=2, draws=3)
         self.catalog = room_catalog(root.parent)
         self.url = ledger_url_of(root)
         self.desk = Desk(self.plan, self.url)
@@ -46,7 +50,7 @@ class ArchivedRun:
             for _ in range(misses):
                 assert self.desk.fail(self.lease_of(1), FailReason.TIMEOUT)
             for index in range(1, done + 1):
-                self._archive_episode(archive, index)
+                self.archive_episode(archive, index)
             self._write_tables(archive)
         self.desk.engine.dispose()
 
@@ -72,6 +76,15 @@ class ArchivedRun:
         """Returns the input of a repair of this directory."""
         return RepairInput(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
+    def pack(self, size: int, *, is_over: bool = True) -> int:
+        """Packs the settled ranges of that size and writes the tables; returns the number of packed episodes."""
+        with open_archive(self.root) as archive:
+            with self.desk.engine.connect() as connection:
+                packed = pack_settled(archive, connection, self.plan, is_over, size)
+            self._write_tables(archive)
+        self.desk.engine.dispose()
+        return packed
+
     def file(self, index: int) -> Path:
         return self.root / "episodes" / f"ep_{index:06d}.zip"
 
@@ -84,7 +97,8 @@ class ArchivedRun:
         """Returns the state of the current draw of each episode."""
         return {row.idx: row.state for row in self.desk.rows() if not row.superseded}
 
-    def _archive_episode(self, archive: Archive, index: int) -> None:
+    def archive_episode(self, archive: Archive, index: int) -> None:
+        """Claims, announces and archives an episode."""
         lease = self.lease_of(index)
         data = self.bundle(index)
         digest = hashlib.sha256(data).hexdigest()

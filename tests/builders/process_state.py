@@ -106,3 +106,16 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
         if (present := signal.getsignal(number)) != handler:
             yield f"handler of {signal.Signals(number).name}: {present} instead of {handler}"
             signal.signal(number, handler)
+
+
+def children_of(pid: int) -> set[int]:
+    """Returns the child processes of a process."""
+    found = set()
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and fields[0] != "Z":
+            found.add(int(status.parent.name))
+    return found

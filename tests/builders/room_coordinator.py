@@ -1,6 +1,7 @@
 """Coordinator of a minimal run as a process for kill tests.
 
-`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [RECORD [STORE]]]]`
+`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [RECORD [STORE]]]]`. Episodes of states are packed by ranges of
+`SHARD_EPISODES`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from schemas.storage.object_path import ObjectPath
 from schemas.terms import Recording
 from tests.builders.ledger import room_catalog, room_plan
 from workers.client.stopping import stop_on_signals
+
+SHARD_EPISODES = 4
 
 
 def main() -> None:
@@ -31,6 +34,7 @@ def main() -> None:
         reserve_bytes=0,
         transport_lease_s=2.0,
         checkpoint_s=checkpoint_s,
+        shard_episodes=SHARD_EPISODES,
     )
     plan = room_plan(episodes, record, crashes=crashes)
     with (

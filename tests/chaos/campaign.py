@@ -42,6 +42,8 @@ train_id = 1.0
 name = "hospital"
 episodes = {episodes}
 """
+_PACKING_S = 0.3
+"""Interval of checkpoints, which pack, seconds."""
 log = Console(stderr=True, highlight=False)
 
 
@@ -71,9 +73,10 @@ def run_campaign(
         kept: tally file to continue from; written after each round.
     """
     tally = Tally.load(kept) if kept is not None else Tally()
-    plans = {commands.crashes: commands for commands in command_sets}
+    plans = {(commands.crashes, commands.record): commands for commands in command_sets}
     reference = {
-        crashes: reference_digest(commands, root / f"reference-{crashes}") for crashes, commands in plans.items()
+        key: reference_digest(commands, root / f"reference-{'-'.join(map(str, key))}")
+        for key, commands in plans.items()
     }
     log.print(f"reference digest: {', '.join(reference.values())}")
     before, started = tally.seconds, time.monotonic()
@@ -85,9 +88,8 @@ def run_campaign(
                 is_on = time.monotonic() - started < 60 * minutes and tally.faults.total() < faults
                 while is_on and len(playing) < at_once and (number := next(numbers, None)) is not None:
                     commands, place = command_sets[number % len(command_sets)], root / f"round-{number}"
-                    playing.add(
-                        pool.submit(run_round, commands, place, load, seed + number, reference[commands.crashes], stop)
-                    )
+                    wanted = reference[commands.crashes, commands.record]
+                    playing.add(pool.submit(run_round, commands, place, load, seed + number, wanted, stop))
                 if not playing:
                     return tally
                 done, playing = wait(playing, return_when=FIRST_COMPLETED)
@@ -153,7 +155,7 @@ def main() -> int:
         "--record",
         choices=tuple(Recording),
         default=Recording.FRAMES,
-        help="What the episodes of a fake simulation store (default frames).",
+        help="What the episodes of a fake simulation store (default frames); episodes of states are packed.",
     )
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     parser.add_argument("--root", type=Path, help="Working directory (default: a temporary folder).")
@@ -195,8 +197,9 @@ def _command_sets(options: argparse.Namespace, root: Path) -> tuple[ClusterComma
         budgets = (LARGE_CRASH_BUDGET, Budget().crashes) if options.peers else (LARGE_CRASH_BUDGET,)
         choices = itertools.product(budgets, sorted({0, options.gateways}))
         record = Recording(options.record)
+        checkpoint_s = _PACKING_S if record is Recording.STATES else 30.0
         command_sets = [
-            fake_commands(options.episodes, 2.0, number, crashes=crashes, record=record) for crashes, number in choices
+            fake_commands(options.episodes, 2.0, number, checkpoint_s, crashes, record) for crashes, number in choices
         ]
     return tuple(replace(commands, longest_s=options.longest or commands.longest_s) for commands in command_sets)
 

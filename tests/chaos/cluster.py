@@ -62,7 +62,7 @@ class ClusterCommands:
     crashes: int = LARGE_CRASH_BUDGET
     """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
     record: Recording = Recording.FRAMES
-    """What an episode stores."""
+    """What an episode stores; episodes of states are packed into shards."""
 
     @property
     def plan(self) -> Plan:
@@ -247,6 +247,16 @@ class ChaosCluster(Closing):
     def kill_coordinator(self, pause_s: float) -> FaultSpan | None:
         """Kills a serving coordinator; `tend` restarts it after a pause."""
         return self._kill(self.coordinator, pause_s) if self._serves(self.coordinator, self._endpoint) else None
+
+    def kill_packing_coordinator(self, wait_s: float, delay_s: float) -> FaultSpan | None:
+        """Kills the coordinator a delay after it begins a shard; returns `None` if it begins none within a time."""
+        deadline = time.monotonic() + wait_s
+        while not any((self.out / ".staging").glob("shard*.part")):
+            if time.monotonic() > deadline:
+                return None
+            time.sleep(0.001)
+        time.sleep(delay_s)
+        return self.kill_coordinator(0.0)
 
     def kill_gateway(self, number: int, pause_s: float) -> FaultSpan | None:
         """Kills a serving gateway; `tend` restarts it after a pause."""

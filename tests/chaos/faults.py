@@ -8,6 +8,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping
 
+from schemas.terms import Recording
 from tests.chaos.cluster import LARGE_CRASH_BUDGET, LEASE_S, ChaosCluster
 from tests.chaos.fault_span import FaultSpan
 
@@ -33,6 +34,9 @@ FAULTS: Mapping[str, Fault] = {
     "kill -9 supervisor": lambda cluster, n, _rng: cluster.kill_worker(n),
     "kill -9 simulation": lambda cluster, n, rng: cluster.kill_simulation(n, rng),
     "kill -9 coordinator": lambda cluster, _n, rng: cluster.kill_coordinator(rng.uniform(0.0, 0.5)),
+    "kill -9 coordinator while it packs": lambda cluster, _n, rng: cluster.kill_packing_coordinator(
+        1.0, rng.uniform(0.0, 0.03)
+    ),
     "SIGTERM supervisor": lambda cluster, n, _rng: cluster.terminate_worker(n),
     "SIGSTOP supervisor beyond the lease": lambda cluster, n, rng: cluster.freeze_worker(
         n, rng.uniform(1.1, 2.0) * LEASE_S
@@ -57,6 +61,8 @@ def possible(cluster: ChaosCluster) -> list[str]:
     missing = {"full disk", "slow disk"} if cluster.disk is None else set(cluster.disk.missing)
     if not cluster.gateways:
         missing |= _GATEWAYS
+    if cluster.gateways or cluster.commands.record is not Recording.STATES:
+        missing.add("kill -9 coordinator while it packs")
     if not cluster.commands.has_small_disk:
         missing.add("full disk")
     if cluster.commands.crashes < LARGE_CRASH_BUDGET:

@@ -44,6 +44,17 @@ def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(record, 
 
 
 @pytest.mark.slow
+def test_kills_while_packing_neither_lose_nor_double_episodes(tmp_path):
+    commands = fake_commands(24, 0.3, checkpoint_s=0.3, record=Recording.STATES)
+    reference = reference_digest(commands, tmp_path / "reference")
+    load = FaultLoad(workers=2, faults=FAULTS, pause_s=(0.02, 0.2))
+    tally = run_round(commands, tmp_path / "faults", load, 3, reference)
+    assert tally.violations == []
+    assert tally.outcomes["success"] == tally.episodes == 24
+    assert tally.faults.total() >= FAULTS // 2
+
+
+@pytest.mark.slow
 def test_a_hostile_peer_and_a_faulty_host_neither_change_nor_lose_episodes(tmp_path):
     commands = fake_commands(EPISODES, 1.0, crashes=Budget().crashes)  # as in a default plan
     reference = reference_digest(commands, tmp_path / "reference")

@@ -11,7 +11,11 @@ from coordinator.gateway.gather import gather
 from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.validation.validator import Validator
 from schemas.encoding.digest import dataset_digest
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.packed_path import PackedPath
+from schemas.terms import Recording
 from tests.builders.ledger import room_catalog
+from tests.builders.room_coordinator import SHARD_EPISODES
 from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.hostile_peer import HOSTILE_HOST
 
@@ -25,7 +29,7 @@ def gather_problems(cluster: ChaosCluster) -> Iterator[str]:
     """Gathers the episodes of the gateways into the dataset; yields what could not be gathered."""
     if not cluster.gateways:
         return
-    report = gather(_repair_input(cluster), cluster.stores, datetime.now(UTC))
+    report = gather(_repair_input(cluster), cluster.stores, datetime.now(UTC), shard_episodes=SHARD_EPISODES)
     yield from (f"{one.episode} is not intact at {one.gateway}: {one.why}" for one in report.missing)
     for store in cluster.stores:
         parts = list((store / ".staging").iterdir())
@@ -36,11 +40,15 @@ def gather_problems(cluster: ChaosCluster) -> Iterator[str]:
 def violations_of(cluster: ChaosCluster) -> Iterator[str]:
     """Yields lost, duplicated and torn data of an ended run."""
     wanted = set(range(1, cluster.commands.episodes + 1))
-    files = {path.name: path for path in (cluster.out / "episodes").iterdir()}
-    if set(files) != {f"ep_{index:06d}.zip" for index in wanted}:
+    listed = list_episodes(cluster.out)
+    files = listed.episodes
+    if set(files) != wanted:
         yield f"files {sorted(files)[:5]}... of {len(files)}, wanted {len(wanted)}"
+    unpacked = [index for index, path in files.items() if not isinstance(path, PackedPath)]
+    if cluster.commands.record is Recording.STATES and unpacked:
+        yield f"episodes {unpacked[:5]} are not packed"
     for index, sha256 in cluster.query("select idx, sha256 from episodes"):
-        path = files.get(f"ep_{index:06d}.zip")
+        path = files.get(index)
         if path is not None and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
             yield f"episode {index} is torn"
     if cluster.outcomes()["success"] != len(wanted):

@@ -20,6 +20,7 @@ import pytest
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.terms import RendererKind
+from tests.builders.process_state import children_of
 from tests.builders.scene import Box, box_room, build_scene
 from workers.geometry.pose import Pose
 from workers.render import RenderedFrame, Renderer
@@ -34,19 +35,6 @@ REMEDIES = "'spawn' or 'forkserver'|open it in the process that uses it"
 
 def digest(frame: RenderedFrame) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in (frame.rgb, frame.depth, frame.ids))).hexdigest()
-
-
-def children_of(pid: int) -> set[int]:
-    """Returns the child processes of a process."""
-    found = set()
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = status.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == pid and fields[0] != "Z":
-            found.add(int(status.parent.name))
-    return found
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import get_args
@@ -21,7 +22,7 @@ from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room, build_scene, room_walls
 from workers.experts.observation import LazyFrame
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame, Renderer, Window, WindowRenderer
+from workers.render import PartialRenderer, RenderedFrame, Renderer, Window
 from workers.render import choose as choose_module
 from workers.render.choose import open_renderer
 
@@ -399,29 +400,46 @@ def test_a_depth_and_id_frame_equals_the_frame_without_colour(renderer: Renderer
 
 
 @pytest.mark.gl
-def test_a_window_of_depth_and_ids_equals_that_part_of_the_frame() -> None:
+def test_an_instance_rendered_alone_has_the_pixels_of_the_frame() -> None:
     rng = np.random.default_rng(3)
     with open_renderer("gl") as renderer:
-        assert isinstance(renderer, WindowRenderer)
+        assert isinstance(renderer, PartialRenderer)
         renderer.load(furnished_room(), CAMERA)
         for x, y, yaw in rng.uniform((-2.0, -2.0, -3.0), (2.0, 2.0, 3.0), (12, 3)).tolist():
             pose = Pose.planar(x, y, yaw)
             whole = renderer.render_depth_and_ids(pose)
-            windows = [renderer.window_of(pose, int(number)) for number in range(1, 12)]
-            for number, window in enumerate(windows, 1):
-                outside = whole.ids.copy()
-                outside[window.top : window.bottom, window.left : window.right] = 0
-                assert not (outside == number).any()
-            for window in (*windows, Window(352, 160, 608, 480), Window(0, 639, 1, 640), Window(5, 5, 5, 9)):
-                part, wanted = renderer.render_window(pose, window), whole.cut(window)
+            for number in range(1, 12):
+                window, part = renderer.render_instance(pose, number)
+                ids, depth = np.zeros_like(whole.ids), np.zeros_like(whole.depth)
                 if not window.is_empty:
-                    np.testing.assert_array_equal(part.depth, wanted.depth)
-                    np.testing.assert_array_equal(part.ids, wanted.ids)
+                    ids[window.top : window.bottom, window.left : window.right] = part.ids
+                    depth[window.top : window.bottom, window.left : window.right] = part.depth
+                np.testing.assert_array_equal(ids == number, whole.ids == number)
+                np.testing.assert_array_equal(depth[ids == number], whole.depth[ids == number])
             np.testing.assert_array_equal(renderer.render(pose).ids, whole.ids)  # the next frame is whole again
 
 
 @pytest.mark.gl
-def test_measurements_from_windows_equal_those_from_the_frame() -> None:
+def test_near_pixels_are_counted_as_in_the_frame() -> None:
+    rng = np.random.default_rng(4)
+    windows = (Window(352, 160, 608, 480), Window(0, 0, 640, 640), Window(300, 600, 340, 640))
+    counts = []
+    with open_renderer("gl") as renderer:
+        assert isinstance(renderer, PartialRenderer)
+        renderer.load(furnished_room(), CAMERA)
+        for x, y, yaw in rng.uniform((-2.0, -2.0, -3.0), (2.0, 2.0, 3.0), (40, 3)).tolist():
+            pose = Pose.planar(x, y, yaw)
+            whole = renderer.render_depth_and_ids(pose)
+            for window, depth_m in itertools.product(windows, (0.25, 0.6, 2.0)):
+                depth = whole.cut(window).depth
+                counts.append(renderer.count_within(pose, window, depth_m))
+                assert counts[-1] == np.count_nonzero((depth > 0) & (depth < depth_m))
+    assert 0 in counts
+    assert max(counts) > 1000
+
+
+@pytest.mark.gl
+def test_measurements_from_parts_equal_those_from_the_frame() -> None:
     job = job_for(task=TaskConfig())
     with open_renderer("gl") as renderer:
         renderer.load(furnished_room(), CAMERA)

@@ -22,11 +22,15 @@ from coordinator.validation.validator_child import judge
 from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
 from factory.verify.dataset import verify
-from schemas.dataset_files import EPISODES
+from schemas.dataset_files import EPISODES, SHARDS_FILE
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.packed_path import PackedPath
+from schemas.storage.shard_index import ShardIndex, open_shard, read_index, write_index
+from schemas.storage.shards import MAX_SHARD_EPISODES, read_shard, write_shard
 from tests.builders.bundle import bundle_bytes, job_for
 from tests.builders.dataset import chair, make_dataset, office_package
 from tests.builders.stage import StageText, room_body
@@ -36,6 +40,7 @@ from workers.process.messages import read_report
 CORPUS = Path(__file__).parent / "corpus"
 Mutate = Callable[[random.Random, bytes, Sequence[bytes]], bytes]
 _VERBS = tuple(Verb)
+_SHARD = "shard_000001-001000-01234567.zip"
 _ZIPFILE_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -114,6 +119,30 @@ def _containers(_folder: Path) -> list[bytes]:
     return [ours.getvalue(), theirs.getvalue()]
 
 
+def _read_shards(data: bytes, folder: Path) -> None:
+    """Reads the bytes as a shard, by its directory or its headers, and as the index of an intact shard."""
+    root = folder / "packed"
+    (root / EPISODES).mkdir(parents=True, exist_ok=True)
+    (root / EPISODES / _SHARD).write_bytes(data)
+    (root / SHARDS_FILE).write_bytes(data)
+    shard, _ = open_shard(root / EPISODES / _SHARD)
+    for number, path in ShardIndex.of(root / EPISODES, [shard]):
+        _or_none(PackedPath.read_bytes, path)
+        assert 1 <= number <= MAX_SHARD_EPISODES, f"episode {number} is outside of the range"
+    list_episodes(root)
+    index = read_index(root)
+    for _, path in index or ():
+        _or_none(PackedPath.read_bytes, path)
+
+
+def _shards(folder: Path) -> list[bytes]:
+    """A shard, and its index."""
+    file, index = io.BytesIO(), folder / "seed.parquet"
+    write_shard(file, ((number, bytes([number]) * 40 * number) for number in (1, 2, 5)))
+    write_index(index, ShardIndex.of(folder / EPISODES, [read_shard(file, _SHARD)]))
+    return [file.getvalue(), index.read_bytes()]
+
+
 def _read_bundle(data: bytes, folder: Path) -> None:
     path = folder / "bundle.zip"
     path.write_bytes(data)
@@ -174,6 +203,7 @@ TARGETS: Mapping[str, Target] = MappingProxyType(
         "messages": Target(_read_message, _messages),
         "plans": Target(_read_plan, _plans),
         "containers": Target(_read_container, _containers),
+        "shards": Target(_read_shards, _shards),
         "bundles": Target(_read_bundle, _bundles, mutate_members),
         "scenes": Target(_read_scene, lambda _folder: [office_package()], mutate_members),
         "tables": Target(_read_tables, _tables),

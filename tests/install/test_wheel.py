@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 
 from schemas.support.extras import EXTRA_OF
+from schemas.terms import Recording
 from tests.builders.dataset import make_dataset
+from tests.builders.driven import make_driven
 from tests.builders.shared import build_once
 from tests.install.interpreters import VERSIONS, Installed, build_wheel, find_python, install
 
-READER = Path(__file__).with_name("reader.py")
+READER, STATES_READER = (Path(__file__).with_name(name) for name in ("reader.py", "states_reader.py"))
 SIMULATING = (
     ("run", "demo", "--out", "made"),
     ("worker",),
@@ -81,6 +83,28 @@ def test_base_install_reads_exports_and_displays_a_dataset(
         environment.run("factory", "export", "dataset", "--to", export, "-o", f"out-{export}", cwd=folder)
     installed = environment.run("python", "-m", "pip", "list", "--format", "freeze", cwd=folder).stdout.lower()
     assert not [name for name in ("pybullet", "eclipse-zenoh", "moderngl", "sqlalchemy") if name in installed]
+
+
+@pytest.mark.gl
+@every_version
+def test_the_render_extra_reads_states_without_pybullet(
+    wheel: Path, shared: Path, tmp_path: Path, version: str
+) -> None:
+    python = find_python(version)
+    if python is None:
+        pytest.skip(f"Python {version} is not installed")
+    states = build_once(shared / "driven-states", lambda folder: make_driven(folder, Recording.STATES))
+    environment = install(python, version, tmp_path / "venv", wheel, "[render]")
+    said = environment.run("python", STATES_READER, states, cwd=tmp_path).stdout
+    assert "without pybullet, zenoh, sqlalchemy, torch" in said
+    environment.run("factory", "verify", states, "--render", "all", cwd=tmp_path)
+    tiny = environment.run(
+        "factory", "verify", states, "--render", "1", cwd=tmp_path, expect=2, MINIVLA_RENDERER="tiny"
+    )
+    assert "the renderer tiny needs " in tiny.stderr
+    no_egl = {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"}
+    bare = environment.run("factory", "verify", states, "--render", "1", cwd=tmp_path, expect=1, **no_egl)
+    assert "apt-get install libegl1 libgl1-mesa-dri" in bare.stderr
 
 
 @every_version

@@ -27,7 +27,7 @@ from tests.builders.scene import box_room
 from workers.render.choose import open_renderer
 from workers.sim.scene_renderer import SceneRenderer
 
-LOOP = ["start", "render", "read-back", "control", "png rgb", "depth", "png ids", "bundle", "physics", "route"]
+LOOP = ["start", "render", "read-back", "control", "physics", "png rgb", "depth", "png ids", "bundle", "route"]
 LEAK_MIB = 20.0
 """A frame has 3.7 MiB; one lost in each of the 16 episodes that are compared would be three times as much."""
 

@@ -283,3 +283,14 @@ def test_a_slurm_task_returns_the_exit_status_of_its_worker(tmp_path, status, lo
     assert task.returncode == status
     assert out == f"{tmp_path}/minivla-me worker --connect tls/hub:7447 --tls /pki --cores 4 --connect-timeout 600\n"
     assert not cluster.told.exists()
+
+
+def test_the_image_pins_every_package_that_determines_pixels() -> None:
+    text = (DEPLOY / "Dockerfile").read_text()
+    (arguments,) = re.findall(r"^ARG (.*)$", text, re.MULTILINE)
+    versions = dict(word.split("=", 1) for word in shlex.split(arguments))
+    (installed,) = re.findall(r"apt-get install -y --no-install-recommends(.*?)&&", text, re.DOTALL)
+    packages = dict(word.split("=$", 1) for word in re.findall(r'"([^"]+)"', installed))
+    assert packages.keys() == {"libegl1", "libegl-mesa0", "libgl1-mesa-dri", "libglapi-mesa", "libllvm15"}
+    assert all(re.match(r"(\d+:)?\d+\.\d", versions[name]) for name in packages.values())
+    assert [word for word in installed.split() if word != "\\" and not word.startswith('"')] == []

@@ -330,7 +330,7 @@ def test_reader_verification_and_statistics_agree_for_a_bucket(store: ObjectPath
     kinds = sorted((str(finding.kind), finding.file) for finding in verify(store).findings)
     assert ("changed", "episodes/ep_000002.zip") in kinds
     assert ("missing", "episodes/ep_000003.zip") in kinds
-    assert ("foreign", "episodes/sub") in kinds
+    assert ("foreign", "episodes/sub/ep_000001.zip") in kinds
     assert "ep_000003" in measure_dataset(store).remarks[0].text
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,7 +19,8 @@ from PIL import Image
 
 from coordinator.tables.split_faults import find_faults
 from factory.dataset.reader import Dataset
-from factory.dataset.torch import FrameDataset
+from factory.dataset.sampler import SceneSampler
+from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.dataset_files import SCENES
 from schemas.errors import UsageError
@@ -126,6 +129,13 @@ def test_the_tables_of_a_states_dataset_have_no_thumbnails_and_no_faults(states:
     assert "rgb_front" not in card
 
 
+def test_the_card_names_the_software_that_gives_identical_frames(states: Dataset) -> None:
+    card = (Path(str(states.root)) / "README.md").read_text()
+    fingerprint = states[0].meta.provenance.fingerprint
+    versions = fingerprint.software["minivla-factory"], fingerprint.software["libc"]
+    assert f"| {fingerprint.renderer} | {versions[0]} | {versions[1]} | x86_64 |" in card
+
+
 def test_a_contact_sheet_of_both_recordings_is_equal(recordings: dict[Recording, Path], tmp_path: Path) -> None:
     pictures = []
     for record, root in recordings.items():
@@ -175,3 +185,56 @@ def test_without_egl_the_message_names_the_remedy(states: Dataset) -> None:
     error = read_in_new_process(Path(str(states.root)), __EGL_VENDOR_LIBRARY_DIRS="/nowhere")
     assert "OpenGL 4.5 with EGL is not available on this machine" in error
     assert "apt-get install libegl1 libgl1-mesa-dri" in error
+
+
+def test_training_samples_of_another_size_are_equal_for_both_recordings(frames: Dataset, states: Dataset) -> None:
+    options: dict[str, int] = {"size": 48, "antialias": 2}
+    picks = [0, 45, 3, 100]
+    both = [FrameDataset(data, with_ids=True, **options).__getitems__(picks) for data in (frames, states)]
+    for one, other in zip(*both, strict=True):
+        assert one["rgb"].shape == (48, 48, 3)
+        for name in one:
+            assert np.array_equal(one[name], other[name])  # type: ignore[literal-required]
+    frame = states[0].frame(3, **options)
+    large = states[0].frame(3, size=96)
+    assert np.array_equal(both[1][2]["rgb"], frame.rgb)
+    assert np.array_equal(frame.rgb, np.asarray(Image.fromarray(large.rgb).reduce(2)))
+    assert np.array_equal(frame.depth, large.depth[1::2, 1::2])
+    assert np.array_equal(frame.ids, large.ids[1::2, 1::2])
+
+
+def test_clips_of_both_recordings_are_equal(frames: Dataset, states: Dataset) -> None:
+    one, other = (ClipDataset(data, 3, stride=5, size=32).__getitems__([0, 60]) for data in (frames, states))
+    for clip, same in zip(one, other, strict=True):
+        assert clip["rgb"].shape == (3, 32, 32, 3)
+        for name in clip:
+            assert np.array_equal(clip[name], same[name])  # type: ignore[literal-required]
+
+
+def test_a_frame_that_is_too_large_is_refused(states: Dataset) -> None:
+    with pytest.raises(UsageError, match="frame size 2560 is not valid: choose 1 to 2048 pixels"):
+        states[0].frame(0, antialias=4)
+
+
+@pytest.fixture
+def torch_may_watch_its_workers() -> Iterator[None]:
+    """A `DataLoader` with worker processes installs a handler of SIGCHLD and leaves it."""
+    handler = signal.getsignal(signal.SIGCHLD)
+    yield
+    signal.signal(signal.SIGCHLD, handler)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+@pytest.mark.usefixtures("torch_may_watch_its_workers")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> None:
+    torch = pytest.importorskip("torch")
+    source = FrameDataset(states, size=32, stride=40)
+    order = SceneSampler(source, seed=3)
+    alone = [source[index] for index in order]
+    loader = torch.utils.data.DataLoader(
+        source, 2, sampler=order, num_workers=2, multiprocessing_context=method, collate_fn=collate
+    )
+    found = [image for batch in loader for image in batch["rgb"].numpy()]
+    assert len(found) == len(source)
+    assert all(np.array_equal(image, sample["rgb"]) for image, sample in zip(found, alone, strict=True))

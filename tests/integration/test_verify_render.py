@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from factory.verify.report import Kind, VerifyReport
 from schemas.bundle import BundleReader, BundleWriter
@@ -90,14 +92,67 @@ def test_a_false_visibility_and_a_forbidden_start_view_of_a_states_recording_are
     assert any(text.startswith("start: the target is ") for text in found)
 
 
-def test_the_distance_of_stored_frames_is_reported(copy: Callable[[Recording], Path]) -> None:
+def test_the_distance_of_stored_frames_is_reported_by_channel(copy: Callable[[Recording], Path]) -> None:
     root = copy(Recording.FRAMES)
     rewrite(root / EPISODES / "ep_000001.zip", 2)
-    (text,) = texts(verify(root, render=MAX_EPISODES), Kind.RENDERED)
+    report = verify(root, render=MAX_EPISODES)
+    (text,) = texts(report, Kind.RENDERED)
     assert text.startswith("1 of ")
     assert "first frame 2" in text
-    assert "rgb: largest difference 1, " in text
-    assert "depth: largest difference 0, 0 % of the values" in text
+    found = report.difference.plain()
+    frames = sum(map(len, Dataset(root)))
+    assert (found["frames"], found["measured"], found["differing"]) == (frames, frames, 1)
+    for name in ("red", "green", "blue"):
+        assert found["channels"][name]["largest"] == 1
+        assert 0 < found["channels"][name]["mean"] == found["channels"][name]["share"] <= 1 / frames
+    assert found["channels"]["depth"] == {"share": 0, "largest": 0, "mean": 0}
+    assert found["channels"]["ids"] == {"share": 0}
+
+
+def run_verify(root: Path, *options: object, expect: int, **environment: str) -> str:
+    command = [sys.executable, "-m", "factory", "verify", str(root), "--render", "1", *map(str, options)]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
+    assert done.returncode == expect, done.stderr
+    return done.stdout
+
+
+def test_pixels_of_another_renderer_are_compared_with_a_reference(recordings: Recordings) -> None:
+    states, frames = recordings[Recording.STATES], recordings[Recording.FRAMES]
+    printed = run_verify(states, "--reference", frames, "--json", expect=1, MINIVLA_RENDERER="tiny")
+    found = json.loads(printed)["difference"]
+    assert (found["frames"], found["differing"], found["measured"]) == (3, 3, 3)
+    assert found["recorded_with"] == [Dataset(states)[0].meta.provenance.fingerprint.renderer]
+    assert found["rendered_with"][0].startswith("PyBullet TinyRenderer")
+    for name in ("red", "green", "blue"):
+        assert 0 < found["channels"][name]["mean"] < found["channels"][name]["largest"] <= 255
+    assert found["channels"]["depth"]["mean"] < 0.05
+    assert 0 < found["channels"]["ids"]["share"] < 0.05
+    table = run_verify(states, "--reference", frames, expect=1, MINIVLA_RENDERER="tiny")
+    assert "3 of 3 rendered frames differ; recorded with " in table
+    assert "3 frames compared; colours in levels of 255, depth in metres" in table
+
+
+def test_without_stored_pixels_the_option_for_a_reference_is_named(recordings: Recordings) -> None:
+    printed = run_verify(recordings[Recording.STATES], expect=1, MINIVLA_RENDERER="tiny")
+    assert "the recorded pixels are not stored; --reference compares with a dataset that stores them" in printed
+
+
+def test_a_reference_without_frames_is_refused(recordings: Recordings) -> None:
+    with pytest.raises(UsageError, match="stores no frames; `factory render` makes a dataset that stores them"):
+        verify(recordings[Recording.STATES], render=1, reference=recordings[Recording.STATES])
+
+
+def test_frames_of_a_reference_that_were_not_recorded_are_found(
+    copy: Callable[[Recording], Path], recordings: Recordings
+) -> None:
+    root = copy(Recording.STATES)
+    rewrite(root / EPISODES / "ep_000001.zip", 0)
+    report = verify(root, render=1, reference=recordings[Recording.FRAMES])
+    found = texts(report, Kind.RENDERED)
+    assert any(
+        text.startswith("frame 0 of the reference ") and text.endswith(" is not the recorded one") for text in found
+    )
+    assert report.difference.measured == 0
 
 
 def test_an_episode_whose_scene_is_missing_is_a_finding(copy: Callable[[Recording], Path]) -> None:
@@ -136,4 +191,6 @@ def test_the_command_prints_how_many_episodes_were_rendered(recordings: Recordin
         "--json",
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["rendered"] == 2
+    found = json.loads(done.stdout)
+    assert found["rendered"] == 2
+    assert (found["difference"]["frames"], found["difference"]["differing"]) == (6, 0)

@@ -231,6 +231,15 @@ def test_full_spool_stops_claims_until_bundles_are_fetched(tmp_path):
         assert set(hub.archived) == {1, 2, 3}
 
 
+def test_a_worker_whose_spool_fills_up_does_not_wait_for_the_next_heartbeat(tmp_path):
+    with (
+        FakeCoordinator(jobs_saying(*["bundle"] * 12), lease_ttl_s=3600) as hub,  # a heartbeat every 15 minutes
+        WorkerThread(settings_for(hub.endpoint, tmp_path, max_bundles=4)) as worker,
+    ):
+        hub.wait_until(lambda: len(hub.archived) == 12, "twelve bundles")
+        assert worker.join() == 0
+
+
 def test_a_draining_worker_finishes_its_jobs_and_claims_no_more(tmp_path):
     with coordinator("bundle", "bundle", "bundle") as hub:
         hub.pulls = False

@@ -47,11 +47,11 @@ def drive(world: World, wanted: Iterable[Twist]) -> None:
         world.step()
 
 
-def trajectory_digest() -> str:
-    """Drives a fixed zigzag into the crate and returns the digest of all poses."""
+def trajectory_digest(world: World | None = None) -> str:
+    """Drives a fixed zigzag into the crate, by default in a new world, and returns the digest of all poses."""
     rng = np.random.default_rng(7)
     digest = hashlib.sha256()
-    with open_world(box_room()) as world:
+    with world or open_world(box_room()) as world:
         world.place(0.3, 0.4, 0.2)
         for _ in range(12):
             goal = Twist(float(rng.uniform(0, 1)), float(rng.uniform(-1.5, 1.5)))
@@ -174,6 +174,26 @@ def test_a_steady_drive_is_exactly_level_and_hard_braking_is_not(room: World) ->
 
 def test_two_new_worlds_are_bit_identical() -> None:
     assert trajectory_digest() == trajectory_digest()
+
+
+@pytest.mark.parametrize("substeps", [4, 3])
+def test_a_world_after_others_with_the_same_obstacles_is_bit_identical(substeps: int) -> None:
+    scene, robot = box_room(), ROBOT.model_copy(update={"physics_substeps": substeps})
+    rng, used = np.random.default_rng(5), ColliderMesh.from_scene(scene)
+    for _ in range(4):
+        with World(scene, used, robot, HZ) as world:  # left in contact with the wall, at speed
+            world.place(3.0, float(rng.uniform(-1, 1)), float(rng.uniform(-0.3, 0.3)))
+            drive(world, [Twist(1.0, float(rng.uniform(-1.5, 1.5)))] * int(rng.integers(60, 120)))
+        fresh = World(scene, ColliderMesh.from_scene(scene), robot, HZ)
+        assert trajectory_digest(World(scene, used, robot, HZ)) == trajectory_digest(fresh)
+
+
+def test_a_world_is_not_built_on_the_robot_of_another_job() -> None:
+    scene = box_room()
+    collider, narrow = ColliderMesh.from_scene(scene), ROBOT.model_copy(update={"track_m": 0.3})
+    for robot in (ROBOT, narrow, ROBOT):
+        found = trajectory_digest(World(scene, collider, robot, HZ))
+        assert found == trajectory_digest(World(scene, ColliderMesh.from_scene(scene), robot, HZ))
 
 
 def test_a_world_in_another_process_is_bit_identical() -> None:

@@ -15,7 +15,6 @@ from schemas.wire import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloRep
 from workers.client.host import Host
 from workers.client.spool import Spooled
 
-_BEATS_PER_LEASE = 4
 _HURRIED_S = 0.25
 _REOPEN_S = 10.0
 _EVALUATION_CHECK_S = 10.0
@@ -40,15 +39,19 @@ class Heartbeat:
         self._checked_at = time.monotonic()
 
     def run(self) -> None:
-        """Sends four heartbeats in each lease time, and more while the worker leaves; an exception ends the worker."""
+        """Sends four heartbeats in each lease time, and more while the spool fills up or the worker leaves.
+
+        An exception ends the worker.
+        """
         host = self._host
         try:
             while host.phase.left_s > 0:
+                host.phase.beating.clear()
                 self.beat()
                 if host.phase.closing.is_set():
                     time.sleep(min(_HURRIED_S, host.phase.left_s))
                 else:
-                    host.pause(host.lease_ttl_s / _BEATS_PER_LEASE)
+                    host.wait_for_beat()
         except Exception as error:  # noqa: BLE001 - the worker loop: passed to the supervisor, which raises it
             host.phase.fail(error)
 

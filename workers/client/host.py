@@ -22,6 +22,7 @@ from workers.client.spool import Spool
 
 _MAX_HOST = 48
 _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
+_BEATS_PER_LEASE = 4
 
 
 class Phase:
@@ -34,6 +35,8 @@ class Phase:
         """Set when the worker also kills its current attempts and returns their jobs."""
         self.moved = threading.Event()
         """Set when another run takes the place of this one."""
+        self.beating = threading.Event()
+        """Set when a heartbeat is due at once: the worker closes, or the spool is half full."""
         self.error: BaseException | None = None
         """First exception that ended the worker, or `None`."""
         self._deadline = float("inf")
@@ -42,6 +45,7 @@ class Phase:
     def close(self) -> None:
         """Stops claiming; current attempts finish."""
         self.closing.set()
+        self.beating.set()
 
     def finish(self) -> None:
         """Ends the worker because all jobs of the run have ended, so that its results are no longer needed."""
@@ -57,7 +61,7 @@ class Phase:
     def stop(self, within_s: float) -> None:
         """Ends all work; open requests get `within_s` seconds for their reply."""
         self._deadline = min(self._deadline, time.monotonic() + within_s)
-        self.closing.set()
+        self.close()
         self.stopping.set()
 
     def fail(self, error: BaseException) -> None:
@@ -153,7 +157,14 @@ class Host:
 
     def pause(self, seconds: float) -> None:
         """Waits for a time with 20 % jitter, or until the worker closes."""
-        self.phase.closing.wait(seconds * self.rng.uniform(0.8, 1.2))
+        self.phase.closing.wait(self._jittered(seconds))
+
+    def wait_for_beat(self) -> None:
+        """Waits until the next heartbeat is due: after a quarter of the lease time with 20 % jitter, or earlier."""
+        self.phase.beating.wait(self._jittered(self.lease_ttl_s / _BEATS_PER_LEASE))
+
+    def _jittered(self, seconds: float) -> float:
+        return seconds * self.rng.uniform(0.8, 1.2)
 
 
 def tidy_host(name: str) -> str:

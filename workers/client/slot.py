@@ -59,6 +59,7 @@ class Slot:
 
     def _run_once(self) -> None:
         if self._host.spool.is_full:
+            self._host.phase.beating.set()
             self._host.pause(0.5)
             return
         self._ensure_simulation()
@@ -211,6 +212,8 @@ class Slot:
             entry = host.spool.add(lease, report.sha256, report.size)
         except WorldError as error:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
+        if 2 * len(host.spool) >= host.settings.spool_limit:
+            host.phase.beating.set()  # its reply names the bundles to drop; small episodes take less than a beat
         log.info("bundle_spooled", episode=job.episode_id, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
         done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size, via=host.link.via)

@@ -11,9 +11,9 @@ from functools import cached_property
 
 from schemas.job import Job
 from schemas.terms import EndReason
-from workers.experts.sight import Sighting, foreground_window, is_obstacle_near, see
+from workers.experts.sight import Sighting, are_near, foreground_window, is_obstacle_near, see
 from workers.geometry.pose import Pose
-from workers.render import WHOLE, DepthAndIds, RenderedFrame, Renderer, Window, WindowRenderer
+from workers.render import DepthAndIds, PartialRenderer, RenderedFrame, Renderer
 
 
 class LazyFrame:
@@ -29,8 +29,6 @@ class LazyFrame:
     def __init__(self, renderer: Callable[[], Renderer], pose: Pose, job: Job, instance_id: int) -> None:
         self._renderer, self._pose = renderer, pose
         self._job, self._instance_id = job, instance_id
-        self._rendered: tuple[Window, DepthAndIds] | None = None
-        """Last window and its part of the image."""
 
     @cached_property
     def frame(self) -> RenderedFrame:
@@ -47,35 +45,31 @@ class LazyFrame:
     @cached_property
     def sighting(self) -> Sighting:
         """Measurements of the target in the image."""
-        window = self._target_window
-        part = self._part(window)
-        return see(part.ids, part.depth, self._instance_id, self._job.gains.min_mask_px, window.left)
+        renderer, left = self._partial, 0
+        if renderer is None:
+            image = self.relief
+        else:
+            (_, left, _, _), image = renderer.render_instance(self._pose, self._instance_id)
+        return see(image.ids, image.depth, self._instance_id, self._job.gains.min_mask_px, left)
 
     @cached_property
     def obstacle_near(self) -> bool:
         """Whether an obstacle is close in front of the camera."""
-        window = foreground_window(self._job.task)
-        self._part(window.joined(self._target_window))  # most controllers then look at the target
-        return is_obstacle_near(self._part(window).depth, self._job.task)
+        task = self._job.task
+        window, renderer = foreground_window(task), self._partial
+        if renderer is not None:
+            near = renderer.count_within(self._pose, window, task.near_obstacle_depth_m)
+            if near == 0 or are_near(near, window.pixels):  # at most so many pixels are valid
+                return near > 0
+        return is_obstacle_near(self.relief.cut(window).depth, task)
 
-    @cached_property
-    def _target_window(self) -> Window:
-        renderer = self._renderer()
-        if isinstance(renderer, WindowRenderer):
-            return renderer.window_of(self._pose, self._instance_id)
-        return WHOLE
-
-    def _part(self, window: Window) -> DepthAndIds:
-        """Returns depth and ids in a window, from an image that has been rendered, else rendered without the rest."""
+    @property
+    def _partial(self) -> PartialRenderer | None:
+        """Renderer of parts of the image, or `None` if it has none or the whole image has been rendered."""
         if "frame" in self.__dict__ or "relief" in self.__dict__:
-            return self.relief.cut(window)
-        if self._rendered is None or not self._rendered[0].contains(window):
-            renderer = self._renderer()
-            if not isinstance(renderer, WindowRenderer):
-                return self.relief.cut(window)
-            self._rendered = window, renderer.render_window(self._pose, window)
-        around, part = self._rendered
-        return part.cut(window, around)
+            return None
+        renderer = self._renderer()
+        return renderer if isinstance(renderer, PartialRenderer) else None
 
 
 @dataclass(frozen=True)

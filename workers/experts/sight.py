@@ -79,6 +79,9 @@ def is_obstacle_near(crop: NDArray[np.float32], task: TaskConfig) -> bool:
         task: gives the limit.
     """
     near = int(np.count_nonzero(crop < task.near_obstacle_depth_m)) - int(np.count_nonzero(crop == 0.0))
-    if near <= 0:
-        return False
-    return near > 0.05 * int(np.count_nonzero(crop))
+    return near > 0 and are_near(near, int(np.count_nonzero(crop)))
+
+
+def are_near(near: int, valid: int) -> bool:
+    """Returns whether so many pixels below the limit, of so many valid ones, make an obstacle near."""
+    return near > 0.05 * valid

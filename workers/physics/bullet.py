@@ -155,6 +155,11 @@ class BulletClient(Closing):
         self._inertial[body] = (info[3], info[4])
         return body
 
+    def remove(self, body: int) -> None:
+        """Removes a body with its joints, motors and contacts."""
+        _p.removeBody(body, physicsClientId=self._id)
+        self._inertial.pop(body, None)
+
     def links(self, body: int) -> dict[str, int]:
         """Returns the index of every link by name, except the root link, whose index is -1."""
         count = _p.getNumJoints(body, physicsClientId=self._id)

@@ -1,7 +1,7 @@
 """Simulated world: one robot on a floor with obstacles, in a separate physics client.
 
-A new world is built for every episode, because restoring a state is not bit-exact. Does not draw random numbers, render
-or control the robot.
+Every world has a new robot, because restoring a state is not bit-exact; floor and obstacles are used again. Does not
+draw random numbers, render or control the robot.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import functools
 import math
 import weakref
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 from schemas.config import RobotConfig
@@ -32,6 +32,11 @@ during braking is 1e-2 rad and is kept."""
 _FLOOR, _OBSTACLE, _ROLLER, _BODY = 1, 2, 4, 8
 """Collision groups: wheels and casters collide with the floor only, the body with floor and obstacles."""
 _SETTLE_STEPS = 60
+_MOST_USES = 200
+"""Number of worlds after which a physics client is closed, because it keeps the shapes of removed robots."""
+_EXACT_SUBSTEPS = (1, 2, 4, 8, 16)
+"""Numbers of substeps after which the clock of a physics client is exactly 0 again; with others, a rounding error
+remains and affects the next world."""
 _TYRE_FRICTION = 1.5
 """Sliding friction of the drive wheels. The casters are frictionless, so that the tyres carry all of the lateral force
 in a bend. With 1.0 the robot spins at 5.6 rad/s for the command 1.0 m/s and 1.5 rad/s, which is a point of the action
@@ -44,13 +49,21 @@ class ColliderMesh:
 
     pieces: tuple[MeshLists, ...]
     """Pieces within the limits of one collision shape."""
+    idle: list[_Rig] = field(default_factory=list, repr=False, compare=False)
+    """At most one physics client with these obstacles that no world uses."""
 
     @classmethod
     def from_scene(cls, scene: CompiledScene) -> Self:
         """Prepares the obstacles of a compiled scene."""
         mesh = cls(mesh_lists(scene.collider_vertices, scene.collider_triangles))
-        weakref.finalize(mesh, recycle, mesh.pieces)
+        weakref.finalize(mesh, _discard, mesh.pieces, mesh.idle)
         return mesh
+
+
+def _discard(pieces: tuple[MeshLists, ...], idle: list[_Rig]) -> None:
+    for rig in idle:
+        rig.client.close()
+    recycle(pieces)
 
 
 class World(Closing):
@@ -68,12 +81,16 @@ class World(Closing):
         self._hz = control_hz
         self._floor_height = scene.info.floor_height_m
         self._stance = _resting_stance(robot, control_hz)
-        self._rig = _Rig(robot, control_hz, collider, self._floor_height)
+        self._rig = _take_rig(robot, control_hz, collider, self._floor_height)
+        self._collider = collider
+        self._is_open = True
         self.place(0.0, 0.0, 0.0)
 
     def close(self) -> None:
-        """Frees the physics client; further calls have no effect."""
-        self._rig.client.close()
+        """Frees the physics client, or keeps it for the next world of these obstacles; further calls have no effect."""
+        if self._is_open:
+            self._is_open = False
+            _leave_rig(self._rig, self._collider)
 
     def place(self, x: float, y: float, yaw: float) -> None:
         """Places the robot at rest and settled on the floor.
@@ -138,6 +155,8 @@ class _Rig:
     """Bodies of a world in one physics client, with collision groups and motors."""
 
     def __init__(self, robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> None:
+        self.key = (robot, control_hz, floor_height)
+        self.uses = 1
         self._robot = robot
         with ExitStack() as undo:
             self.client = undo.enter_context(BulletClient())
@@ -160,6 +179,12 @@ class _Rig:
         self._wheels = (links[LEFT_WHEEL], links[RIGHT_WHEEL])
         self._prepare_surfaces({BASE_LINK: -1, **links})
         self.drive(0.0, 0.0)
+
+    def renew(self) -> None:
+        """Replaces the robot by a new one; the rest of the client has no state that affects it."""
+        self.client.remove(self._body)
+        self._add_robot()
+        self.uses += 1
 
     def _prepare_surfaces(self, links: dict[str, int]) -> None:
         friction = {BASE_LINK: 0.3, LEFT_WHEEL: _TYRE_FRICTION, RIGHT_WHEEL: _TYRE_FRICTION} | dict.fromkeys(
@@ -185,6 +210,24 @@ class _Rig:
 
     def obstacle_distances(self) -> list[float]:
         return [contact.distance_m for contact in self.client.contacts(self._body) if contact.other != self._floor]
+
+
+def _take_rig(robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> _Rig:
+    """Returns the idle rig of a collider with a new robot, or a new rig."""
+    if collider.idle and collider.idle[0].key == (robot, control_hz, floor_height):
+        rig = collider.idle.pop()
+        rig.renew()
+        return rig
+    return _Rig(robot, control_hz, collider, floor_height)
+
+
+def _leave_rig(rig: _Rig, collider: ColliderMesh) -> None:
+    """Keeps a rig for the next world, unless another one is kept or it cannot be used again."""
+    robot, _, _ = rig.key
+    if collider.idle or rig.uses >= _MOST_USES or robot.physics_substeps not in _EXACT_SUBSTEPS:
+        rig.client.close()
+    else:
+        collider.idle.append(rig)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ from workers.geometry.grid import HALF_WIDTH_M, Grid
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
 
+_NEAR_M = 6.0
+"""Length of the paths that are searched first for a start within half of it, metres."""
+
 Number = TypeVar("Number", np.int32, np.float64)
 
 
@@ -41,8 +44,9 @@ class FloorGraph:
 
     numbers: NDArray[np.int32]
     """(H, W) number of the cell's node, -1 for impassable cells."""
-    edges: scipy.sparse.coo_array
-    """Distance between neighbours times the mean weight of the two cells, metres."""
+    edges: scipy.sparse.csr_array
+    """Distance between neighbours times the mean weight of the two cells, metres; in both directions, which scipy would
+    otherwise compute again for every search."""
 
     @classmethod
     def over(cls, passable: Bools, resolution_m: float, weight: Floats | None = None) -> FloorGraph:
@@ -64,10 +68,16 @@ class FloorGraph:
             ends.append((here[both], there[both], mean[both] * math.hypot(row, column) * resolution_m))
         starts, stops, lengths = (np.concatenate(column) for column in zip(*ends, strict=True))
         count = int(passable.sum())
-        return cls(numbers, scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr())
+        ahead = scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr()
+        return cls(numbers, _both_ways(ahead))
 
-    def distances(self, sources: Bools) -> DistanceField:
-        """Returns the distance from every cell to the nearest of the source cells (H, W)."""
+    def distances(self, sources: Bools, limit_m: float = math.inf) -> DistanceField:
+        """Returns the distance from every cell to the nearest of the source cells (H, W).
+
+        Args:
+            sources: (H, W) true for source cells.
+            limit_m: distance beyond which no path is searched; the others are the same for every limit.
+        """
         metres = np.full(self.numbers.shape, np.inf)
         nearer = np.full(self.numbers.shape, -1, np.int32)
         nodes = self.numbers[sources & (self.numbers >= 0)]
@@ -75,12 +85,24 @@ class FloorGraph:
             return DistanceField(metres, nearer)
         passable = self.numbers >= 0
         found, before, _ = scipy.sparse.csgraph.dijkstra(
-            self.edges, directed=False, indices=nodes, min_only=True, return_predecessors=True
+            self.edges, indices=nodes, min_only=True, return_predecessors=True, limit=limit_m
         )
         cells = np.flatnonzero(passable)
         metres[passable] = found
         nearer[passable] = np.where(before >= 0, cells[np.maximum(before, 0)], -1)
         return DistanceField(metres, nearer)
+
+
+def _both_ways(ahead: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+    """Returns a graph with every edge and its reverse; in each row the edges of `ahead` are first.
+
+    Of equal paths the search keeps the first one, so the order of the edges decides between them.
+    """
+    back = ahead.T.tocsr()
+    rows = np.concatenate([np.repeat(np.arange(half.shape[0]), np.diff(half.indptr)) for half in (ahead, back)])
+    order = np.argsort(rows, kind="stable")
+    lengths, stops = (np.concatenate(pair)[order] for pair in ((ahead.data, back.data), (ahead.indices, back.indices)))
+    return scipy.sparse.csr_array((lengths, stops, ahead.indptr + back.indptr), shape=ahead.shape)
 
 
 def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Number], NDArray[Number]]:
@@ -93,11 +115,17 @@ def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Num
 
 def cells_within(grid: Grid, goal: Goal) -> Bools:
     """Returns (H, W) the cells whose centres are in a goal."""
-    rows, columns = np.indices(grid.occupancy.shape)
-    points = grid.centre_of(np.stack([rows, columns], axis=-1))
-    near = np.linalg.norm(points - np.asarray(goal.centre_m), axis=-1) <= goal.radius_m + goal.extent_m
+    within, reach_m = np.zeros(grid.occupancy.shape, bool), goal.radius_m + goal.extent_m
+    low, high = (grid.cell_of(np.asarray(goal.centre_m) + side * reach_m) for side in (-1, 1))
+    first, last = np.maximum(low, 0), np.minimum(high + 1, within.shape)
+    if (first >= last).any():
+        return within
+    cells = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), axis=-1)
+    points = grid.centre_of(cells)
+    near = np.linalg.norm(points - np.asarray(goal.centre_m), axis=-1) <= reach_m
     near[near] = goal.distances(points[near]) <= goal.radius_m
-    return np.asarray(near)
+    within[first[0] : last[0], first[1] : last[1]] = near
+    return within
 
 
 def arrival_cells(grid: Grid, target: Target, goal: Goal) -> Bools:
@@ -107,13 +135,17 @@ def arrival_cells(grid: Grid, target: Target, goal: Goal) -> Bools:
     return near
 
 
-@functools.lru_cache(maxsize=8)
 def geodesic_field(grid: Grid, target: Target, task: TaskConfig) -> DistanceField:
     """Returns the distances along the floor to the part of the success region with line of sight to the target.
 
     The path is that of base_link, with a clearance of half the robot's width.
     """
-    return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)))
+    return _field_within(grid, target, task, math.inf)
+
+
+@functools.lru_cache(maxsize=8)
+def _field_within(grid: Grid, target: Target, task: TaskConfig, limit_m: float) -> DistanceField:
+    return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)), limit_m)
 
 
 @functools.lru_cache(maxsize=2)
@@ -140,10 +172,17 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     straight = _straight_m(grid, np.asarray(start_xy, float), target, goal)
     if straight is not None:
         return straight
-    field = geodesic_field(grid, target, task)
-    if not math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
-        return None
-    return _taut_length(grid, _way(grid, field, start_xy), target, goal)
+    is_near = goal.entry(np.asarray(start_xy, float))[0] < _NEAR_M / 2
+    for limit_m in (_NEAR_M, math.inf) if is_near else (math.inf,):  # a short search suffices for most starts
+        field = _field_within(grid, target, task, limit_m)
+        if math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
+            return _taut_length(grid, _way(grid, field, start_xy), target, goal)
+    return None
+
+
+def is_way_straight(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig) -> bool:
+    """Returns whether the straight line from a start to the success region is free and ends in sight of the target."""
+    return _straight_m(grid, np.asarray(start_xy, float), target, Goal.of(target, task)) is not None
 
 
 def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:

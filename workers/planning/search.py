@@ -9,7 +9,8 @@ from __future__ import annotations
 import functools
 import heapq
 import math
-from typing import NamedTuple, Self
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,10 @@ _AHEAD_RAD = 0.44
 """Largest angle between the heading at the end of a path and the target's centroid, if it must be ahead, radians."""
 _MOVING_M = 0.15
 """Distance outside the success region up to which such a path has no turn on the spot, metres."""
+_NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
+"""Distance to the ends up to which the first search from a start within half of it knows distances, and how far below
+it all estimates must remain, metres: two cells with distances on both sides of the limit may share a state of the
+search, and are closer than the margin."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
@@ -60,12 +65,14 @@ def plan_path(
         (config.tight_margin_m, config.tight_arrival_margin_m),
     )
     goal = Goal.of(target, task)
+    is_near = goal.distance(start.x, start.y) < _NEAR_M / 2
+    limits_m = (_NEAR_M, math.inf) if is_near else (math.inf,)
     for margin, arrival_margin in tries:
         table = pose_table(grid, margin)
         if table.holds(*start):
             arrival = arrival_cells(grid, target, goal.shrunk(arrival_margin))
             ends = _Ends.facing(grid, arrival, goal) if facing else _Ends.any_heading(arrival)
-            path = _search(table, margin, start, ends, config.max_expansions)
+            path = _search(table, margin, start, ends, config.max_expansions, limits_m)
             if path is not None:
                 return path
     return None
@@ -79,6 +86,11 @@ def _weights(grid: Grid) -> NDArray[np.float64]:
     return weights
 
 
+@functools.lru_cache(maxsize=2)
+def _weight_list(grid: Grid) -> list[float]:
+    return _weights(grid).ravel().tolist()
+
+
 @functools.lru_cache(maxsize=4)
 def _floor_graph(grid: Grid, margin_m: float) -> FloorGraph:
     return FloorGraph.over(pose_table(grid, margin_m).floor, grid.resolution_m, _weights(grid))
@@ -90,13 +102,13 @@ class _Ends(NamedTuple):
     cells: NDArray[np.bool_]
     """(H, W) cells with at least one heading at which a path may end."""
     poses: NDArray[np.bool_]
-    """(HEADINGS, H, W) poses at which a path may end."""
+    """(HEADINGS, H, W) poses at which a path may end, or (1, H, W) if the heading does not matter."""
     moving: NDArray[np.bool_]
     """(H, W) cells without turns on the spot."""
 
     @classmethod
     def any_heading(cls, arrival: NDArray[np.bool_]) -> Self:
-        return cls(arrival, np.broadcast_to(arrival, (HEADINGS, *arrival.shape)), np.zeros_like(arrival))
+        return cls(arrival, arrival[None], np.zeros_like(arrival))
 
     @classmethod
     def facing(cls, grid: Grid, arrival: NDArray[np.bool_], goal: Goal) -> Self:
@@ -110,14 +122,20 @@ class _Ends(NamedTuple):
 
 
 def _search(
-    table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int
+    table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int, limits_m: Iterable[float]
 ) -> tuple[Waypoint, ...] | None:
-    grid = table.grid
-    to_go = _floor_graph(grid, margin_m).distances(ends.cells).metres
-    if not math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
-        return None
-    nodes = _expand(table, to_go, start, ends, max_expansions)
-    return None if nodes is None else (start, *nodes)
+    """Searches with the distances to the ends up to each limit in turn; the first search that suffices is the result.
+
+    It is that of a search with all distances, because poses beyond a limit are expanded after all others.
+    """
+    grid, graph = table.grid, _floor_graph(table.grid, margin_m)
+    for limit_m in limits_m:
+        to_go = graph.distances(ends.cells, limit_m).metres
+        if math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
+            nodes = _expand(table, to_go, start, ends, max_expansions, limit_m - _LIMIT_MARGIN_M)
+            if nodes is not None:
+                return (start, *nodes)
+    return None
 
 
 Node = tuple[float, float, int, int]
@@ -125,14 +143,24 @@ Node = tuple[float, float, int, int]
 
 
 def _expand(
-    table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, ends: _Ends, max_expansions: int
+    table: PoseTable,
+    to_go: NDArray[np.float64],
+    start: Waypoint,
+    ends: _Ends,
+    max_expansions: int,
+    most_m: float,
 ) -> list[Waypoint] | None:
-    """Searches a path; free poses are more than a step from the edge of the grid, so that all indices are valid."""
-    grid, flags, ahead = table.grid, table.flags, to_go.ravel().tolist()
-    goal, moving = ends.poses.tobytes(), ends.moving.tobytes()
-    weights = _weights(grid).ravel().tolist()
+    """Searches a path of an estimated cost of at most `most_m`, metres; `None` if there is none.
+
+    Free poses are more than a step from the edge of the grid, so that all indices are valid.
+    """
+    grid, flags = table.grid, table.flags
+    ahead: memoryview[Any] = to_go.reshape(-1).data
+    goal, moving = ends.poses.reshape(-1).data, ends.moving.reshape(-1).data
+    weights = _weight_list(grid)
     (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
     width, area = int(grid.occupancy.shape[1]), grid.occupancy.size
+    goal_area = area if len(ends.poses) > 1 else 0
 
     def cell(x: float, y: float) -> int:
         return int((y - low) * per_cell) * width + int((x - left) * per_cell)
@@ -142,16 +170,20 @@ def _expand(
 
     first = heading_of(start.yaw)
     cost_at = {key(start.x, start.y, first): 0.0}
-    heap = [(ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)]
+    heap: list[tuple[float, int, float, float, float, int, int]] = [
+        (ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)
+    ]
     nodes: list[Node] = []
     pushed = 0
     while heap and len(nodes) < max_expansions:
-        _, _, cost, x, y, heading, before = heapq.heappop(heap)
+        estimate, _, cost, x, y, heading, before = heapq.heappop(heap)
         if cost > cost_at[key(x, y, heading)]:
             continue
+        if estimate > most_m:
+            return None
         nodes.append((x, y, heading, before))
         here = cell(x, y)
-        if goal[heading * area + here]:
+        if goal[heading * goal_area + here]:
             return _trace(nodes)
         for mid_x, mid_y, end_x, end_y, turned, length, turn in MOVES[heading]:
             spot = cell(x + end_x, y + end_y)

@@ -5,6 +5,7 @@ Does not render and imports no graphics library.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -22,11 +23,11 @@ __all__ = [
     "WHOLE",
     "CameraImage",
     "DepthAndIds",
+    "PartialRenderer",
     "RenderedAtlas",
     "RenderedFrame",
     "Renderer",
     "Window",
-    "WindowRenderer",
 ]
 
 
@@ -45,16 +46,10 @@ class Window(NamedTuple):
         """Whether the window has no pixels."""
         return self.top >= self.bottom or self.left >= self.right
 
-    def joined(self, other: Window) -> Window:
-        """Returns the smallest window that contains both."""
-        if self.is_empty or other.is_empty:
-            return other if self.is_empty else self
-        first, last = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
-        return Window(*first, *last)
-
-    def contains(self, other: Window) -> bool:
-        """Returns whether all pixels of another window are in this one."""
-        return other.is_empty or self.joined(other) == self
+    @property
+    def pixels(self) -> int:
+        """Number of pixels."""
+        return max(0, self.bottom - self.top) * max(0, self.right - self.left)
 
 
 WHOLE = Window(0, 0, FRAME_SIZE_PX, FRAME_SIZE_PX)
@@ -82,15 +77,9 @@ class DepthAndIds:
     ids: NDArray[np.uint16]
     """Instance ids, as `RenderedFrame.ids`."""
 
-    def cut(self, window: Window, around: Window = WHOLE) -> DepthAndIds:
-        """Returns the part in a window.
-
-        Args:
-            window: part of the frame.
-            around: part of the frame that this image shows.
-        """
-        rows = slice(window.top - around.top, window.bottom - around.top)
-        columns = slice(window.left - around.left, window.right - around.left)
+    def cut(self, window: Window) -> DepthAndIds:
+        """Returns the part of a frame in a window."""
+        rows, columns = slice(window.top, window.bottom), slice(window.left, window.right)
         return DepthAndIds(self.depth[rows, columns], self.ids[rows, columns])
 
 
@@ -133,6 +122,15 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera. Recently used scenes stay prepared, so that their next use is fast."""
 
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene as `load`, without a reference to it.
+
+        Args:
+            key: key of the scene; equal keys are the same scene.
+            read: returns the scene; called if it is not prepared.
+            camera: camera of the robot.
+        """
+
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
 
@@ -168,14 +166,20 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
 
 
 @runtime_checkable
-class WindowRenderer(Protocol):
-    """Renderer that can render a part of the image at a lower cost; its pixels equal those of the whole image."""
+class PartialRenderer(Protocol):
+    """Renderer that renders one instance at a lower cost than the image; its pixels equal those of the whole image."""
 
-    def window_of(self, pose: Pose, instance_id: int) -> Window:
-        """Returns a window that contains all pixels of an instance in the image from a pose; it may be larger."""
+    def render_instance(self, pose: Pose, instance_id: int) -> tuple[Window, DepthAndIds]:
+        """Returns a window of the image from a pose with all pixels of an instance, and the image in that window.
 
-    def render_window(self, pose: Pose, window: Window) -> DepthAndIds:
-        """Returns depth and ids of a part of the frame.
+        In the window, surfaces that are behind the instance may be missing.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+
+    def count_within(self, pose: Pose, window: Window, depth_m: float) -> int:
+        """Returns the number of pixels in a window of the image with a depth above 0 and below `depth_m`.
 
         Raises:
             UsageError: no scene was loaded.

@@ -5,8 +5,9 @@ Logs a warning when it falls back to another renderer. Does not render.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
@@ -14,12 +15,20 @@ from schemas.support.extras import require_package
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.render import Renderer
+from workers.render.shelf import KEPT_SCENES
+
+if TYPE_CHECKING:
+    from workers.render.process import ProcessRenderer
 
 _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
 
 def open_renderer(
-    kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, apart: bool = False
+    kind: RendererKind = "auto",
+    size: int = FRAME_SIZE_PX,
+    lap: StageTimer = no_stage_timer,
+    apart: bool = False,
+    kept_scenes: int = KEPT_SCENES,
 ) -> Renderer:
     """Opens a renderer; the caller closes it.
 
@@ -29,20 +38,32 @@ def open_renderer(
         lap: called at the end of the stages `render` and `read-back` of every frame.
         apart: whether the renderer runs in a separate process. This is necessary if this process loads libraries of the
             user, which may crash together with those of OpenGL, or if it may be forked; the frames are the same.
+        kept_scenes: number of scenes that stay prepared.
 
     Raises:
         UsageError: no renderer of that type exists.
         WorldError: `kind` is `gl` and this machine has no usable EGL driver.
     """
-    if kind not in get_args(RendererKind):
-        raise UsageError(f"unknown renderer {kind!r}; valid renderers: {', '.join(get_args(RendererKind))}")
     if apart:
-        return _open_apart(kind, size, lap)
+        return open_apart(kind, size, lap, kept_scenes)
+    _require_kind(kind)
     if kind == "tiny":
-        return _open_tiny(size, lap)
-    if kind == "gl":
-        return _open_gl(size, lap)
-    return open_first(_open_gl, size, lap)
+        return _open_tiny(size, lap, kept_scenes)
+    open_gl = functools.partial(_open_gl, kept_scenes=kept_scenes)
+    return open_gl(size, lap) if kind == "gl" else open_first(open_gl, size, lap)
+
+
+def open_apart(
+    kind: RendererKind = "auto",
+    size: int = FRAME_SIZE_PX,
+    lap: StageTimer = no_stage_timer,
+    kept_scenes: int = KEPT_SCENES,
+) -> ProcessRenderer:
+    """Opens a renderer in a separate process; arguments and errors as those of `open_renderer`."""
+    _require_kind(kind)
+    from workers.render.process import ProcessRenderer
+
+    return ProcessRenderer(kind, size, lap, kept_scenes)
 
 
 def open_first(
@@ -59,20 +80,20 @@ def open_first(
         return _open_tiny(size, lap)
 
 
-def _open_apart(kind: RendererKind, size: int, lap: StageTimer) -> Renderer:
-    from workers.render.process import ProcessRenderer
+def _require_kind(kind: RendererKind) -> None:
+    if kind not in get_args(RendererKind):
+        raise UsageError(f"unknown renderer {kind!r}; valid renderers: {', '.join(get_args(RendererKind))}")
 
-    return ProcessRenderer(kind, size, lap)
 
-
-def _open_gl(size: int, lap: StageTimer) -> Renderer:
+def _open_gl(size: int, lap: StageTimer, kept_scenes: int) -> Renderer:
     require_package("moderngl", "the renderer gl")
     from workers.render.gl import GlRenderer
 
-    return GlRenderer(size, lap)
+    return GlRenderer(size, lap, kept_scenes)
 
 
-def _open_tiny(size: int, lap: StageTimer) -> Renderer:
+def _open_tiny(size: int, lap: StageTimer, kept_scenes: int = KEPT_SCENES) -> Renderer:
+    require_package("pybullet", "the renderer tiny")
     from workers.render.tiny import TinyRenderer
 
-    return TinyRenderer(size, lap)
+    return TinyRenderer(size, lap, kept_scenes)

@@ -12,11 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
+from workers.geometry.camera import OpticalPose
 from workers.render import Window
 
 _MARGIN_PX = 2
 """Margin of a window around projected corners, pixels; OpenGL rounds corners to fractions of a pixel."""
+_DEPTH_MARGIN_M = 1e-3
+"""Margin of depths, metres; a depth image is rounded to float32."""
+
+Edges = tuple[float, float, float, float]
+"""Left, top, right and bottom edge of a part of the view, as x / depth and y / depth in the optical frame."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +47,9 @@ class PartBounds:
             centre[part], half[part] = (low + high) / 2, (high - low) / 2
         return cls(centre, half)
 
-    def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Returns the corners (8, 3) of the box around the chosen parts, metres; (0, 3) if they have no vertices."""
-        chosen = chosen & (self.half[:, 0] >= 0)
-        if not chosen.any():
+    def corners(self, chosen: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Returns the corners (8, 3) of the box around parts with vertices, metres; (0, 3) around no part."""
+        if not len(chosen):
             return np.empty((0, 3))
         low = (self.centre - self.half)[chosen].min(axis=0)
         high = (self.centre + self.half)[chosen].max(axis=0)
@@ -83,8 +89,39 @@ def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np
     return seen[np.argsort(np.einsum("ij,ij->i", far, far), kind="stable")]
 
 
-def window_of_corners(corners: NDArray[np.float64], clip: NDArray[np.float64], near_m: float, size: int) -> Window:
-    """Returns the window of an image that contains the convex hull of some points.
+def may_reach(facts: NDArray[np.float64], optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.bool_]:
+    """Returns (N,) false for boxes that have no point in a part of the view, up to a depth.
+
+    Args:
+        facts: (7, N) columns of `PartBounds.facts`.
+        optical: pose of the camera.
+        edges: edges of the part of the view.
+        depth_m: largest depth, metres.
+    """
+    left, top, right, bottom = edges
+    depth_m += _DEPTH_MARGIN_M
+    ends = np.array(((0, 0, 0), (left, top, 1), (left, bottom, 1), (right, top, 1), (right, bottom, 1))) * depth_m
+    corners = ends @ optical.rotation.T + optical.eye
+    low, high = corners.min(axis=0)[:, None], corners.max(axis=0)[:, None]
+    may = (np.abs(facts[:3] - (low + high) / 2) <= facts[3:6] + (high - low) / 2).all(axis=0)  # by the world's axes
+    if may.any():
+        inwards = np.array(((1.0, 0.0, -left), (-1.0, 0.0, right), (0.0, 1.0, -top), (0.0, -1.0, bottom)))
+        planes = inwards @ optical.rotation.T
+        may[may] = (reach_of_planes(planes, -(planes @ optical.eye)) @ facts[:, may]).min(axis=0) >= 0
+    return np.asarray(may)
+
+
+def edges_of(window: Window, size: int, camera: CameraConfig) -> Edges:
+    """Returns the edges of a window of an image of `size` x `size` pixels."""
+    reach = math.tan(math.radians(camera.fov_deg) / 2)
+    top, left, bottom, right = ((2 * pixel / size - 1) * reach for pixel in window)
+    return left, top, right, bottom
+
+
+def window_of_corners(
+    corners: NDArray[np.float64], clip: NDArray[np.float64], near_m: float, size: int
+) -> tuple[Window, float]:
+    """Returns the window of an image that contains the convex hull of some points, and their largest depth in metres.
 
     Args:
         corners: (N, 3) points in the world frame, metres; without points the window is empty.
@@ -93,14 +130,14 @@ def window_of_corners(corners: NDArray[np.float64], clip: NDArray[np.float64], n
         size: width and height of the image, pixels.
     """
     if not len(corners):
-        return Window(0, 0, 0, 0)
+        return Window(0, 0, 0, 0), 0.0
     x, y, _, w = clip @ np.column_stack((corners, np.ones(len(corners)))).T
     if w.min() <= near_m:
-        return Window(0, 0, size, size)
+        return Window(0, 0, size, size), float(w.max())
     columns, rows = (x / w + 1) / 2 * size, (1 - y / w) / 2 * size
     top, bottom = _pixels(rows, size)
     left, right = _pixels(columns, size)
-    return Window(top, left, bottom, right)
+    return Window(top, left, bottom, right), float(w.max())
 
 
 def _pixels(places: NDArray[np.float64], size: int) -> tuple[int, int]:

@@ -7,7 +7,8 @@ before it opens the renderer.
 from __future__ import annotations
 
 import os
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -26,33 +27,44 @@ from workers.geometry.faces import Face, FacePlan
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame, Window
 from workers.render.compose import compose_image
-from workers.render.cull import window_of_corners
-from workers.render.gl_scene import GpuScene, Programs
+from workers.render.cull import edges_of
+from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
-from workers.render.shelf import SceneShelf
+from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
-_KEPT_SCENES = 2
 _KEPT_TARGETS = 16
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
 """Remedy for a forked process, which has the driver's memory without its threads: rendering would wait forever."""
-_Look = tuple[bytes, NDArray[np.intp]]
-"""Matrix of the shader programs, and indices of the parts to draw."""
 _used_by: set[int] = set()
 """Id of the process that opened a context; a forked process has another id."""
+
+
+class _View(NamedTuple):
+    """View of a scene from one pose."""
+
+    optical: OpticalPose
+    clip: NDArray[np.float64]
+    """(4, 4) matrix from world to OpenGL clip space, for column vectors."""
+    matrix: bytes
+    """Matrix of the shader programs."""
+    drawn: DrawOrder
 
 
 class GlRenderer(Closing):
     """`Renderer` with a separate OpenGL 4.5 context; every call makes that context current."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
+    def __init__(
+        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+    ) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
             lap: called at the end of the stages `render` and `read-back` of every frame.
+            kept_scenes: number of scenes that stay on the device.
 
         Raises:
             UsageError: OpenGL was used before this process was forked.
@@ -65,10 +77,8 @@ class GlRenderer(Closing):
         self._pid = os.getpid()
         self._is_open = True
         self.description = _describe(self._context)
-        self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
+        self._shelf = SceneShelf(self._prepare, kept_scenes)
         self._scene: GpuScene | None = None
-        self._looked: tuple[Pose, _Look] | None = None
-        """Last pose and what `_look` returned for it; windows of one image have one pose."""
         self._sky = SkyPainter(None)
         with self._context:
             self._programs = Programs(self._context)
@@ -89,12 +99,15 @@ class GlRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; the most recently used scenes stay on the device."""
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
         self._require_own_process()
         self._camera = camera
-        self._looked = None
-        self._sky = SkyPainter(scene.info.sky)
         with self._context:
-            self._scene = self._shelf.take(scene)
+            self._scene = self._shelf.take(key, read)
+        self._sky = SkyPainter(self._scene.sky)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -106,17 +119,17 @@ class GlRenderer(Closing):
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
-        scene, view = self._loaded(), self._view(size)
-        clip, parts = self._look(scene, pose)
+        scene, image = self._loaded(), self._image(size)
+        view = _look(scene, image, optical_pose(pose, self._camera))
         with self._context:
-            target = self._target(view.width, view.height)
+            target = self._target(image.width, image.height)
             target.begin()
-            scene.draw(parts, clip)
+            scene.draw(view.drawn, view.matrix)
             self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
             self._lap("render")
             rgb = target.read_colour()
-            relief = target.read_relief(view, rgb)
-        self._sky.paint(rgb, relief.depth, optical_pose(pose, self._camera), view)
+            relief = target.read_relief(image, rgb)
+        self._sky.paint(rgb, relief.depth, view.optical, image)
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
 
@@ -127,43 +140,50 @@ class GlRenderer(Closing):
             UsageError: no scene was loaded.
         """
         scene = self._loaded()
-        clip, parts = self._look(scene, pose)
-        with self._context:
-            target = self._target(self._size, self._size)
-            target.begin()
-            scene.draw_bare(parts, clip)
-            self._context.finish()
-            self._lap("render")
-            relief = target.read_relief(self._view())
-        self._lap("read-back")
-        return relief
+        view = self._look(scene, pose)
+        return self._render_bare(scene, view.matrix, view.drawn.parts)
 
-    def window_of(self, pose: Pose, instance_id: int) -> Window:
-        """Returns a window that contains all pixels of an instance; the whole image if a part may be behind the camera.
+    def render_instance(self, pose: Pose, instance_id: int) -> tuple[Window, DepthAndIds]:
+        """Returns a window that contains all pixels of an instance, and that part of the image.
+
+        Draws what is in the window and not behind the instance.
 
         Raises:
             UsageError: no scene was loaded.
         """
-        clip = product(self._view().matrix(), view_matrix(optical_pose(pose, self._camera)))
-        return window_of_corners(self._loaded().corners_of(instance_id), clip, self._camera.near_m, self._size)
-
-    def render_window(self, pose: Pose, window: Window) -> DepthAndIds:
-        """Returns depth and ids of a part of the frame, bit-identical to those of `render`.
-
-        Raises:
-            UsageError: no scene was loaded.
-        """
-        if window.is_empty:
-            return DepthAndIds(np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16))
         scene = self._loaded()
-        clip, parts = self._look(scene, pose)
+        view = self._look(scene, pose)
+        window, depth_m = scene.window_of(view.drawn, instance_id, view.clip, self._camera, self._size)
+        if window.is_empty:
+            return window, DepthAndIds(np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16))
+        parts = scene.parts_before(view.drawn, view.optical, edges_of(window, self._size, self._camera), depth_m)
+        return window, self._render_bare(scene, view.matrix, parts, window)
+
+    def count_within(self, pose: Pose, window: Window, depth_m: float) -> int:
+        """Returns the number of pixels in a window of the image with a depth above 0 and below `depth_m`.
+
+        Draws what may be so near, usually nothing.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+        scene, optical = self._loaded(), optical_pose(pose, self._camera)
+        parts = scene.parts_within(optical, edges_of(window, self._size, self._camera), depth_m)
+        if not len(parts):
+            return 0
+        depth = self._render_bare(scene, _matrix(self._image(), optical)[1], parts, window).depth
+        return int(np.count_nonzero(depth < depth_m)) - int(np.count_nonzero(depth == 0.0))
+
+    def _render_bare(
+        self, scene: GpuScene, matrix: bytes, parts: NDArray[np.intp], window: Window | None = None
+    ) -> DepthAndIds:
         with self._context:
             target = self._target(self._size, self._size)
             target.begin(window)
-            scene.draw_bare(parts, clip)
+            scene.draw_bare(parts, matrix)
             self._context.finish()
             self._lap("render")
-            relief = target.read_relief(self._view(), window=window)
+            relief = target.read_relief(self._image(), window=window)
         self._lap("read-back")
         return relief
 
@@ -180,14 +200,14 @@ class GlRenderer(Closing):
         """
         scene = self._loaded()
         looks = [(face, face.optical(optical)) for face in plan.faces]
-        views = [(face, eye, *_look(scene, face.view, eye)) for face, eye in looks]
+        views = [(face, _look(scene, face.view, eye)) for face, eye in looks]
         clip_range = plan.faces[0].view
         with self._context:
             target = self._target(plan.width, plan.height)
             target.begin()
-            for face, _, clip, parts in views:
+            for face, view in views:
                 target.begin_face(face)
-                scene.draw(parts, clip)
+                scene.draw(view.drawn, view.matrix)
             self._context.finish()
             self._lap("render")
             rgb = target.read_colour(channels=3 if plan.sampling is None else 4)
@@ -203,16 +223,14 @@ class GlRenderer(Closing):
         """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render_faces`."""
         return compose_image(self, camera, pose)
 
-    def _render_normals(
-        self, scene: GpuScene, target: GlTarget, views: list[tuple[Face, OpticalPose, bytes, NDArray[np.intp]]]
-    ) -> NDArray[np.uint8]:
+    def _render_normals(self, scene: GpuScene, target: GlTarget, views: list[tuple[Face, _View]]) -> NDArray[np.uint8]:
         target.begin()
-        for face, eye, clip, parts in views:
+        for face, view in views:
             target.begin_face(face)
-            scene.draw_normals(parts, clip, eye.eye)
+            scene.draw_normals(view.drawn.parts, view.matrix, view.optical.eye)
         return target.read_colour()
 
-    def _view(self, size: int | None = None) -> Perspective:
+    def _image(self, size: int | None = None) -> Perspective:
         return Perspective.of(self._camera, size or self._size)
 
     def _target(self, width: int, height: int) -> GlTarget:
@@ -234,20 +252,22 @@ class GlRenderer(Closing):
             raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
         return self._scene
 
-    def _look(self, scene: GpuScene, pose: Pose) -> _Look:
-        """Returns the matrix of the shader programs for a pose, and the parts to draw; they depend on no size."""
-        if self._looked is None or self._looked[0] != pose:
-            self._looked = pose, _look(scene, self._view(), optical_pose(pose, self._camera))
-        return self._looked[1]
+    def _look(self, scene: GpuScene, pose: Pose) -> _View:
+        return _look(scene, self._image(), optical_pose(pose, self._camera))
 
     def _prepare(self, scene: CompiledScene) -> GpuScene:
         return GpuScene(self._context, self._programs, scene)
 
 
-def _look(scene: GpuScene, view: Perspective, optical: OpticalPose) -> _Look:
-    clip = product(view.matrix(), view_matrix(optical))
-    matrix = onto_target(clip, view.near_m).T.astype(np.float32).tobytes()
-    return matrix, scene.parts_to_draw(clip, optical, view)
+def _look(scene: GpuScene, image: Perspective, optical: OpticalPose) -> _View:
+    clip, matrix = _matrix(image, optical)
+    return _View(optical, clip, matrix, scene.order(clip, optical, image))
+
+
+def _matrix(image: Perspective, optical: OpticalPose) -> tuple[NDArray[np.float64], bytes]:
+    """Returns the matrix from world to OpenGL clip space, and that of the shader programs."""
+    clip = product(image.matrix(), view_matrix(optical))
+    return clip, onto_target(clip, image.near_m).T.astype(np.float32).tobytes()
 
 
 def _open_context() -> moderngl.Context:

@@ -11,9 +11,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose, Perspective
-from workers.render.cull import PartBounds, visible_parts
+from workers.render import Window
+from workers.render.cull import Edges, PartBounds, may_reach, visible_parts, window_of_corners
 from workers.render.occlude import Occluders
 from workers.render.shaders import BARE, NORMALS, PLAIN, TEXTURED, VERTEX, ShaderPair
 
@@ -79,6 +81,15 @@ class Programs:
         return self._made[pair]
 
 
+class DrawOrder(NamedTuple):
+    """Parts of an image in the order in which they are drawn."""
+
+    parts: NDArray[np.intp]
+    """Indices of the parts."""
+    runs: list[int]
+    """Numbers of plain and of textured parts in each distance band, alternately."""
+
+
 class GpuScene:
     """Vertices, textures and light map of a scene on the device, with the bounds for culling."""
 
@@ -90,10 +101,11 @@ class GpuScene:
             programs: programs of the same context.
             scene: scene to upload.
         """
+        self.sky = scene.info.sky
+        """Background of the scene; `None` is black."""
         self._is_textured = scene.part_texture >= 0
         self._bounds, self._occluders = PartBounds.of(scene), Occluders.of(scene)
         self._instances = scene.part_instance
-        self._corners: dict[int, NDArray[np.float64]] = {}
         self._draws = np.zeros(len(scene.part_first), _DRAW)
         self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
         self._draws["instances"] = 1
@@ -108,40 +120,53 @@ class GpuScene:
         self._textures = _upload_textures(context, scene.textures)
         self._light = _upload_light(context, scene.light_map)
 
-    def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, view: Perspective) -> NDArray[np.intp]:
-        """Returns the parts that are in view and not behind a wall, nearest first."""
-        parts = visible_parts(self._bounds, clip, optical.eye)
-        return parts[~self._occluders.hidden(self._bounds, parts, optical, view)]
+    def order(self, clip: NDArray[np.float64], optical: OpticalPose, image: Perspective) -> DrawOrder:
+        """Returns the parts that are in view and not behind a wall, nearest first in bands, plain before textured."""
+        seen = visible_parts(self._bounds, clip, optical.eye)
+        parts = seen[~self._occluders.hidden(self._bounds, seen, optical, image)]
+        count = len(parts)
+        run = np.arange(count) * _BANDS // max(count, 1) * 2 + self._is_textured[parts]
+        return DrawOrder(parts[np.argsort(run, kind="stable")], np.bincount(run).tolist())
 
-    def corners_of(self, instance_id: int) -> NDArray[np.float64]:
-        """Returns the corners (8, 3) of the box along the axes around an instance, metres; (0, 3) without parts."""
-        if instance_id not in self._corners:
-            self._corners[instance_id] = self._bounds.corners(self._instances == instance_id)
-        return self._corners[instance_id]
+    def window_of(
+        self, drawn: DrawOrder, instance_id: int, clip: NDArray[np.float64], camera: CameraConfig, size: int
+    ) -> tuple[Window, float]:
+        """Returns a window with all pixels of an instance, and the largest depth of its drawn parts in metres."""
+        own = drawn.parts[self._instances[drawn.parts] == instance_id]
+        return window_of_corners(self._bounds.corners(own), clip, camera.near_m, size)
 
-    def draw(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
-        """Draws parts in the given order, but in each distance band those without texture first.
+    def parts_before(self, drawn: DrawOrder, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
+        """Returns the drawn parts that may be visible between these edges up to a depth in metres, in their order."""
+        return drawn.parts[may_reach(self._bounds.facts[:, drawn.parts], optical, edges, depth_m)]
+
+    def parts_within(self, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
+        """Returns the parts that may have a point between these edges up to a depth in metres, in any order."""
+        return np.flatnonzero(may_reach(self._bounds.facts, optical, edges, depth_m))
+
+    def draw(self, drawn: DrawOrder, clip_from_world: bytes) -> None:
+        """Draws colour, depth and ids of parts.
 
         Args:
-            parts: indices of the parts.
+            drawn: parts to draw.
             clip_from_world: (4, 4) float32 matrix in column order.
         """
         for program in self._coloured:
             program.set_clip_matrix(clip_from_world)
         self._light.use(_LIGHT_UNIT)
         self._textures.use(_TEXTURE_UNIT)
+        self._write_commands(drawn.parts)
         first = 0
-        for run, count in enumerate(self._write_commands(parts)):
+        for run, count in enumerate(drawn.runs):
             if count:
                 (self._plain, self._textured)[run % 2].render_indirect(self._commands, count=count, first=first)
             first += count
 
     def draw_bare(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
-        """Draws depth and ids of parts, in the order of `draw`."""
+        """Draws depth and ids of parts in the given order, which decides between surfaces of equal depth."""
         self._bare.set_clip_matrix(clip_from_world)
-        count = sum(self._write_commands(parts))
-        if count:
-            self._uncoloured.render_indirect(self._commands, count=count)
+        if len(parts):
+            self._write_commands(parts)
+            self._uncoloured.render_indirect(self._commands, count=len(parts))
 
     def draw_normals(self, parts: NDArray[np.intp], clip_from_world: bytes, eye: NDArray[np.float64]) -> None:
         """Draws encoded normals instead of colour, depth and ids of parts, see `shaders.NORMALS`."""
@@ -150,18 +175,12 @@ class GpuScene:
             self._normals.append(program.vertex_array(self._mesh))
         program.set_clip_matrix(clip_from_world)
         program.set_eye(eye)
-        count = sum(self._write_commands(parts))
-        if count:
-            self._normals[0].render_indirect(self._commands, count=count)
+        if len(parts):
+            self._write_commands(parts)
+            self._normals[0].render_indirect(self._commands, count=len(parts))
 
-    def _write_commands(self, parts: NDArray[np.intp]) -> list[int]:
-        """Writes the draw commands; returns the numbers of plain and of textured parts in each band, alternately."""
-        count = len(parts)
-        if not count:
-            return []
-        run = np.arange(count) * _BANDS // count * 2 + self._is_textured[parts]
-        self._commands.write(self._draws[parts[np.argsort(run, kind="stable")]].tobytes())
-        return [int(each) for each in np.bincount(run)]
+    def _write_commands(self, parts: NDArray[np.intp]) -> None:
+        self._commands.write(self._draws[parts].tobytes())
 
     def close(self) -> None:
         """Frees the device memory."""

@@ -7,6 +7,8 @@ A process that has not loaded the driver has neither problem. This module loads 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
+
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
@@ -19,16 +21,18 @@ from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedFrame
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind
-from workers.render.shelf import SceneShelf
-
-_KEPT_SCENES = 2
+from workers.render.shelf import KEPT_SCENES, SceneShelf
 
 
 class ProcessRenderer(Closing):
     """`Renderer` in a separate process; its frames equal those of an in-process renderer, bit for bit."""
 
     def __init__(
-        self, kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer
+        self,
+        kind: RendererKind = "auto",
+        size: int = FRAME_SIZE_PX,
+        lap: StageTimer = no_stage_timer,
+        kept_scenes: int = KEPT_SCENES,
     ) -> None:
         """Starts the process and waits until its renderer is open.
 
@@ -36,24 +40,48 @@ class ProcessRenderer(Closing):
             kind: type of the renderer.
             size: width and height of the frames, pixels.
             lap: called at the end of the stages `render` and `read-back` of every frame.
+            kept_scenes: number of scenes that stay prepared.
 
         Raises:
             UsageError: the size is not in 1..`MAX_SIZE_PX`.
             WorldError: the process cannot be started, or the machine has no such renderer.
         """
         self._size, self._lap = _checked(size), lap
-        self._process = RenderingProcess(kind, size)
-        self._shelf = SceneShelf(_Storage(self._process).store, _KEPT_SCENES)
+        self._process = RenderingProcess(kind, size, kept_scenes)
+        self._shelf = SceneShelf(_Storage(self._process).store, kept_scenes)
         self.description = self._process.description
 
     def close(self) -> None:
         """Ends the process; further calls have no effect."""
         self._process.close()
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the process can render: it was not closed and has not died."""
+        return self._process.is_open
+
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
-        stored = self._shelf.take(scene)
-        self._process.ask(RequestKind.LOAD, scene=stored.number, camera=camera)
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
+        self.load_package(key, lambda: encode_scene(read(), level=1), camera)
+
+    def load_package(self, key: Hashable, read: Callable[[], bytes], camera: CameraConfig) -> None:
+        """Selects a scene by its package, which this process does not decode; recently used scenes stay prepared.
+
+        Args:
+            key: key of the scene, such as the SHA-256 of its package.
+            read: returns the package; called if the scene is not prepared.
+            camera: camera of the robot.
+        """
+        self._process.ask(RequestKind.LOAD, scene=self._shelf.take(key, read).number, camera=camera)
+
+    @property
+    def prepared(self) -> tuple[Hashable, ...]:
+        """Keys of the prepared scenes, the most recently used one last."""
+        return self._shelf.keys
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -102,9 +130,9 @@ class _Storage:
     def __init__(self, process: RenderingProcess) -> None:
         self._process, self._count = process, 0
 
-    def store(self, scene: CompiledScene) -> _Stored:
+    def store(self, package: bytes) -> _Stored:
         self._count += 1
-        self._process.send_scene(encode_scene(scene, level=1))
+        self._process.send_scene(package)
         self._process.ask(RequestKind.STORE, scene=self._count)
         return _Stored(self._process, self._count)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import functools
+import io
 import os
 import sys
 import traceback
@@ -17,7 +18,7 @@ from pydantic import Field, TypeAdapter
 
 from schemas.errors import FactoryError, UsageError
 from schemas.rig import Camera
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import decode_scene
 from workers.process.pipes import listen, take_stdout
 from workers.render import Renderer
 from workers.render.choose import open_renderer
@@ -31,13 +32,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="workers.render.process_child", description="Renders frames for one process.")
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), required=True)
     parser.add_argument("--size", type=int, required=True, help="Default width and height of frames, pixels.")
+    parser.add_argument("--kept-scenes", type=int, required=True, help="Number of scenes that stay prepared.")
     parser.add_argument("--frames", type=int, required=True, help="File descriptor of the frame memory.")
     parser.add_argument("--scenes", type=int, required=True, help="File descriptor of the scene memory.")
     arguments = parser.parse_args()
     faulthandler.enable()
     out, lines = take_stdout(), listen(0)
     try:
-        with open_renderer(arguments.renderer, arguments.size) as renderer:
+        with open_renderer(arguments.renderer, arguments.size, kept_scenes=arguments.kept_scenes) as renderer:
             server = _Server(renderer, FrameMemory(arguments.frames), arguments.scenes)
             out.write(to_line(Reply(number=0, detail=renderer.description)))
             while True:
@@ -50,11 +52,11 @@ def main() -> int:
 
 
 class _Server:
-    """Server of requests; stores the scenes until the caller drops them."""
+    """Server of requests; stores the packages of scenes, which are small, until the caller drops them."""
 
     def __init__(self, renderer: Renderer, frames: FrameMemory, scene_descriptor: int) -> None:
         self._renderer, self._frames, self._scene_descriptor = renderer, frames, scene_descriptor
-        self._scenes: dict[int, CompiledScene] = {}
+        self._packages: dict[int, bytes] = {}
 
     def serve(self, request: RenderRequest) -> Reply:
         """Executes a request and returns its reply, which contains the error if there was one."""
@@ -69,11 +71,12 @@ class _Server:
     def _execute(self, request: RenderRequest) -> None:
         match request.kind:
             case RequestKind.STORE:
-                self._scenes[request.scene] = self._read_scene()
+                self._packages[request.scene] = self._read_package()
             case RequestKind.DROP:
-                self._scenes.pop(request.scene, None)
+                self._packages.pop(request.scene, None)
             case RequestKind.LOAD:
-                self._renderer.load(self._scenes[request.scene], request.camera)
+                package = self._packages[request.scene]
+                self._renderer.load_by_key(request.scene, lambda: decode_scene(io.BytesIO(package)), request.camera)
             case RequestKind.RENDER:
                 self._frames.put(self._renderer.render(request.pose, request.size))
             case RequestKind.RELIEF:
@@ -81,9 +84,10 @@ class _Server:
             case RequestKind.CAMERA:
                 self._frames.put(self._renderer.render_camera(_parse_camera(request.sensor), request.pose))
 
-    def _read_scene(self) -> CompiledScene:
+    def _read_package(self) -> bytes:
         with os.fdopen(self._scene_descriptor, "rb", closefd=False) as file:
-            return decode_scene(file)
+            file.seek(0)
+            return file.read()
 
 
 @functools.lru_cache(maxsize=64)

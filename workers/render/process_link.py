@@ -19,6 +19,7 @@ from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
 from workers.process.one_core import one_core
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
+from workers.render.shelf import KEPT_SCENES
 
 _ANSWER_S = 300.0
 _REAP_S = 3.0
@@ -32,7 +33,7 @@ class RenderingProcess:
     description: str
     """Description of the renderer in the process."""
 
-    def __init__(self, kind: RendererKind, size: int) -> None:
+    def __init__(self, kind: RendererKind, size: int, kept_scenes: int) -> None:
         self._pid, self._number, self._unread = os.getpid(), 0, b""
         self._scene = os.fdopen(os.memfd_create("minivla-scene"), "wb")
         self._socket, theirs = socket.socketpair()
@@ -42,7 +43,7 @@ class RenderingProcess:
         with theirs, os.fdopen(memory), contextlib.ExitStack() as held:
             for each in (self._socket, self._scene, self.frames):
                 held.callback(each.close)
-            self._process = _start(kind, size, theirs, memory, self._scene.fileno())
+            self._process = _start(kind, size, kept_scenes, theirs, memory, self._scene.fileno())
             self._end = weakref.finalize(self, _end, self._process, held.pop_all())
         _running.add(self)
         try:
@@ -50,6 +51,11 @@ class RenderingProcess:
         except BaseException:
             self.close()
             raise
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the process serves requests: it was not closed and is not known to be dead."""
+        return self._end.alive
 
     def send_scene(self, package: bytes) -> None:
         """Replaces the content of the scene memory."""
@@ -101,7 +107,7 @@ class RenderingProcess:
                 f"this renderer was opened by process {self._pid} before a fork: open it in the process that "
                 "uses it (Gymnasium: create the environment there, as `make_vec(..., vectorization_mode='async')` does)"
             )
-        if not self._end.alive:
+        if not self.is_open:
             raise UsageError("this renderer is closed: open another one")
 
     def _receive(self, number: int) -> str:
@@ -154,8 +160,10 @@ def _disown_all() -> None:
 os.register_at_fork(after_in_child=_disown_all)
 
 
-def _start(kind: RendererKind, size: int, theirs: socket.socket, frames: int, scenes: int) -> subprocess.Popen[bytes]:
-    options = {"--renderer": kind, "--size": size, "--frames": frames, "--scenes": scenes}
+def _start(
+    kind: RendererKind, size: int, kept_scenes: int, theirs: socket.socket, frames: int, scenes: int
+) -> subprocess.Popen[bytes]:
+    options = {"--renderer": kind, "--size": size, "--kept-scenes": kept_scenes, "--frames": frames, "--scenes": scenes}
     command = (*_CHILD, *(str(word) for option in options.items() for word in option))
     try:
         return subprocess.Popen(
@@ -163,17 +171,20 @@ def _start(kind: RendererKind, size: int, theirs: socket.socket, frames: int, sc
             stdin=theirs.fileno(),
             stdout=theirs.fileno(),
             pass_fds=(frames, scenes),
-            env=_environment(),
+            env=_environment(kept_scenes),
             start_new_session=True,  # Ctrl-C reaches the caller only, which closes the renderer
         )
     except OSError as error:
         raise WorldError(f"cannot start the rendering process `{' '.join(command)}`: {error}") from error
 
 
-def _environment() -> dict[str, str]:
-    """Returns the environment for rendering on one core, or with the number of threads that the user set for Mesa."""
+def _environment(kept_scenes: int) -> dict[str, str]:
+    """Returns the environment for rendering on one core, or with the number of threads that the user set for Mesa.
+
+    A process that keeps more scenes than a simulation is expected to prepare many of them.
+    """
     chosen = {name: os.environ[name] for name in ("LP_NUM_THREADS",) if name in os.environ}
-    return {**one_core(os.environ), **chosen}
+    return {**one_core(os.environ, many_scenes=kept_scenes > KEPT_SCENES), **chosen}
 
 
 def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Generic, Protocol, TypeVar
 
-from schemas.scene import CompiledScene
+KEPT_SCENES = 2
+"""Default number of prepared scenes of a renderer."""
 
 
 class _Closable(Protocol):
     def close(self) -> None: ...
 
 
+Scene = TypeVar("Scene")
 Prepared = TypeVar("Prepared", bound=_Closable)
 
 
-class SceneShelf(Generic[Prepared]):
-    """LRU cache of prepared scenes, keyed by the identity of the `CompiledScene` object."""
+class SceneShelf(Generic[Scene, Prepared]):
+    """LRU cache of prepared scenes by key."""
 
-    def __init__(self, prepare: Callable[[CompiledScene], Prepared], capacity: int) -> None:
+    def __init__(self, prepare: Callable[[Scene], Prepared], capacity: int) -> None:
         """Creates an empty cache.
 
         Args:
@@ -28,15 +30,24 @@ class SceneShelf(Generic[Prepared]):
         """
         self._prepare = prepare
         self._capacity = capacity
-        self._kept: OrderedDict[int, tuple[CompiledScene, Prepared]] = OrderedDict()
+        self._kept: OrderedDict[Hashable, tuple[Callable[[], Scene], Prepared]] = OrderedDict()
 
-    def take(self, scene: CompiledScene) -> Prepared:
-        """Returns the prepared scene; prepares it on a cache miss, and closes the least recently used one if full."""
-        key = id(scene)  # unique, because the cache holds a reference to the scene
+    @property
+    def keys(self) -> tuple[Hashable, ...]:
+        """Keys of the prepared scenes, the most recently used one last."""
+        return tuple(self._kept)
+
+    def take(self, key: Hashable, read: Callable[[], Scene]) -> Prepared:
+        """Returns the prepared scene; prepares it on a cache miss, and closes the least recently used one if full.
+
+        Args:
+            key: key of the scene.
+            read: returns the scene; called on a cache miss, and referenced while the scene is prepared.
+        """
         if key not in self._kept:
             while len(self._kept) >= self._capacity:
                 self._kept.popitem(last=False)[1][1].close()
-            self._kept[key] = (scene, self._prepare(scene))
+            self._kept[key] = (read, self._prepare(read()))
         self._kept.move_to_end(key)
         return self._kept[key][1]
 

@@ -6,7 +6,7 @@ Each part has its mean colour and light, because TinyRenderer supports neither p
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +27,9 @@ from workers.physics.bullet import BulletClient, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame
 from workers.render.compose import compose_image
-from workers.render.shelf import SceneShelf
+from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
-_KEPT_SCENES = 2
 _TEXTURE_PX = 128
 """Size to which textures are reduced, pixels: TinyRenderer samples single texels, which flicker at full resolution."""
 
@@ -38,18 +37,21 @@ _TEXTURE_PX = 128
 class TinyRenderer(Closing):
     """Software `Renderer` that runs wherever PyBullet runs."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
+    def __init__(
+        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+    ) -> None:
         """Creates the renderer.
 
         Args:
             size: width and height of the frames, pixels.
             lap: called at the end of the stages `render` and `read-back` of every frame.
+            kept_scenes: number of scenes that stay prepared.
         """
         self.description = f"PyBullet TinyRenderer {bullet_version()}"
         self._camera = CameraConfig()
         self._size = size
         self._lap = lap
-        self._shelf = SceneShelf(TinyScene, _KEPT_SCENES)
+        self._shelf = SceneShelf(TinyScene, kept_scenes)
         self._scene: TinyScene | None = None
         self._sky = SkyPainter(None)
 
@@ -60,9 +62,13 @@ class TinyRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
+        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+
+    def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
+        """Selects a scene by a key and the camera; see `Renderer`."""
         self._camera = camera
-        self._sky = SkyPainter(scene.info.sky)
-        self._scene = self._shelf.take(scene)
+        self._scene = self._shelf.take(key, read)
+        self._sky = SkyPainter(self._scene.sky)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -131,6 +137,7 @@ class TinyScene:
     """Scene as visual bodies in a separate physics client."""
 
     def __init__(self, scene: CompiledScene) -> None:
+        self.sky = scene.info.sky
         self.client = BulletClient()
         instances: dict[int, int] = {}
         with tempfile.TemporaryDirectory() as folder:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import BinaryIO
@@ -26,7 +26,8 @@ from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.render import RenderedFrame, Renderer
+from workers.render import Renderer
+from workers.sim.frames import add_frames, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import draw_poses, is_spawn_stable
@@ -87,7 +88,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     attempt = _Attempt(job, target, place, stage, out, sid, on_step)
     rng = job.rng()
     stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
-    is_clear = partial(_is_view_clear, job, target, stage.renderer)
+    is_clear = partial(is_view_clear, job, target, stage.renderer)
     for draws, start in enumerate(draw_poses(job, target, place, rng, is_clear), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
@@ -107,7 +108,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     return AttemptFailure(FailReason.SPAWN, f"no valid start pose{conditions} for {job.target_id} {tries}", 0)
 
 
-def _is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
+def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
     """Returns whether heading and image of a pose meet the job's conditions; renders only if the job has any."""
     if job.start_view is None:
         return True
@@ -138,23 +139,18 @@ def _drive_and_seal(
     """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
     job, target, place, stage = attempt.job, attempt.target, attempt.place, attempt.stage
     start = world.pose()
-    writer = BundleWriter(attempt.out, stage.lap)
     stage.lap("start")
-    done = drive(
-        job,
-        target,
-        world,
-        stage.renderer,
-        expert,
-        _frame_sink(writer) if job.record is Recording.FRAMES else None,
-        attempt.on_step,
-        stage.lap,
-    )
+    done = drive(job, target, world, stage.renderer, expert, attempt.on_step, stage.lap)
+    poses = done.arrays.poses
     if done.end_reason is not EndReason.SUCCESS:
-        writer.abandon()
-        return AttemptFailure(FailReason(done.end_reason), done.end, len(done.arrays.poses))
+        return AttemptFailure(FailReason(done.end_reason), done.end, len(poses))
+    writer = BundleWriter(attempt.out, stage.lap)
     if job.record is Recording.STATES:
-        _add_sampled_frames(writer, job, done.arrays, stage)
+        add_sampled_digests(writer, stage.renderer, job, poses)
+    else:
+        tell = partial(attempt.on_step, len(poses))
+        visible = add_frames(writer, stage.renderer, job, poses, target.instance_id, lambda _frames: tell())
+        done = replace(done, steps_visible=visible)
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
@@ -163,17 +159,6 @@ def _drive_and_seal(
     sealed = writer.finish(done.arrays, meta)
     stage.lap("bundle")
     return Success(sealed)
-
-
-def _frame_sink(writer: BundleWriter) -> Callable[[RenderedFrame], None]:
-    return lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids)
-
-
-def _add_sampled_frames(writer: BundleWriter, job: Job, arrays: EpisodeArrays, stage: SceneRenderer) -> None:
-    """Renders the sampled frames of a states recording and adds their digests."""
-    for t in job.sampled_steps(len(arrays.poses)):
-        frame = stage.renderer.render(Pose.of(arrays.poses[t]))
-        writer.add_digest(frame.rgb, frame.depth, frame.ids)
 
 
 def describe_episode(

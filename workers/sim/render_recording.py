@@ -9,15 +9,13 @@ import io
 from collections.abc import Callable
 from typing import BinaryIO
 
-import numpy as np
-
 from schemas.bundle import BundleReader, BundleWriter
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import Recording
-from workers.geometry.pose import Pose
 from workers.render.differing import differing_frame
 from workers.sim.attempt import Success
+from workers.sim.frames import add_frames
 from workers.sim.scene_renderer import SceneRenderer
 
 
@@ -41,16 +39,16 @@ def render_recording(
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
         stage.renderer.load(place.scene, job.camera)
-        writer, visible = BundleWriter(out, stage.lap), 0
-        sampled = recorded.meta.sampled_digests
-        for t, row in enumerate(recorded.arrays.poses):
-            frame = stage.renderer.render(Pose.of(row))
-            pixels = np.count_nonzero(frame.ids == recorded.meta.target_instance_id)
-            visible += int(pixels) >= job.gains.min_mask_px
-            writer.add_frame(frame.rgb, frame.depth, frame.ids)
+        writer, sampled = BundleWriter(out, stage.lap), recorded.meta.sampled_digests
+
+        def check(count: int) -> None:
+            t = count - 1
             if t in sampled and writer.frame_digests[t] != sampled[t]:
                 raise differing_frame(recorded.meta, t, stage.renderer.description)
-            on_step(t + 1)
+            on_step(count)
+
+        target_id = recorded.meta.target_instance_id
+        visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, target_id, check)
         meta = recorded.meta.with_frames(job, visible, place.scene.info.instances)
         return Success(writer.finish(recorded.arrays, meta))
 

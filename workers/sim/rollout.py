@@ -1,6 +1,6 @@
 """Rollout of an expert from a start pose to the end of the episode: observe, act, record, step.
 
-Passes each frame to a callback. Does not depend on bundles or leases.
+Renders only what the expert measures. Does not depend on bundles or leases.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import EndReason
 from workers.experts import Expert
 from workers.physics.world import World
-from workers.render import RenderedFrame, Renderer
+from workers.render import Renderer
 from workers.sim.closed_loop import ClosedLoop
 
-FrameSink = Callable[[RenderedFrame], None]
-"""Called with each frame."""
 StepCallback = Callable[[int], None]
 """Called after each step with the number of steps."""
 
@@ -36,9 +34,9 @@ class Drive:
     contact_steps: int
     """Number of steps with a contact other than the floor."""
     steps_visible: int | None
-    """Number of steps in which the target was visible to the expert; `None` if no image was needed to drive."""
+    """Number of steps in which the target was visible to the expert; `None` if the expert does not look."""
     target_in_view: bool
-    """Whether the last frame shows the target; false if no success made it necessary to render the frame."""
+    """Whether the last frame shows the target; false after a failure of an expert that does not look."""
     end: str
     """Description of the end with measured values."""
 
@@ -49,7 +47,6 @@ def drive(
     world: World,
     renderer: Renderer,
     expert: Expert,
-    sink: FrameSink | None,
     on_step: StepCallback,
     lap: StageTimer = no_stage_timer,
 ) -> Drive:
@@ -61,16 +58,13 @@ def drive(
         world: world with the robot at its start pose.
         renderer: renderer with the scene loaded.
         expert: expert whose `begin` was called for this start; `act` is called once per step.
-        sink: called with every frame; `None` renders only what the expert needs, usually depth and ids.
         on_step: called after every step.
-        lap: called at the end of the stages `control` and `physics` of every step; renderer and sink report their own.
+        lap: called at the end of the stages `control` and `physics` of every step; the renderer reports its own.
     """
     loop = ClosedLoop(job, target, world, renderer)
-    visible = 0 if sink is not None or job.expert.uses_images else None
+    visible = 0 if job.expert.uses_images else None
     while True:
         view = loop.view
-        if sink is not None:
-            _ = view.frame  # rendered first, so that the expert reads depth and ids from it
         reason = loop.decide(expert.act(view))
         is_needed = visible is not None or reason is EndReason.SUCCESS
         is_visible = is_needed and view.sighting.pixels >= job.gains.min_mask_px
@@ -78,8 +72,6 @@ def drive(
             visible += is_visible
         reason = _missed(job.demonstration, reason, loop.contact_steps, is_visible) or reason
         lap("control")
-        if sink is not None:
-            sink(view.frame)
         on_step(loop.steps)
         if reason is not None:
             end = f"{reason} after {loop.steps} steps, {view.distance_m:.2f} m from {target.target_id}"

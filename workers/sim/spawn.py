@@ -120,7 +120,7 @@ def _draw_fitting(
     job: Job, target: Target, place: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
 ) -> Iterator[Start]:
     """Yields valid starts; in the near and mid tiers, those at the first distance that has one."""
-    surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
+    surveyed = surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
     distances, rejected = _distance_stream(job, rng), 0
@@ -128,7 +128,7 @@ def _draw_fitting(
         if surveyed is None:
             poses = _draw_around(job, target, distances, rng)
         else:
-            poses = _draw_among(surveyed, job, target, rng)
+            poses = draw_among(surveyed, job, target, rng)
         fits = np.flatnonzero(_can_start(job, target, place, poses))[:_PREDICTIONS]
         before = rejected
         for x, y, yaw in poses[fits].tolist():
@@ -146,7 +146,7 @@ def _distance_stream(job: Job, rng: np.random.Generator) -> np.random.Generator:
     Blind attempts from a large distance fail more often. Without this, the archived distances would be shorter than
     those of the tier (docs/design/starts.md#screening).
     """
-    if job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:
+    if job.expert is ExpertName.PLANNER or job.spawn.needs_free_line:
         return rng
     return np.random.default_rng(np.random.SeedSequence((job.root_seed, job.index), spawn_key=(_DISTANCE_STREAM,)))
 
@@ -162,7 +162,7 @@ def _draw_around(job: Job, target: Target, distances: np.random.Generator, rng: 
     return np.column_stack([points, portable.arctan2(portable.sin(yaw), portable.cos(yaw))])
 
 
-def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
+def draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.random.Generator) -> Poses:
     """Returns one pose with any heading, or with a heading that may show the target if the job requires this."""
     x, y = points[int(rng.integers(len(points)))].tolist()
     if job.start_view is None or not job.start_view.shows_target:
@@ -174,10 +174,10 @@ def _draw_among(points: NDArray[np.float32], job: Job, target: Target, rng: np.r
 
 def _is_screened(job: Job) -> bool:
     """Returns whether starts need a free straight line."""
-    return job.expert is not ExpertName.PLANNER and job.spawn.screening is not Screening.NONE
+    return job.expert is not ExpertName.PLANNER and job.spawn.needs_free_line
 
 
-def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+def surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
     """Returns the surveyed points (N, 2) whose distance along the floor to the target is in the range of the tier."""
     points = _points_on_free_lines(job, target, place) if _is_screened(job) else place.scene.spawns
     low, high = job.spawn.far_floor_m
@@ -213,7 +213,7 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
         tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
     if job.tier is Tier.FAR:  # its points were selected by their lines
         tests.append(lambda at: np.array([_is_far(job, target, place, pose[:2]) for pose in at], bool))
-    elif job.expert is ExpertName.PLANNER or _is_screened(job):
+    elif job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:
         tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
         if _is_screened(job):
             tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))

@@ -117,7 +117,7 @@ def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, ga
 
 def say_building(name: str) -> None:
     """Prints on stderr that a scene is built."""
-    click.echo(f"building {name}", err=True)
+    click.echo(f"building {name}; this is done once and takes some seconds, for a large stage minutes", err=True)
 
 
 def say_duration(seconds: float | None) -> str:

@@ -10,8 +10,9 @@ from click.shell_completion import CompletionItem
 
 from factory.dataset.site import Site, site_of
 from schemas.errors import UsageError
-from schemas.job import episode_id
-from schemas.storage.place import Place, place_of
+from schemas.storage.episode_list import list_episodes
+from schemas.storage.place import FilePlace, Place, place_of
+from schemas.storage.shard_index import episode_place
 
 
 def _folders(word: str) -> list[CompletionItem]:
@@ -76,7 +77,7 @@ def episode_index(name: str) -> int:
     return int(digits)
 
 
-def episode_path(root: Place, name: str) -> Place:
+def episode_path(root: Place, name: str) -> FilePlace:
     """Returns the path of an episode's bundle in a dataset.
 
     Raises:
@@ -87,9 +88,9 @@ def episode_path(root: Place, name: str) -> Place:
         raise UsageError(
             f"{root} is not a dataset: episodes/ is missing; create a dataset with `factory run demo --out {root}`"
         )
-    path = folder / f"{episode_id(episode_index(name))}.zip"
+    path = episode_place(root, episode_index(name))
     if not path.is_file():
-        count = len(list(folder.glob("ep_*.zip")))
+        count = len(list_episodes(root).episodes)
         raise UsageError(
             f"{path.stem} does not exist in {root}, which has {count} episodes; list them with "
             f"`factory jobs list {root}`"

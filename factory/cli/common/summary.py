@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import pyarrow.compute as pc
 
 from factory.cli.common.output import print_table, print_text
 from factory.dataset.reader import Dataset
@@ -19,13 +20,12 @@ _WORDS = {str(FailReason.RELEASED): "returned"}
 def summarise(root: Place, progress: Progress) -> dict[str, Any]:
     """Returns the summary of a finished run as JSON data."""
     dataset = Dataset(root)
-    sizes = [path.stat().st_size for path in (root / "episodes").glob("ep_*.zip")]
     return {
         "dataset": str(root),
         "run": progress.run,
         "episodes": len(dataset),
         "planned": progress.planned,
-        "bytes": sum(sizes),
+        "bytes": pc.sum(dataset.metadata["file_bytes"]).as_py() or 0,
         "digest": dataset.digest,
         "by_scene": {name: counts.get("archived", 0) for name, counts in progress.by_scene.items()},
         "attempts": progress.attempts,

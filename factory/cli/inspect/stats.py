@@ -236,9 +236,9 @@ def _print_far(rows: Sequence[FarRow]) -> None:
         for row in rows
         if row.n
     ]
-    columns = ("far starts", "N", "floor distance", "95 % interval", "below 5 m", "without a free line")
     if body:
-        _table(columns, body)
+        below = f"below {rows[0].least_m:g} m"
+        _table(("far starts", "N", "floor distance", "95 % interval", below, "without a free line"), body)
 
 
 def _ends(interval: tuple[float, float] | None) -> str:

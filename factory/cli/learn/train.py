@@ -68,6 +68,20 @@ def command() -> None:
     show_default=True,
     help="Width and height of the input image, pixels.",
 )
+@count_option(
+    "--antialias",
+    None,
+    "Samples per pixel and axis of rendered frames; 1 is the fastest. For datasets of states. Default: as many as give "
+    "the images of stored frames, 640 / SIZE.",
+    most=10,
+)
+@number_option(
+    "GB",
+    "--memory",
+    2.0,
+    "Memory for rendered frames of each split, GB; frames that do not fit are rendered in every epoch.",
+    least=0,
+)
 @count_option("--batch", 32, "Batch size, frames.", most=4096)
 @number_option("RATE", "--rate", 1e-3, "Peak learning rate.", least=1e-7, most=1.0)
 @number_option(
@@ -99,6 +113,8 @@ def bc(
     head: str,
     ablate_language: bool,
     size: str,
+    antialias: int | None,
+    memory: float,
     batch: int,
     rate: float,
     mask_weight: float,
@@ -108,6 +124,7 @@ def bc(
     """Train a policy by behaviour cloning.
 
     The policy maps an image and an instruction to velocities (v, w), or to tokens of the action grid.
+    Frames of a dataset that stores states are rendered in memory; no image is written.
     After Ctrl-C or --minutes, the same command continues the training; the result is the same as without interruption.
 
     \b
@@ -120,12 +137,13 @@ def bc(
         epochs=epochs,
         seed=seed,
         size=int(size),
+        antialias=antialias,
         batch=batch,
         peak_rate=rate,
         mask_weight=mask_weight,
     )
     wanted = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
-    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes)
+    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes, int(memory * 1e9))
     with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
         report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
     print_result(report, as_json, _print)

@@ -17,10 +17,11 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
+from factory.bench.collect import bench_collect
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.machine import StageRecorder, describe_machine
 from factory.bench.memory import bench_memory
-from factory.bench.model import RenderBench, RolloutBench
+from factory.bench.model import CollectBench, RenderBench, RolloutBench
 from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
@@ -39,16 +40,25 @@ from factory.cli.common.options import (
 )
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
-from factory.cli.other.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
+from factory.cli.other.bench_tables import (
+    show_collect,
+    show_coordinator,
+    show_memory,
+    show_read,
+    show_render,
+    show_rollout,
+)
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.plan import Plan
 from schemas.storage.place import Place
-from schemas.terms import RendererKind
+from schemas.terms import ExpertName, Recording, RendererKind
 from workers.client.settings import WorkerSettings
+from workers.render.process_wire import MAX_SIZE_PX
 from workers.sim.scene_renderer import SceneRenderer
 
 _PLAIN_FRAMES = 24
@@ -58,6 +68,8 @@ _MEMORY_JOBS = 25
 
 
 _repeats_option = count_option("--repeats", 3, "Number of timed runs; the result is their median.")
+_size_option = count_option("--size", FRAME_SIZE_PX, "Width and height of the frames, pixels.", most=MAX_SIZE_PX)
+_antialias_option = count_option("--antialias", 1, "Samples per pixel and axis; colours are their mean.", most=16)
 
 
 @click.group("bench", cls=CommandGroup)
@@ -112,23 +124,84 @@ def rollout(
         machine=machine,
         renderer=described,
         plan=plan.name,
-        screening=plan.spawn.screening,
+        screening=plan.screening,
         repeats=repeats,
         scenes=results,
     )
     print_result(report, as_json, show_rollout)
 
 
-@command.command("render")
+@command.command("collect")
+@plan_argument(default="paper")
 @scene_filter()
-@count_option("--frames", 60, "Number of poses in each scene.")
+@count_option("--episodes", 100, "Number of episodes of each run.")
+@click.option(
+    "--record", "records", type=click.Choice(list(Recording)), multiple=True, help="Recording to run; repeatable."
+)
+@click.option(
+    "--expert", "experts", type=click.Choice(list(ExpertName)), multiple=True, help="Expert to run; repeatable."
+)
+@workers_option("Number of simulation processes")
 @_repeats_option
 @renderer_option
 @json_option
-def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: RendererKind, as_json: bool) -> None:
+def collect(
+    plan_name: str,
+    scenes: tuple[str, ...] | None,
+    episodes: int,
+    records: tuple[Recording, ...],
+    experts: tuple[ExpertName, ...],
+    workers: int | None,
+    repeats: int,
+    renderer: RendererKind,
+    as_json: bool,
+) -> None:
+    """Measure whole runs: episodes per hour and CPU time per episode.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Every combination of --record and
+    --expert is run, in turns; by default those of the plan.
+    """
+    base = shrunk_plan(load_plan(plan_name), {"scenes": scenes, "episodes": episodes})
+    variants = {
+        f"{record}, {expert}": shrunk_plan(base, {"record": record, "expert": expert})
+        for record in records or (base.record,)
+        for expert in experts or (base.expert,)
+    }
+    machine, processes = describe_machine(), workers or os.cpu_count() or 1
+    with _bar("collect", len(variants) * repeats) as tell, _temporary_folder() as folder:
+        catalog = open_catalog(base, folder, scene_cache())
+        paces = bench_collect(variants, catalog, folder, processes, repeats, renderer, tell)
+    report = CollectBench(
+        machine=machine,
+        plan=base.name,
+        screening=base.screening,
+        workers=processes,
+        repeats=repeats,
+        variants=paces,
+    )
+    print_result(report, as_json, show_collect)
+
+
+@command.command("render")
+@scene_filter()
+@count_option("--frames", 60, "Number of poses in each scene.")
+@_size_option
+@_antialias_option
+@_repeats_option
+@renderer_option
+@json_option
+def render(
+    scenes: tuple[str, ...] | None,
+    frames: int,
+    size: int,
+    antialias: int,
+    repeats: int,
+    renderer: RendererKind,
+    as_json: bool,
+) -> None:
     """Measure the speed of rendering.
 
-    All runs render the same random poses of each scene.
+    All runs render the same random poses of each scene, on one core: colour, depth and ids.
     """
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
     machine, recorder = describe_machine(), StageRecorder()
@@ -138,12 +211,15 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
         for name, entry in catalog.items():
             with SceneRenderer(renderer, recorder) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
-                results[name] = bench_render(scene, stage.renderer, recorder, CameraConfig(), frames, repeats)
+                results[name] = bench_render(
+                    scene, stage.renderer, recorder, CameraConfig(), frames, repeats, size, antialias
+                )
                 described = stage.renderer.description
             tell()
-    print_result(
-        RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render
+    report = RenderBench(
+        machine=machine, renderer=described, size=size, antialias=antialias, repeats=repeats, scenes=results
     )
+    print_result(report, as_json, show_render)
 
 
 @command.command("memory")
@@ -203,11 +279,20 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
 @click.argument("root", metavar="[DIR|URL]", required=False, type=PLACE)
 @scene_filter()
 @count_option("--frames", 500, "Number of random frames per run.")
+@_size_option
+@_antialias_option
 @workers_option("Number of worker processes of the PyTorch DataLoader.", default=2, least=0)
 @_repeats_option
 @json_option
 def read(
-    root: Place | None, scenes: tuple[str, ...] | None, frames: int, workers: int, repeats: int, as_json: bool
+    root: Place | None,
+    scenes: tuple[str, ...] | None,
+    frames: int,
+    size: int,
+    antialias: int,
+    workers: int,
+    repeats: int,
+    as_json: bool,
 ) -> None:
     """Measure random access to the frames of a dataset.
 
@@ -217,7 +302,8 @@ def read(
         if root is None:
             root = made = folder / "sample"
             _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), folder)
-        report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
+        chosen = Dataset(root).filter(**({"scene": scenes} if scenes else {}))
+        report = bench_read(chosen, frames, repeats, workers, size, antialias)
     print_result(report, as_json, show_read)
 
 

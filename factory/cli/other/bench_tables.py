@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from factory.bench.model import (
+    CollectBench,
     CoordinatorBench,
     Machine,
     MemoryBench,
@@ -58,6 +59,22 @@ def show_rollout(report: RolloutBench) -> None:
     print_table("\nResident memory, MiB", ("scene", "after 1 episode", "at the end", "peak"), memory)
 
 
+def show_collect(report: CollectBench) -> None:
+    """Prints the pace of whole runs."""
+    _say_machine(report.machine)
+    rows = [
+        (
+            *(name, pace.episodes, pace.attempts),
+            *(round(pace.episodes_per_hour.median), _range(pace.episodes_per_hour)),
+            *(_round(pace.cpu_s_per_episode.median), _range(pace.cpu_s_per_episode)),
+        )
+        for name, pace in report.variants.items()
+    ]
+    work = f"screening {report.screening}, {report.workers} workers, {report.repeats} runs each"
+    columns = ("variant", "episodes", "attempts", "episodes/h", "range", "CPU s/episode", "range")
+    print_table(f"Runs of plan {report.plan}, {work}", columns, rows)
+
+
 def show_render(report: RenderBench) -> None:
     """Prints the speed of rendering in each scene and the time of each stage."""
     _say_machine(report.machine, report.renderer)
@@ -69,12 +86,13 @@ def show_render(report: RenderBench) -> None:
         for name, found in report.scenes.items()
     ]
     print_table(
-        f"Rendering only, {report.repeats} runs",
+        f"Rendering only, {_describe_size(report.size, report.antialias)}, {report.repeats} runs",
         ("scene", "frames/s", "range", "frames", "triangles", "in view"),
         rows,
     )
     _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
-    _print_stages("without colour", {name: found.without_colour for name, found in report.scenes.items()})
+    if all(found.without_colour for found in report.scenes.values()):
+        _print_stages("without colour", {name: found.without_colour for name, found in report.scenes.items()})
 
 
 def show_memory(report: MemoryBench) -> None:
@@ -142,22 +160,33 @@ def show_read(report: ReadBench) -> None:
             report.random_frames_per_s.median,
             _range(report.random_frames_per_s),
         ),
-        (
-            "random frames, all three images, frames/CPU s",
-            report.random_frames_per_cpu_s.median,
-            _range(report.random_frames_per_cpu_s),
+        *(
+            ("random frames, all three images, frames/CPU s", found.median, _range(found))
+            for found in (report.random_frames_per_cpu_s,)
+            if found is not None
         ),
         *((f"only {name}, frames/s", found.median, _range(found)) for name, found in report.by_image.items()),
         ("opening an episode, ms", report.open_ms.median, _range(report.open_ms)),
     ]
-    loader, threads = report.loader_frames_per_s, report.threads_frames_per_s
-    if loader is not None and threads is not None:
-        rows.append(("shuffled DataLoader, threads on all cores, frames/s", threads.median, _range(threads)))
-        rows.append((f"shuffled DataLoader, {report.loader_workers} workers, frames/s", loader.median, _range(loader)))
-    title = f"{report.frames} random frames of {report.episodes} episodes, {report.repeats} runs"
+    loaders = {
+        "one thread": report.one_thread_frames_per_s,
+        "threads on all cores": report.threads_frames_per_s,
+        f"{report.loader_workers} workers": report.loader_frames_per_s,
+    }
+    rows += [
+        (f"shuffled DataLoader, {name}, frames/s", found.median, _range(found))
+        for name, found in loaders.items()
+        if found is not None
+    ]
+    pictures = _describe_size(report.size, report.antialias)
+    title = f"{report.frames} random frames, {pictures}, of {report.episodes} episodes, {report.repeats} runs"
     print_table(title, ("quantity", "median", "range"), rows)
-    if loader is None:
+    if report.loader_frames_per_s is None:
         click.echo("note: torch is not installed; the DataLoader was not measured", err=True)
+
+
+def _describe_size(size: int, antialias: int) -> str:
+    return f"{size} x {size} pixels" + (f", {antialias} x {antialias} samples each" if antialias > 1 else "")
 
 
 def _say_machine(machine: Machine, renderer: str | None = None) -> None:

@@ -7,12 +7,13 @@ from pathlib import Path
 import click
 from rich.progress import DownloadColumn, TimeRemainingColumn
 
-from factory.cli.common.bars import Bars
+from factory.cli.common.bars import Bars, one_bar
 from factory.cli.common.options import dataset_argument
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.export.execution.manifest import MANIFEST_FILE
 from factory.push import PushPlan, plan_push, push
 from factory.push.files import batches_of, require_repository
+from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
 
 
 @click.command("push")
@@ -20,9 +21,17 @@ from factory.push.files import batches_of, require_repository
 @click.argument("repository", metavar="OWNER/NAME")
 @click.option("--private", is_flag=True, help="If the repository does not exist, create it as private.")
 @click.option("--endpoint", metavar="URL", help="URL of the Hub. Default: HF_ENDPOINT, else https://huggingface.co.")
+@click.option(
+    "--thumbnails",
+    is_flag=True,
+    help="Render the missing thumbnails of a dataset of states into its tables, for the Hub's viewer. Needs the extra "
+    "`render`.",
+)
 @click.option("--dry-run", is_flag=True, help="Print what would be uploaded, without network access.")
 @json_option
-def command(root: Path, repository: str, private: bool, endpoint: str | None, dry_run: bool, as_json: bool) -> None:
+def command(
+    root: Path, repository: str, private: bool, endpoint: str | None, thumbnails: bool, dry_run: bool, as_json: bool
+) -> None:
     """Upload a dataset or an export to the Hugging Face Hub.
 
     DIR is a dataset or the output of `factory export`. OWNER/NAME is a dataset repository.
@@ -30,6 +39,12 @@ def command(root: Path, repository: str, private: bool, endpoint: str | None, dr
     The same command continues an interrupted upload.
     """
     require_repository(repository)
+    if lacks_thumbnails(root):
+        if thumbnails and not dry_run:
+            with one_bar("rendering thumbnails") as tell:
+                render_thumbnails(root, tell)
+        else:
+            click.echo("note: the dataset has no thumbnails for the Hub's viewer; --thumbnails renders them", err=True)
     plan = plan_push(root, MANIFEST_FILE)
     for remark in plan.remarks:
         click.echo(f"note: {remark}", err=True)

@@ -17,8 +17,9 @@ from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
-from factory.cli.common.output import json_option, print_json, print_table, print_text, stderr
+from factory.cli.common.output import json_option, print_json, print_table, print_text, say_building, stderr
 from factory.runs.catalog import collect_scenes, find_built
+from factory.runs.corners import corner_shares
 from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
@@ -40,7 +41,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     """Show a plan's quotas, categories, templates and ambiguity.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Files named in the plan must exist.
-    Categories, templates and ambiguity need scenes that are built and support the plan.
+    Categories, templates, ambiguity and the share of far starts around a corner need scenes that are built and support
+    the plan.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
@@ -48,9 +50,10 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     unknown = [scene.name for scene in plan.scenes if scene.name not in found]
     mistakes = None if unknown else find_impossible(plan, found)
     content = summarise(plan, found) if mistakes == [] else None
+    corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
-        told |= {"content": None if content is None else _content_data(content)}
+        told |= {"content": None if content is None else _content_data(content) | {"far_corner_shares": corners}}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
     facts = f"{plan.episodes} episodes of {plan.record}, seed {plan.seed}, expert {plan.expert}, run {plan.run}"
@@ -61,6 +64,9 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     _print_cells(plan)
     if content is not None:
         _print_content(plan, content)
+    if corners:
+        listed = ", ".join(f"{name} {share:.0%}" for name, share in corners.items())
+        print_text(f"far starts without a free straight line to the target, expected: {listed}")
     warn_of_empty_splits(plan)
     for line in mistakes or ():
         print_text(f"impossible: {line}")
@@ -94,9 +100,7 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     with tempfile.TemporaryDirectory(prefix="plan-") as folder:
-        catalog = collect_scenes(
-            plan, Path(folder), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
-        )
+        catalog = collect_scenes(plan, Path(folder), scene_cache(), say_building)
     mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
     if found.plan is None:
         raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)

@@ -12,6 +12,7 @@ import click
 from factory.cli.common.options import number_option
 from factory.cli.common.output import json_option, print_json, print_table, print_text
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
+from schemas.terms import SuccessMeasure
 
 if TYPE_CHECKING:
     from factory.scenes.survey.report import SpawnSight, SurveyReport
@@ -23,8 +24,13 @@ if TYPE_CHECKING:
 @number_option(
     "METRES", "--within", 2.0, "Floor within this distance of a start point counts as covered, metres.", least=0.1
 )
+@click.option(
+    "--success",
+    type=click.Choice([str(measure) for measure in SuccessMeasure]),
+    help="Measure of the distance to the targets. Default: surface if the package has footprints, otherwise centroid.",
+)
 @json_option
-def command(scene: str, seed: int, within: float, as_json: bool) -> int:
+def command(scene: str, seed: int, within: float, success: str | None, as_json: bool) -> int:
     """Measure the start points of a scene.
 
     SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
@@ -32,7 +38,9 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
     """
     from factory.scenes.survey.report import report_survey
 
-    report = report_survey(chosen_scene(scene, seed), within)
+    chosen = chosen_scene(scene, seed)
+    usual = SuccessMeasure.SURFACE if chosen.info.has_footprints else SuccessMeasure.CENTROID
+    report = report_survey(chosen, within, SuccessMeasure(success or usual))
     if as_json:
         print_json(asdict(report))
     else:
@@ -64,7 +72,8 @@ def say_survey(report: SurveyReport) -> Iterator[str]:
     )
     yield f"start points without a visible target: {report.blind}; only the planner expert uses them"
     yield f"targets visible from no start point: {', '.join(report.unseen) or 'none'}"
-    yield f"visible: at {low:g} to {high:g} m, not occluded, with a free straight path to 1 m from the centroid"
+    goal = "centroid" if report.success is SuccessMeasure.CENTROID else "footprint"
+    yield f"visible: at {low:g} to {high:g} m, not occluded, with a free straight path to 1 m from the {goal}"
 
 
 def _row(number: int, sight: SpawnSight) -> tuple[object, ...]:

@@ -63,7 +63,7 @@ class ResultJudge:
     def __init__(self, tasks: Mapping[int, EvalTask]) -> None:
         self._tasks = tasks
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> EvalReceipt:
+    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EvalReceipt:  # noqa: ARG002
         """Validates a bundle and returns its receipt for the ledger.
 
         Raises:

@@ -12,8 +12,9 @@ from factory.eval.policies import find_policy
 from factory.eval.specs.ablation import donors, instructions
 from factory.eval.specs.from_dataset import Places
 from schemas.bundle import BundleReader
-from schemas.dataset import file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.job import index_of_file
+from schemas.storage.shard_index import episode_place
 
 
 def read_actions_of(root: Path, episode: str) -> Actions:
@@ -26,7 +27,7 @@ def read_actions_of(root: Path, episode: str) -> Actions:
     Raises:
         ArchiveCorrupt: The episode is missing or damaged.
     """
-    path = root / file_name_of(episode)
+    path = episode_place(root, index_of_file(f"{episode}.zip") or 0)
     try:
         with path.open("rb") as file:
             commands = BundleReader(file).arrays.actions_continuous

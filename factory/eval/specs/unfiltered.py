@@ -1,7 +1,8 @@
 """Creates specs with unfiltered start poses in the scenes of a dataset, whether or not an expert can reach the target.
 
 Archived episodes contain only starts that their tier allows and from which the expert succeeded; these specs do not
-(field notes, point 25). Renders the first view of each start; runs no policies.
+(field notes, point 25). The conditions of an instruction on the start view hold here, too. Renders the first view of
+each start; runs no policies.
 """
 
 from __future__ import annotations
@@ -12,26 +13,30 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import PlannedJob, expand, redraw
+from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
 from coordinator.expansion.file import shrink
 from factory.dataset.reader import Dataset
 from factory.eval.driving.simulator import NoFirmStand, Simulator
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places, categories_in_view
 from factory.runs.catalog import find_package
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
-from schemas.measure import Goal
+from schemas.job import Job
+from schemas.measure import Goal, target_in_view
 from schemas.plan import Plan
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Split, Tier
 from workers.geometry.grid import body_centre
+from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
+from workers.sim.attempt import is_view_clear
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.spawn import Start, draw_among
 
 _DRAW_STREAM, _SEED_STREAM = 21, 22
 _REDRAWS = 40
 
-Pose = tuple[float, float, float]
 ProgressCallback = Callable[[int, int], None]
 
 
@@ -46,7 +51,7 @@ def unfiltered_specs(
     """Returns newly drawn specs, in the split shares of the dataset's plan.
 
     A start pose must be collision-free, on the connected floor and stable in physics. The straight line to the target
-    can be blocked, the target out of view, and the path too long for the step limit.
+    can be blocked, the path too long for the step limit, and the target out of view unless the instruction requires it.
 
     Args:
         dataset: Dataset with plan and scenes.
@@ -69,7 +74,7 @@ def unfiltered_specs(
     with Simulator(stage, settings) as simulator:
         for done, job in enumerate(planned, 1):
             place = places.load(job.episode.scene, catalog[job.episode.scene].sha256)
-            specs[job.index] = _spec(plan, catalog, job, place, simulator)
+            specs[job.index] = _spec(plan, catalog, job, place, simulator, stage)
             tell(done, len(planned))
     names = ", ".join(str(split) for split in splits)
     return SpecSet(
@@ -104,14 +109,19 @@ def _shares(planned: Mapping[Split, float], splits: Collection[Split]) -> dict[S
     return {split: share / total for split, share in shares.items()}
 
 
-def _spec(plan: Plan, catalog: Catalog, job: PlannedJob, place: LoadedScene, simulator: Simulator) -> EvalSpec:
+def _spec(
+    plan: Plan, catalog: Catalog, planned: PlannedJob, place: LoadedScene, simulator: Simulator, stage: SceneRenderer
+) -> EvalSpec:
     for _ in range(_REDRAWS):
-        target = place.scene.info.target(job.episode.target_id)
-        for pose in _draw_poses(plan, job, target, place):
-            drawn = _described(plan, catalog, job, pose)
+        job = to_job(plan, catalog, planned, attempt=1)
+        target = place.scene.info.target(job.target_id)
+        for pose in _draw_poses(job, target, place, stage):
+            drawn = _described(job, pose)
             try:
                 view = simulator.reset(drawn, place)
             except NoFirmStand:
+                continue
+            if not is_view_clear(job, target, stage.renderer, view.pose):
                 continue
             instances, pixels = place.scene.info.instances, plan.gains.min_mask_px
             way = geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
@@ -120,22 +130,22 @@ def _spec(plan: Plan, catalog: Catalog, job: PlannedJob, place: LoadedScene, sim
                     "spawn_dist_m": view.distance_m,
                     "geodesic_m": way,
                     "categories_in_view": categories_in_view(view.frame.ids, instances, pixels),
-                    "is_target_in_view": int(np.count_nonzero(view.frame.ids == target.instance_id)) >= pixels,
+                    "is_target_in_view": target_in_view(view.frame.ids, target.instance_id, pixels),
                 }
             )
-        job = redraw(plan, catalog, job)
+        planned = redraw(plan, catalog, planned)
     raise WorldError(
-        f"no free start pose for {job.episode.target_id} and {_REDRAWS} other targets in scene {job.episode.scene}, "
-        f"tier {job.episode.tier}; exclude the split, or change the scene"
+        f"no free start pose, at which the instruction is clear, for {job.target_id} and {_REDRAWS} other targets in "
+        f"scene {job.scene}, tier {job.tier}; exclude the split, or change the scene"
     )
 
 
-def _described(plan: Plan, catalog: Catalog, job: PlannedJob, pose: Pose) -> EvalSpec:
-    seed = np.random.SeedSequence((plan.seed, _SEED_STREAM, job.index)).generate_state(1)[0]
+def _described(job: Job, pose: Start) -> EvalSpec:
+    seed = np.random.SeedSequence((job.root_seed, _SEED_STREAM, job.index)).generate_state(1)[0]
     return EvalSpec(
         spec_id=f"un_{job.index:06d}",
-        **dict(job.episode),
-        scene_sha256=catalog[job.episode.scene].sha256,
+        **dict(EpisodeSpec.of(job)),
+        scene_sha256=job.scene_sha256,
         seed=int(seed),
         spawn_pose=pose,
         spawn_source="drawn",
@@ -146,27 +156,31 @@ def _described(plan: Plan, catalog: Catalog, job: PlannedJob, pose: Pose) -> Eva
     )
 
 
-def _draw_poses(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene) -> Iterator[Pose]:
-    """Yields free poses on the connected floor, at most as many as an attempt tests in physics."""
-    rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _DRAW_STREAM, job.index, job.draw)))
-    left = plan.spawn.physics_draws
-    for _ in range(plan.spawn.grid_draws):
-        x, y, yaw = _draw(plan, job, target, place, rng)
+def _draw_poses(job: Job, target: Target, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
+    """Yields free poses on the connected floor whose view meets the conditions of the instruction, at most as many as
+    an attempt tests in physics."""
+    stage.renderer.load(place.scene, job.camera)
+    rng = np.random.default_rng(np.random.SeedSequence((job.root_seed, _DRAW_STREAM, job.index, job.draw)))
+    left, z = job.spawn.physics_draws, place.scene.info.floor_height_m
+    for _ in range(job.spawn.grid_draws):
+        x, y, yaw = _draw(job, target, place, rng)
         is_on_floor = bool(place.grid.values_at(place.scene.reachable, body_centre(x, y, yaw), 0))
-        if is_on_floor and place.grid.is_pose_free(x, y, yaw, plan.spawn.margin_m):
+        if not (is_on_floor and place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m)):
+            continue
+        if is_view_clear(job, target, stage.renderer, Pose.planar(x, y, yaw, z=z)):
             yield x, y, yaw
             left -= 1
             if left == 0:
                 return
 
 
-def _draw(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene, rng: np.random.Generator) -> Pose:
+def _draw(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Start:
     """Returns a random pose of the tier, drawn as in the paper (Sec. III-D), without any check."""
-    if job.episode.tier is Tier.FAR:
-        x, y = place.scene.spawns[int(rng.integers(len(place.scene.spawns)))]
-        return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
-    distance, bearing = rng.uniform(*TIER_RANGE_M[job.episode.tier]), rng.uniform(-math.pi, math.pi)
-    noise = rng.uniform(-plan.spawn.heading_noise_rad, plan.spawn.heading_noise_rad)
+    if job.tier is Tier.FAR:
+        x, y, yaw = draw_among(place.scene.spawns, job, target, rng)[0].tolist()
+        return x, y, yaw
+    distance, bearing = rng.uniform(*TIER_RANGE_M[job.tier]), rng.uniform(-math.pi, math.pi)
+    noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad)
     ray = np.array([[math.cos(bearing), math.sin(bearing)]])
-    x, y = Goal.of(target, plan.task).ring(ray, distance)[0]
+    x, y = Goal.of(target, job.task).ring(ray, distance)[0]
     return float(x), float(y), math.remainder(bearing + math.pi + noise, 2 * math.pi)

@@ -20,6 +20,7 @@ from typing import TypeVar
 from factory.dataset.episode import Episode
 from factory.export.output import sync_tree
 from factory.export.registry import find_exporter
+from factory.support.logs import configure_logs
 from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle, WorldError
 from schemas.storage.disk import translated
@@ -88,7 +89,8 @@ def _feed(
 
 
 def _begin(parent_pipe: Connection) -> None:
-    """Initialises a process: it ignores Ctrl-C, which the parent handles, and ends when the parent ends."""
+    """Initialises a process: it logs to stderr, ignores Ctrl-C, which the parent handles, and ends with the parent."""
+    configure_logs()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent_pipe,), name="parent_pipe", daemon=True).start()
 

@@ -148,11 +148,12 @@ def explain_success(material: ReportInput, row: AttemptRow) -> str:
     lost = Counter(row.reasons)
     reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(lost.items())) or "none failed"
     text = f"{row.success.count} of {row.attempts} attempts succeeded ({reasons})."
-    spawn, expert = material.meta.plan.spawn, material.meta.plan.expert
+    spawn, expert = material.meta.plan.spawn_of(row.group), material.meta.plan.expert
     if expert is ExpertName.PLANNER:
         return f"{text} The planner avoids obstacles at which the paper's controller stalls."
-    if spawn.screening is Screening.NONE:
-        return f"{text} Starts are drawn blindly, as in the paper; walls and racks of these scenes stop other drives."
+    if not spawn.needs_free_line:
+        near = ", those of the near and mid tiers in sight of the target" if spawn.screening is Screening.SIGHT else ""
+        return f"{text} Starts are drawn blindly, as in the paper{near}; walls and racks here stop other drives."
     return (
         f"{text} Starts are drawn until the straight line to the success circle is free by "
         f"{spawn.approach_clearance_m:.2f} m (screening {spawn.screening}); the paper draws starts at random and "

@@ -13,6 +13,7 @@ from factory.report.comparison.facts import RunFacts, facts_of
 from factory.report.comparison.model import PaperComparison, verdict_of
 from factory.report.data import ReportInput
 from factory.stats import paper
+from factory.stats.attempts import first_of_near_and_mid
 from factory.stats.measures import share_of
 from factory.stats.model import Interval, Published, RolloutRow, Share
 from factory.stats.rollouts import ALL
@@ -222,13 +223,15 @@ def _templates(material: ReportInput) -> Iterator[PaperComparison]:
 
 
 def _attempts(material: ReportInput) -> Iterator[PaperComparison]:
-    for row in material.statistics.attempts or ():
+    rows = material.statistics.attempts or ()
+    for row in rows:
         if row.paper is None or row.paper.rate is None:
             continue
-        (low, high), rate, interval = row.paper.rate, row.first.share, _ends(row.first.low, row.first.high)
+        first = first_of_near_and_mid(rows, row.group)
+        (low, high), rate, interval = row.paper.rate, first.share, _ends(first.low, first.high)
         yield PaperComparison(
             exhibit="attempts",
-            what=f"first attempts that succeed, {_group_label(row.group)}",
+            what=f"first near and mid attempts that succeed, {_group_label(row.group)}",
             ours=rate,
             published=low,
             published_high=high,

@@ -11,6 +11,7 @@ from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import DASH, count, interval, name, scene_label
+from factory.stats.attempts import first_of_near_and_mid
 from factory.stats.model import AttemptRow
 
 
@@ -29,13 +30,13 @@ def draw(material: ReportInput) -> Figure:
     marks = ", and the range in the paper as a pink band" if beside else ""
     caption = (
         f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts "
-        "by scene and outcome. Below: the success rate with its 95 % Wilson interval, first attempts of an "
-        f"episode as hollow dots{marks}. "
+        "by scene and outcome. Below: the success rate with its 95 % Wilson interval, first attempts "
+        f"from near and mid starts as hollow dots{marks}. "
         f"Attempts that ended with a crash or a lost lease are not counted ({uncounted})."
     )
     height = 1.3 + 0.42 * len(by_scene)
     outcomes = draw_panel("attempts", "Attempts by scene and outcome", lambda axes: _outcomes(axes, by_scene), height)
-    rates = draw_panel("success_rates", "Success rates by scene", lambda axes: _rates(axes, by_scene), height)
+    rates = draw_panel("success_rates", "Success rates by scene", lambda axes: _rates(axes, by_scene, rows), height)
     return Figure("attempts", title, source, caption, (outcomes, rates), (_table([*by_scene, everything], rows),))
 
 
@@ -59,7 +60,7 @@ def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:
     write_legend(axes)
 
 
-def _rates(axes: Axes, rows: list[AttemptRow]) -> None:
+def _rates(axes: Axes, rows: list[AttemptRow], groups: tuple[AttemptRow, ...]) -> None:
     told = False
     for place, row in enumerate(rows):
         if row.paper is not None and row.paper.rate is not None:
@@ -91,16 +92,17 @@ def _rates(axes: Axes, rows: list[AttemptRow]) -> None:
                 color=colour("won"),
                 label=None if place else "all attempts",
             )
-        if row.first.share is not None:
+        first = first_of_near_and_mid(groups, row.group)
+        if first.share is not None:
             axes.plot(
-                100 * row.first.share,
+                100 * first.share,
                 place,
                 "o",
                 markersize=8.5,
                 markerfacecolor="none",
                 markeredgewidth=1.3,
                 color=colour("ink"),
-                label=None if place else "first attempts",
+                label=None if place else "first attempts, near and mid",
             )
     axes.set_yticks(range(len(rows)), [scene_label(row.group) for row in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)

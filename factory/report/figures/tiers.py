@@ -86,7 +86,8 @@ def _far_table(material: ReportInput) -> Table:
         for row in material.statistics.far
         if row.n
     )
-    columns = ("scene", "N", "floor distance, m", "below 5 m", "no free line")
+    below = f"below {material.statistics.far[0].least_m:g} m"
+    columns = ("scene", "N", "floor distance, m", below, "no free line")
     return Table(columns, rows, "Far starts: distance along the floor to the target; 95 % intervals")
 
 

@@ -34,7 +34,7 @@ from factory.scenes.targets.candidates import Candidate, find_candidates
 from factory.scenes.targets.target_edits import apply_candidate_edits, apply_target_edits, recoloured
 from factory.scenes.targets.target_list import TargetList
 from factory.scenes.version import COMPILER_VERSION
-from schemas.config import SpawnConfig
+from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, Instance, SceneInfo, Sky, Target
 from schemas.support.numpy_types import Floats
@@ -244,7 +244,7 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
         raise WorldError(_why_no_target(file, shown, terrain, notes))
     named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)
     targets = recoloured(named, shown.chosen)
-    return _Survey(targets, spawns, sees_matrix(terrain, points, targets))
+    return _Survey(targets, spawns, sees_matrix(terrain, points, targets, TaskConfig()))
 
 
 def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:

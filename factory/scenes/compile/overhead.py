@@ -11,7 +11,7 @@ from factory.scenes.importer import Part
 from factory.scenes.importer.material import Surface
 from factory.scenes.navigation.floor import find_floor_height
 from schemas.support import portable
-from schemas.support.numpy_types import Floats
+from schemas.support.numpy_types import Floats, Singles
 from workers.geometry.rays import Caster
 
 _PATH = "/AddedCeiling"
@@ -21,6 +21,8 @@ _REACH_M = 200.0
 _DIRECTIONS = 48
 _MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
 """Number of back faces, which are not visible, that a ray passes at most, and the step behind each, metres."""
+_SIDES = (0.62, 0.54, 0.57)
+"""Direction by which the two faces of a double-sided wall are cast apart: a ray meets either of them first."""
 _OPEN_SHARE = 0.005
 """Share of the views upwards that end at no surface above which a stage is open."""
 
@@ -58,9 +60,19 @@ def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> b
     ways = np.column_stack((flat * portable.cos(turn), flat * portable.sin(turn), rise)).astype(np.float32)
     eyes = np.column_stack((spawns, np.full(len(spawns), floor_m + _EYE_M))).astype(np.float32)
     origins, directions = np.repeat(eyes, _DIRECTIONS, axis=0), np.tile(ways, (len(eyes), 1))
-    caster, total, free = Caster(triangles), len(origins), 0
+    is_upper = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ _SIDES > 0
+    free = np.ones(len(origins), bool)
+    for side in (triangles[is_upper], triangles[~is_upper]):
+        free[free] = _leave(Caster(side), origins[free], directions[free])
+    return int(free.sum()) > _OPEN_SHARE * len(free)
+
+
+def _leave(caster: Caster, origins: Singles, directions: Singles) -> NDArray[np.bool_]:
+    """Returns for N rays whether they meet no front face; a ray that passes too many back faces counts as stopped."""
+    left, rest = np.zeros(len(origins), bool), np.arange(len(origins))
     for _ in range(_MOST_BACKS):
-        distance, is_back = caster.first_hits(origins, directions, _REACH_M)
-        free += int(np.count_nonzero(distance >= _REACH_M))
-        origins, directions = (origins + (distance + _STEP_M)[:, None] * directions)[is_back], directions[is_back]
-    return free > _OPEN_SHARE * total
+        distance, is_back = caster.first_hits(origins[rest], directions[rest], _REACH_M)
+        left[rest[distance >= _REACH_M]] = True
+        origins[rest] += (distance + _STEP_M)[:, None] * directions[rest]
+        rest = rest[is_back]
+    return left

@@ -99,9 +99,9 @@ def _ring_tiers(terrain: Terrain, target: Target, goal: Goal) -> tuple[list[Tier
     return straight, connected
 
 
-def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...]) -> NDArray[np.uint8]:
-    """Returns (S, T): 1 where a spawn has a free straight path to the success circle of a target and sees it."""
-    columns = [_sees(terrain, spawns, target, Goal.of(target, TaskConfig())) for target in targets]
+def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...], task: TaskConfig) -> NDArray[np.uint8]:
+    """Returns (S, T): 1 where a spawn has a free straight path to the success region of a target and sees it."""
+    columns = [_sees(terrain, spawns, target, Goal.of(target, task)) for target in targets]
     return np.array(columns, np.uint8).reshape(len(targets), len(spawns)).T.copy()
 
 

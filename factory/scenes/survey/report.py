@@ -8,11 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from factory.scenes.navigation.reach import Terrain, sees_matrix
 from factory.scenes.survey.spawns import MIN_SPAWNS
+from schemas.config import SpawnConfig, TaskConfig
 from schemas.scene import CompiledScene
-from schemas.terms import Tier
+from schemas.terms import SuccessMeasure, Tier
 from workers.geometry.grid import Grid
 
 NEAR_M = 2.0
@@ -33,6 +36,8 @@ class SpawnSight:
 class SurveyReport:
     """Spawn survey of one scene."""
 
+    success: SuccessMeasure
+    """Measure of the distance to the targets."""
     spawns: int
     free_area_m2: float
     nearest_min_m: float
@@ -53,18 +58,25 @@ class SurveyReport:
     """Unmet requirements of the scene, each with a remedy; empty if all are met."""
 
 
-def report_survey(scene: CompiledScene, within_m: float = NEAR_M) -> SurveyReport:
+def report_survey(
+    scene: CompiledScene, within_m: float = NEAR_M, success: SuccessMeasure = SuccessMeasure.CENTROID
+) -> SurveyReport:
     """Measures the spawn points of a scene.
 
     Args:
         scene: compiled scene.
         within_m: distance from a spawn within which floor counts as covered, metres.
+        success: measure of the distance to the targets.
+
+    Raises:
+        WorldError: the measure needs footprints, and the package has none.
     """
-    spawns = scene.spawns.astype(np.float64)
+    spawns, sees = scene.spawns.astype(np.float64), _sees(scene, success)
     apart = cKDTree(spawns).query(spawns, k=2)[0][:, 1] if len(spawns) > 1 else np.zeros(1)
     floor = Grid.from_scene(scene).centre_of(np.argwhere(scene.reachable > 0))
     distance = cKDTree(spawns).query(floor)[0] if len(spawns) and len(floor) else np.full(1, np.inf)
     return SurveyReport(
+        success=success,
         spawns=len(spawns),
         free_area_m2=scene.info.free_area_m2,
         nearest_min_m=round(float(apart.min()), 3),
@@ -72,20 +84,28 @@ def report_survey(scene: CompiledScene, within_m: float = NEAR_M) -> SurveyRepor
         within_m=within_m,
         share_within=round(float((distance <= within_m).mean()), 4),
         farthest_floor_m=round(float(distance.max()), 3) if np.isfinite(distance).all() else 0.0,
-        blind=int((scene.spawn_sees.sum(axis=1) == 0).sum()),
-        unseen=_unseen(scene),
-        sights=tuple(_sight(scene, row) for row in range(len(spawns))),
+        blind=int((sees.sum(axis=1) == 0).sum()),
+        unseen=_unseen(scene, sees),
+        sights=tuple(_sight(scene, sees[row], row) for row in range(len(spawns))),
         shortcomings=_shortcomings(scene),
     )
 
 
-def _unseen(scene: CompiledScene) -> tuple[str, ...]:
-    seen = scene.spawn_sees.sum(axis=0) > 0
+def _sees(scene: CompiledScene, success: SuccessMeasure) -> NDArray[np.uint8]:
+    """Returns (spawns, targets): 1 where a target is reachable by straight driving; the package has it by centroid."""
+    if success is SuccessMeasure.CENTROID:
+        return scene.spawn_sees
+    terrain = Terrain(Grid.from_scene(scene), scene.reachable > 0, SpawnConfig(), np.zeros((0, 2, 2)))
+    return sees_matrix(terrain, scene.spawns.astype(np.float64), scene.info.targets, TaskConfig(success=success))
+
+
+def _unseen(scene: CompiledScene, sees: NDArray[np.uint8]) -> tuple[str, ...]:
+    seen = sees.sum(axis=0) > 0
     return tuple(target.target_id for target, is_seen in zip(scene.info.targets, seen, strict=True) if not is_seen)
 
 
-def _sight(scene: CompiledScene, row: int) -> SpawnSight:
-    seen = [scene.info.targets[column] for column in np.flatnonzero(scene.spawn_sees[row])]
+def _sight(scene: CompiledScene, sees: NDArray[np.uint8], row: int) -> SpawnSight:
+    seen = [scene.info.targets[column] for column in np.flatnonzero(sees)]
     x, y = (round(float(value), 3) for value in scene.spawns[row])
     return SpawnSight(x, y, len(seen), tuple(sorted({target.category for target in seen})))
 

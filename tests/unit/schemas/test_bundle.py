@@ -202,12 +202,11 @@ def test_frame_outside_its_spec_is_named() -> None:
         bundle.frame_digest(2)
 
 
-def test_an_abandoned_bundle_is_invalid() -> None:
+def test_an_unfinished_bundle_is_invalid() -> None:
     buffer = io.BytesIO()
     writer = BundleWriter(buffer)
     writer.add_frame(*parts_for().frames[0])
-    writer.abandon()
-    assert "meta.json is not in the container" in refused(buffer.getvalue())
+    assert "it has no valid end record" in refused(buffer.getvalue())
 
 
 def test_an_episode_of_an_older_version_keeps_the_text_that_its_digest_covers() -> None:

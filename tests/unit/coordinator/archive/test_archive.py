@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.archive.contract import Archive, index_of_file
+from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
+from schemas.job import index_of_file
 
 
 def publish(archive: Archive, index: int, data: bytes) -> Path:

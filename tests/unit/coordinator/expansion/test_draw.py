@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coordinator.expansion.apportion import apportion, webster_sequence
-from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
 from coordinator.expansion.cells import cells, empty_splits
 from coordinator.expansion.draw import PlannedJob, expand, find_impossible, redraw, to_job
 from coordinator.expansion.file import shrink
@@ -198,21 +198,40 @@ def test_blind_straight_experts_start_where_the_planner_may() -> None:
     for screening in Screening:
         plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), spawn=SpawnConfig(screening=screening))
         pools[screening] = scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.NEAR)
-    assert pools == {Screening.NONE: (target,), Screening.FREE_LINE: (), Screening.FORESEEN: ()}
+    blind = {Screening.NONE: (target,), Screening.SIGHT: (target,)}
+    assert pools == {**blind, Screening.FREE_LINE: (), Screening.FORESEEN: ()}
 
 
 def test_jobs_and_plans_record_the_screening() -> None:
     catalog = make_catalog(PAPER)
-    assert PAPER.spawn.screening is Screening.NONE
-    job = to_job(PAPER, catalog, expand(PAPER, catalog)[0], 1)
-    for recorded in (job.model_dump(mode="json"), PAPER.model_dump(mode="json")):
-        assert recorded["spawn"]["screening"] == "none"
-    assert Job.model_validate_json(job.model_dump_json()).spawn.screening is Screening.NONE
+    assert PAPER.model_dump(mode="json")["spawn"]["screening"] == "none"
+    jobs = [to_job(PAPER, catalog, planned, 1) for planned in expand(PAPER, catalog)]
+    found = {job.scene: Job.model_validate_json(job.model_dump_json()).spawn.screening for job in jobs}
+    assert found == {scene.name: scene.screening or Screening.NONE for scene in PAPER.scenes}
+    assert found["office"] is Screening.SIGHT
+
+
+def test_the_screening_of_a_scene_replaces_that_of_the_plan() -> None:
+    target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
+    catalog = {name: make_entry(name, [target]) for name in ("hospital", "office")}
+    parts = [{"name": name, "episodes": 2, "seen": ["chair"], "held_out": ["plant"]} for name in catalog]
+    parts[1]["screening"] = "none"
+    plan = Plan.model_validate({"name": "x", "scenes": parts, "splits": {Split.TRAIN_ID: 1.0}})
+    pools = [scene_cells(plan, part, catalog[part.name]).pool(Split.TRAIN_ID, Tier.NEAR) for part in plan.scenes]
+    assert pools == [(), (target,)]
+
+
+@pytest.mark.parametrize("screening", ["none", "foreseen"])
+def test_paper_with_another_screening_of_a_scene_is_not_the_plan_of_the_paper(screening: str) -> None:
+    assert is_paper_plan(shrink(PAPER, scenes=("office", "hospital"), episodes=10))
+    office = PAPER.scenes[0].model_copy(update={"screening": Screening(screening)})
+    assert not is_paper_plan(PAPER.model_copy(update={"scenes": (office, *PAPER.scenes[1:])}))
 
 
 def test_the_first_screening_is_omitted_so_that_old_digests_stay_valid() -> None:
     assert not {"screening", "far_floor_m"} & SpawnConfig().model_dump().keys()
     assert SpawnConfig.model_validate_json(SpawnConfig().model_dump_json()).screening is Screening.FORESEEN
+    assert "screening" not in ScenePlan(name="office", episodes=1).model_dump()
 
 
 def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():

@@ -87,7 +87,7 @@ def test_shares_that_do_not_add_up_are_each_named(tmp_path):
 def test_an_unknown_screening_names_the_possible_ones(tmp_path):
     path = tmp_path / "p.toml"
     path.write_text('[spawn]\nscreening = "blind"\n[[scenes]]\nname = "office"\nepisodes = 3\n')
-    with pytest.raises(InvalidPlan, match=r"spawn\.screening.*'none', 'free_line' or 'foreseen'.*'blind'"):
+    with pytest.raises(InvalidPlan, match=r"spawn\.screening.*'none', 'sight', 'free_line' or 'foreseen'.*'blind'"):
         load_plan(str(path))
 
 

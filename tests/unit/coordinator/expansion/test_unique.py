@@ -63,6 +63,26 @@ def test_redraws_of_scene_unique_plans_stay_unique():
             assert len(referents_of(planned.episode, ENTRY.info)) == 1
 
 
+def test_a_redraw_that_cannot_change_the_target_changes_the_words():
+    """Otherwise all draws of "the sofa" fail where only "the red sofa" can be shown alone."""
+    plan, catalog = _plan("view", seen=("plant",)), {"office": ENTRY}
+    named = set()
+    for planned in expand(plan, catalog)[:20]:
+        again = redraw(plan, catalog, planned)
+        assert again.episode.target_id == planned.episode.target_id == "plant_001"
+        assert again.episode.template_id != planned.episode.template_id
+        named.add(needs_colour(again.episode.template_id))
+    assert named == {False, True}
+
+
+def test_a_redraw_of_another_target_keeps_the_words_that_fit_it():
+    plan, catalog = _plan("view", seen=("chair",)), {"office": ENTRY}
+    for planned in expand(plan, catalog)[:20]:
+        again = redraw(plan, catalog, planned)
+        assert again.episode.target_id != planned.episode.target_id
+        assert again.episode.template_id == planned.episode.template_id
+
+
 def test_a_category_without_a_unique_object_is_refused_with_what_is_unique():
     plan = _plan("scene", seen=("chair", "monitor", "plant"))
     (line,) = find_impossible(plan, {"office": ENTRY})

@@ -35,6 +35,7 @@ class House:
 
     fetched: list[Chunk] = field(default_factory=list)
     judged: list[bytes] = field(default_factory=list)
+    sampled: list[bool] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     done: threading.Event = field(default_factory=threading.Event)
 
@@ -42,9 +43,11 @@ class House:
         self.fetched.append(chunk)
         return BUNDLE[chunk.offset : chunk.offset + chunk.length]
 
-    def check(self, path: Path, _job: Any, _target: Any = None) -> Any:
-        self.judged.append(path.read_bytes())
-        return SimpleNamespace(num_steps=1)
+    def check(self, path: Path, _job: Any, _target: Any = None, sampled: bool = False) -> Any:
+        data = path.read_bytes()
+        self.judged.append(data)
+        self.sampled.append(sampled)
+        return SimpleNamespace(num_steps=1, file_sha256=hashlib.sha256(data).hexdigest())
 
     def keep(self, _pull: Pull, _seconds: float) -> bool:
         return True
@@ -90,13 +93,14 @@ def test_a_bundle_is_fetched_over_the_network_in_parts(tmp_path: Path) -> None:
     with brought(tmp_path, nothing_nearby) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert [chunk.offset for chunk in house.fetched] == [0, 4096, 8192]
+        assert house.sampled == [False]
 
 
 def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: Path) -> None:
     path = spooled(tmp_path, BUNDLE)
     with brought(tmp_path, lambda lease: path if lease == LEASE else None) as (house, place):
         assert house.fetched == []
-        assert house.judged == [BUNDLE]
+        assert (house.judged, house.sampled) == ([BUNDLE], [True])
         assert place.samefile(path)
         path.unlink()
         assert place.read_bytes() == BUNDLE

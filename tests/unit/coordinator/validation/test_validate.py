@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coordinator.validation.validate import validate
+from coordinator.validation.validate import sampled_frames, validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
 from schemas.encoding.container import ContainerWriter
@@ -107,7 +107,7 @@ ROLLOUT = {
     "start heading": (lambda p: p.with_rollout(spawn_pose=(0.0, 0.0, 0.2)), "and 0.200000 rad from pose 0"),
     "draws": (lambda p: p.with_rollout(spawn_draws=9), "spawn_draws 9, the job allows 8"),
     "contacts": (lambda p: p.with_rollout(collision_count=13), "collision_count 13 in 12 steps"),
-    "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 frames show"),
+    "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 of 12 examined frames show"),
     "tier": (lambda p: p.with_job(tier=Tier.MID), "spawn distance 1.600 m is outside tier mid"),
     "no success": (lambda p: p.with_rollout(end_reason=EndReason.TIMEOUT), "only successes are archived"),
     "far away": (lambda p: with_pose(p, slice(None), 0, -0.05, add=True), "no success: 1.6275 m from the target"),
@@ -136,7 +136,7 @@ FRAMES = {
     "hollow": (lambda p: with_image(p, 3, 1, slice(400, 405), 0.0), "frame 3: depth and ids disagree"),
     "too deep": (lambda p: with_image(p, 3, 1, slice(400, 405), 31.0), "frame 3: depth_front: maximum 31.0"),
     "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: contains NaN"),
-    "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 frames"),
+    "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 of 12"),
 }
 START = {
     "a second object that the instruction fits": (StartView(rivals=(WALL_ID,)), "start: objects [2] are in view"),
@@ -337,6 +337,34 @@ def test_many_bad_frames_are_counted_not_listed() -> None:
             parts = with_image(parts, t, which, slice(400, 405), 0.0 if which == 1 else 77)
     found = validate(BundleReader(io.BytesIO(parts.write())))
     assert any(text == "and 4 more findings about frames" for text in found)
+
+
+def test_a_sample_has_both_ends_and_one_frame_in_eight_by_the_content_digest() -> None:
+    samples = set()
+    for first in range(8):
+        parts = parts_for()
+        meta = parts.meta.model_copy(update={"content_digest": f"{first:032x}"})
+        steps = sampled_frames(meta)
+        assert steps == sorted({0, first, *range(first, 12, 8), 11})
+        samples |= set(steps)
+    assert samples == set(range(12))
+
+
+def test_only_the_frames_of_a_sample_are_decoded_and_each_of_them_is_checked() -> None:
+    sound = BundleReader(io.BytesIO(bundle_bytes()))
+    steps, seen = sampled_frames(sound.meta), list[int]()
+    assert validate(sound, on_frame=seen.append, sampled=True) == []
+    assert seen == steps
+    for t in steps:
+        broken = BundleReader(io.BytesIO(with_image(parts_for(), t, 2, slice(400, 405), 77).write()))
+        if t in sampled_frames(broken.meta):
+            assert f"frame {t}: seg_front shows ids [77]" in "\n".join(validate(broken, sampled=True))
+
+
+@pytest.mark.parametrize("said", [0, 1])
+def test_a_sample_refuses_a_visibility_that_it_contradicts(said: int) -> None:
+    broken = BundleReader(io.BytesIO(parts_for().with_rollout(steps_visible=said).write()))
+    assert f"steps_visible {said}, but" in "\n".join(validate(broken, sampled=True))
 
 
 def test_progress_names_every_frame() -> None:

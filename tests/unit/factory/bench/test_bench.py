@@ -24,7 +24,6 @@ from factory.bench.sample import narrow
 from factory.cli.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
-from schemas.terms import Screening
 from tests.builders.dataset import make_dataset
 from tests.builders.scene import box_room
 
@@ -65,12 +64,15 @@ def test_a_plan_is_narrowed_to_scenes_with_the_same_number_of_episodes_each() ->
 def test_the_table_of_a_rollout_benchmark_names_the_screening_of_its_starts(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    screening = load_plan("paper").screening
     report = RolloutBench(
-        machine=describe_machine(), renderer="none", plan="paper", screening=Screening.NONE, repeats=3, scenes={}
+        machine=describe_machine(), renderer="none", plan="paper", screening=screening, repeats=3, scenes={}
     )
     show_rollout(report)
-    assert "3 runs of the same jobs of plan paper, screening none" in " ".join(capsys.readouterr().out.split())
-    assert report.model_dump(mode="json")["screening"] == "none"
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "3 runs of the same jobs of plan paper, screening none, office sight" in shown
+    assert report.model_dump(mode="json")["screening"] == "none, office sight"
+    assert load_plan("demo").screening == "foreseen"
 
 
 def test_a_scene_or_number_that_the_plan_does_not_have_is_refused_by_name() -> None:

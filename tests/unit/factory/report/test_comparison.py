@@ -16,6 +16,7 @@ from schemas.terms import Split, Tier
 from tests.builders.dataset import failure
 from tests.builders.statistics import episode_row, rows_of, two_scenes
 
+OFFICE_RATE = "first near and mid attempts that succeed, office"
 SHARE_OF_THREE = "share of the three most frequent"
 
 
@@ -72,13 +73,13 @@ def test_a_missing_tier_is_reported_instead_of_weighted() -> None:
 
 def test_a_rate_within_the_papers_range_has_no_difference() -> None:
     failures = [failure(1).model_copy(update={"reason": "collision"})]
-    row = found([episode_row(n) for n in range(1, 6)], "first attempts that succeed, office", failures)
+    row = found([episode_row(n) for n in range(1, 6)], OFFICE_RATE, failures)
     assert (row.ours, row.difference, row.reason) == (pytest.approx(5 / 6), 0, "")
 
 
 def test_a_rate_outside_the_papers_range_names_the_failure_reasons() -> None:
     failures = [failure(1, attempt).model_copy(update={"reason": "collision"}) for attempt in (1, 2, 3)]
-    row = found([episode_row(1, attempt=4)], "first attempts that succeed, office", failures)
+    row = found([episode_row(1, attempt=4)], OFFICE_RATE, failures)
     assert (row.ours, row.difference) == (0, pytest.approx(-0.8))
     assert "1 of 4 attempts succeeded (3 collision)" in row.reason
     assert "0.10 m" in row.reason
@@ -139,11 +140,17 @@ def test_the_targets_of_r_and_ne_are_those_of_the_plan_paper() -> None:
 
 def test_success_of_first_attempts_has_a_wilson_interval_and_the_published_range_as_target() -> None:
     failures = [failure(k).model_copy(update={"reason": "collision"}) for k in range(1, 151)]
-    row = found([episode_row(n) for n in range(1, 851)], "first attempts that succeed, office", failures)
+    row = found([episode_row(n) for n in range(1, 851)], OFFICE_RATE, failures)
     assert (row.ours, row.target, row.verdict) == (0.85, (0.8, 0.9), "inside")
     assert row.interval == pytest.approx((0.8265, 0.8708), abs=0.0005)
-    few = found([episode_row(n) for n in range(1, 18)], "first attempts that succeed, office", failures[:3])
+    few = found([episode_row(n) for n in range(1, 18)], OFFICE_RATE, failures[:3])
     assert (few.ours, few.verdict) == (0.85, "undecided")
+
+
+def test_far_starts_do_not_count_in_the_published_success_rates() -> None:
+    failures = [failure(k).model_copy(update={"reason": "collision", "spawn_tier": Tier.FAR}) for k in range(1, 31)]
+    row = found([episode_row(n) for n in range(31, 41)], OFFICE_RATE, failures)
+    assert row.ours == 1.0
 
 
 def test_the_share_of_the_three_most_frequent_categories_has_an_interval() -> None:

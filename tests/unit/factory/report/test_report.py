@@ -121,7 +121,7 @@ def test_the_page_shows_interval_target_and_verdict_of_each_comparison(files: di
     for verdict in ("inside", "outside", "undecided"):
         assert text.count(f"<td>{verdict}</td>") == sum(row.verdict == verdict for row in rows)
     assert sum(row.verdict is not None for row in rows) > 5
-    (success,) = [row for row in rows if row.what == "first attempts that succeed, office"]
+    (success,) = [row for row in rows if row.what == "first near and mid attempts that succeed, office"]
     assert (success.ours, success.target, success.verdict) == (0.75, (0.8, 0.9), "undecided")
     assert ">75.0 %<small>30–95</small></td>" in text.replace("\u00a0", " ")
 

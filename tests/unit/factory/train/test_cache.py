@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.train.cache import CacheKey, FrameCache, open_cache
+from factory.train.cache import open_cache
+from factory.train.frames import CacheKey, TrainingFrames
 from factory.train.labels import chosen_frames, label_episode, stop_frame
 from factory.train.preprocess import shrink_depth, shrink_mask, shrink_rgb
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
@@ -26,7 +27,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return Dataset(root)
 
 
-def opened(data: Dataset, root: Path) -> tuple[FrameCache, list[tuple[int, int]]]:
+def opened(data: Dataset, root: Path) -> tuple[TrainingFrames, list[tuple[int, int]]]:
     told: list[tuple[int, int]] = []
     return open_cache(data, SIZE, HOLD, root, lambda done, of: told.append((done, of))), told
 
@@ -44,9 +45,9 @@ def test_the_cache_has_the_content_of_the_episodes(data: Dataset, tmp_path: Path
     row = len(frames) + 2
     frame = episode.frame(int(frames[2]))
     assert cache.episode[row] == 1
-    assert np.array_equal(cache.rgb[row], shrink_rgb(frame.rgb, SIZE))
-    assert np.array_equal(cache.depth[row], shrink_depth(frame.depth, SIZE))
-    assert np.array_equal(cache.mask[row], shrink_mask(frame.ids, episode.meta.target_instance_id, SIZE // 8))
+    assert np.array_equal(cache.pictures.rgb[row], shrink_rgb(frame.rgb, SIZE))
+    assert np.array_equal(cache.pictures.depth[row], shrink_depth(frame.depth, SIZE))
+    assert np.array_equal(cache.pictures.mask[row], shrink_mask(frame.ids, episode.meta.target_instance_id, SIZE // 8))
     job = episode.meta.job
     stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
     labels = label_episode(episode.actions, frames, stop, HOLD)
@@ -59,8 +60,8 @@ def test_a_second_opening_decodes_no_frame(data: Dataset, tmp_path: Path) -> Non
     first, _ = opened(data, tmp_path)
     second, told = opened(data, tmp_path)
     assert told == []
-    assert np.array_equal(first.rgb, second.rgb)
-    assert isinstance(second.rgb, np.memmap)
+    assert np.array_equal(first.pictures.rgb, second.pictures.rgb)
+    assert isinstance(second.pictures.rgb, np.memmap)
 
 
 def test_other_content_size_or_hold_is_another_cache(data: Dataset) -> None:
@@ -117,7 +118,7 @@ def test_the_second_process_waits_for_the_cache_and_decodes_no_frame(data: Datas
         made, found = maker.result(60), waiter.result(60)
     assert first == [(1, 2), (2, 2)]
     assert set(second) == {(0, 2)}
-    assert np.array_equal(made.rgb, found.rgb)
+    assert np.array_equal(made.pictures.rgb, found.pictures.rgb)
 
 
 def test_an_empty_selection_is_refused(data: Dataset, tmp_path: Path) -> None:

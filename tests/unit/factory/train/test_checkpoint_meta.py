@@ -36,10 +36,10 @@ def test_metadata_survives_its_file() -> None:
     assert parse_meta(meta(epochs_done=2).model_dump_json(), PATH) == meta(epochs_done=2)
 
 
-@pytest.mark.parametrize("changes", [{"format": 2}, {"look": 99}])
+@pytest.mark.parametrize("changes", [{"format": 3}, {"look": 99}])
 def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
     text = json.dumps(json.loads(meta().model_dump_json()) | changes)
-    with pytest.raises(UsageError, match=r"another version .*(format 2|preprocessing 99)"):
+    with pytest.raises(UsageError, match=r"another version .*(format 3|preprocessing 99)"):
         parse_meta(text, PATH)
 
 

@@ -22,29 +22,41 @@ def scenes(count: int) -> list[CompiledScene]:
     return [build_scene([Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]) for _ in range(count)]
 
 
+def take(shelf: SceneShelf[CompiledScene, Prepared], scene: CompiledScene) -> Prepared:
+    return shelf.take(id(scene), lambda: scene)
+
+
 def test_a_scene_is_prepared_once_while_it_is_kept() -> None:
     shelf, (one, other) = SceneShelf(Prepared, capacity=2), scenes(2)
-    first = shelf.take(one)
-    shelf.take(other)
-    assert shelf.take(one) is first
+    first = take(shelf, one)
+    take(shelf, other)
+    assert take(shelf, one) is first
 
 
-def test_equal_scenes_are_told_apart() -> None:
+def test_scenes_are_told_apart_by_key() -> None:
     shelf, (one, other) = SceneShelf(Prepared, capacity=2), scenes(2)
-    assert shelf.take(one).scene is one
-    assert shelf.take(other).scene is other
+    assert take(shelf, one).scene is one
+    assert take(shelf, other).scene is other
+    assert shelf.keys == (id(one), id(other))
+
+
+def test_a_scene_is_read_only_when_it_is_prepared() -> None:
+    shelf, read = SceneShelf(Prepared, capacity=1), []
+    for key in ("a", "a", "b", "a"):
+        shelf.take(key, lambda key=key: read.append(key) or scenes(1)[0])
+    assert read == ["a", "b", "a"]
 
 
 def test_the_least_recently_used_scene_is_evicted() -> None:
     shelf, (a, b, c) = SceneShelf(Prepared, capacity=2), scenes(3)
-    prepared_a, prepared_b = shelf.take(a), shelf.take(b)
-    shelf.take(a)
-    shelf.take(c)
+    prepared_a, prepared_b = take(shelf, a), take(shelf, b)
+    take(shelf, a)
+    take(shelf, c)
     assert (prepared_a.is_closed, prepared_b.is_closed) == (False, True)
 
 
 def test_clearing_closes_everything() -> None:
     shelf = SceneShelf(Prepared, capacity=3)
-    kept = [shelf.take(scene) for scene in scenes(3)]
+    kept = [take(shelf, scene) for scene in scenes(3)]
     shelf.clear()
     assert all(prepared.is_closed for prepared in kept)

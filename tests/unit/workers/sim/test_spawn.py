@@ -177,6 +177,26 @@ def test_blind_starts_are_behind_walls_as_often_as_the_free_floor_is(tier: Tier)
     assert all(is_line_free(place, start) for start in free)
 
 
+@pytest.mark.parametrize("tier", [Tier.NEAR, Tier.MID])
+def test_blind_starts_in_sight_are_on_the_side_of_the_target_with_or_without_a_free_line(tier: Tier) -> None:
+    wall = (Box((-9.0, 1.2, 0.0), (4.0, 1.4, 2.5)), Box((5.2, 1.2, 0.0), (9.0, 1.4, 2.5)))
+    bench = Box((-1.2, -0.9, 0.0), (1.2, -0.7, 0.4))  # lower than the line of sight
+    place = prepare_scene(build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), CRATE, *wall, bench)))
+    starts = starts_of(place, 40, tier=tier, **screened(Screening.SIGHT))
+    assert len(starts) == 40
+    target = place.scene.info.targets[0]
+    assert all(place.grid.has_sight(start[:2], target) for start in starts)
+    assert 0 < sum(is_line_free(place, start) for start in starts) < 40
+
+
+def test_far_starts_in_sight_screening_are_those_of_blind_draws() -> None:
+    place = divided_room()
+    blind, sight = (
+        starts_of(place, 12, tier=Tier.FAR, **screened(screening)) for screening in (Screening.NONE, Screening.SIGHT)
+    )
+    assert blind == sight
+
+
 def test_starts_with_a_free_line_need_no_free_predicted_drive() -> None:
     place = pillared_room()
     starts = starts_of(place, 40, **screened(Screening.FREE_LINE))
@@ -220,7 +240,7 @@ def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
     place = lane_room(8.5)
     blind, foreseen = (
         [distances(place, 3, index=index, **screened(screening)) for index in range(1, 20)]
-        for screening in (Screening.NONE, Screening.FORESEEN)
+        for screening in (Screening.SIGHT, Screening.FORESEEN)
     )
     assert all(max(found) - min(found) < 1e-9 for found in blind)
     assert all(max(found) - min(found) > 1e-3 for found in foreseen)

@@ -14,7 +14,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
-from factory.cli.inspect.stats import command
+from factory.cli.inspect.stats import command, print_statistics
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.config import TaskConfig
 from schemas.dataset import FailedAttempt
@@ -145,6 +145,15 @@ def test_far_starts_are_measured_along_the_floor_to_the_centroid_of_the_target()
     assert ((office.short.count, office.short.of), office.corner.count) == ((2, 3), 2)
     assert (hospital.n, hospital.mean_m, hospital.interval_m, hospital.corner.count) == (1, 9.0, None, 0)
     assert (everything.n, everything.short.count, everything.corner.share) == (4, 2, 0.5)
+
+
+def test_far_starts_are_short_below_the_distance_of_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    spawn = two_scenes().spawn.model_copy(update={"far_floor_m": (4.0, 6.0)})
+    far = [episode_row(n, spawn_tier=Tier.FAR, geodesic_m=length) for n, length in enumerate((2.5, 3.5, 4.5), 1)]
+    found = measure(far, plan=two_scenes().model_copy(update={"spawn": spawn}))
+    assert (found.far[0].least_m, found.far[0].short.count, found.far[0].short.of) == (4.0, 1, 3)
+    print_statistics(found)
+    assert "below 4 m" in capsys.readouterr().out
 
 
 def test_far_starts_need_a_corner_if_their_path_is_longer_than_the_line_of_the_success_measure() -> None:

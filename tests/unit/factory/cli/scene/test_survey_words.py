@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from factory.cli.scene.survey import say_survey
 from factory.scenes.survey.report import report_survey
+from schemas.terms import SuccessMeasure
 from tests.builders.scene import box_room
 
 
@@ -14,4 +15,7 @@ def test_every_figure_is_printed_with_its_meaning() -> None:
     lines = list(say_survey(report))
     assert "start points without a visible target: 3; only the planner expert uses them" in lines
     assert "targets visible from no start point: crate_001" in lines
+    assert lines[-1].endswith("with a free straight path to 1 m from the centroid")
+    by_surface = report_survey(box_room(), success=SuccessMeasure.SURFACE)
+    assert list(say_survey(by_surface))[-1].endswith("with a free straight path to 1 m from the footprint")
     assert any(line.endswith("largest distance of free floor to a start point: 1.25 m") for line in lines)

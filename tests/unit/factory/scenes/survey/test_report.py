@@ -9,7 +9,8 @@ import pytest
 
 from factory.scenes.inspection import describe_scene
 from factory.scenes.survey.report import report_survey
-from tests.builders.scene import box_room
+from schemas.terms import SuccessMeasure
+from tests.builders.scene import Box, box_room, build_scene, room_walls
 
 ROOM = box_room()
 
@@ -33,6 +34,16 @@ def test_each_spawn_lists_its_visible_targets() -> None:
     assert [sight.targets for sight in report.sights] == ROOM.spawn_sees.sum(axis=1).tolist()
     assert {name for sight in report.sights for name in sight.categories} == {"crate", "barrel"}
     assert report.unseen == ()
+
+
+def test_a_large_object_is_visible_by_its_footprint_and_not_by_its_centroid() -> None:
+    table = Box((-1.5, 0.6, 0.0), (1.5, 2.4, 0.5), category="table")
+    room = build_scene((*room_walls((-4.0, -3.0), (4.0, 3.0)), table))
+    by_centroid, by_surface = (report_survey(room, success=measure) for measure in SuccessMeasure)
+    assert by_centroid.unseen == ("table_6",)
+    assert by_surface.unseen == ()
+    assert by_surface.blind < by_centroid.blind == len(room.spawns)
+    assert {name for sight in by_surface.sights for name in sight.categories} == {"table"}
 
 
 def test_too_few_spawns_are_a_shortcoming_with_a_remedy() -> None:

@@ -1,0 +1,60 @@
+"""Adapts the far tier of the targets of a scene to the least distance that a plan permits.
+
+A package records the tiers for the default distance. Without this, a plan with shorter far starts would be refused in a
+small room. Pure, except for reading the surveyed points of a package.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.expansion.catalog import SceneEntry
+from schemas.config import TaskConfig
+from schemas.measure import Goal
+from schemas.plan import Plan
+from schemas.scene import Target, read_survey
+from schemas.terms import FAR_FLOOR_M, SuccessMeasure, Tier
+
+_FIELDS = {
+    SuccessMeasure.CENTROID: ("straight_tiers", "connected_tiers"),
+    SuccessMeasure.SURFACE: ("surface_straight_tiers", "surface_connected_tiers"),
+}
+
+
+def with_far_tiers(plan: Plan, entry: SceneEntry) -> SceneEntry:
+    """Returns the scene with the far tier of its targets by `spawn.far_floor_m` of a plan."""
+    least_m = plan.spawn.far_floor_m[0]
+    if least_m == FAR_FLOOR_M[0]:
+        return entry
+    return _adapted(entry, plan.task, least_m)
+
+
+@functools.lru_cache(maxsize=16)
+def _adapted(entry: SceneEntry, task: TaskConfig, least_m: float) -> SceneEntry:
+    with entry.path.open("rb") as file:
+        spawns, sees = read_survey(file)
+    targets = tuple(
+        _target(target, task, spawns, sees[:, column] > 0, least_m) for column, target in enumerate(entry.info.targets)
+    )
+    return replace(entry, info=entry.info.model_copy(update={"targets": targets}))
+
+
+def _target(
+    target: Target, task: TaskConfig, spawns: NDArray[np.float32], sees: NDArray[np.bool_], least_m: float
+) -> Target:
+    straight, connected = (getattr(target, field) for field in _FIELDS[task.success])
+    if not connected:
+        return target  # not reachable, or without the footprint that the measure needs
+    # the path along the floor is at least as long as the planar distance
+    is_far = Goal.of(target, task).distances(spawns) >= least_m
+    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight  # by the line of the success measure
+    changes = {"straight": bool((is_far & sees).any()) or was_far, "connected": bool(is_far.any())}
+    tiers = [
+        tuple(tier for tier in Tier if (holds if tier is Tier.FAR else tier in old))
+        for old, holds in zip((straight, connected), changes.values(), strict=True)
+    ]
+    return target.model_copy(update=dict(zip(_FIELDS[task.success], tiers, strict=True)))
