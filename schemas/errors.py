@@ -32,7 +32,7 @@ class ArchiveCorrupt(WorldError):
     """Stored data that contradicts the ledger or its own digests; `factory verify --deep` lists the damage."""
 
 
-class _Findings(WorldError):
+class Findings(WorldError):
     """Error that lists all findings, not only the first."""
 
     def __init__(self, what: str, findings: Sequence[str]) -> None:
@@ -40,9 +40,13 @@ class _Findings(WorldError):
         super().__init__(f"{what}:\n" + "\n".join(f"  - {finding}" for finding in self.findings))
 
 
-class InvalidBundle(_Findings):
+class InvalidBundle(Findings):
     """Bundle that violates the format or the limits of motion; lists every violation."""
 
 
-class InvalidPlan(_Findings, UsageError):
+class InvalidPlan(Findings, UsageError):
     """Plan that contradicts itself or its scenes; lists every mistake with its key."""
+
+
+class InvalidRig(Findings, UsageError):
+    """Rig that contradicts itself or the control rate; lists every mistake with its key."""

@@ -45,7 +45,7 @@ DOORS = {
     "trimesh": {"factory/export/vlnce/exporter.py"},
     "rosbags": {"factory/export/mcap/ros2_cdr.py"},
     "rerun": {"factory/visualize/rerun.py"},
-    "embreex": {"factory/scenes/light/rays.py"},
+    "embreex": {"workers/geometry/rays.py"},
     "obstore": {"schemas/storage/object_store.py"},
     "pyarrow": {"coordinator/tables/", "factory/", "schemas/storage/place.py", "schemas/storage/shard_index.py"},
 }

@@ -5,7 +5,6 @@ No other module reads plan files. This module does not read scenes.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,10 @@ from coordinator.expansion.apportion import apportion
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
-from schemas.support.foreign import PARSER_ERRORS, path_trouble
+from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
+from schemas.support.toml_file import mistakes_of, read_toml
 from schemas.terms import ExpertName, Recording, SuccessMeasure
-
-_MOST_BYTES = 4 << 20
 
 
 def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) -> Plan:
@@ -42,15 +40,7 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
         raise UsageError(f"cannot read plan {reference[:80]!r}: {trouble}")
     if not path.is_file():
         raise UsageError(_absent_message(reference, path))
-    try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise InvalidPlan(f"{path} is not a plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except RecursionError as error:
-        raise InvalidPlan(f"{path} is not a plan", ["its values are nested too deeply"]) from error
-    except PARSER_ERRORS as error:
-        what = "is not valid TOML" if path.suffix == ".toml" else "is not a plan; plans are TOML files"
-        raise InvalidPlan(f"{path} {what}", [str(error)]) from error
+    data = read_toml(path, "plan", InvalidPlan)
     data.setdefault("name", _name_from(path))
     task = data.setdefault("task", {})
     if isinstance(task, dict):
@@ -83,7 +73,7 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
     try:
         plan = Plan.model_validate(data)
     except ValidationError as error:
-        raise InvalidPlan(f"{where} is not a valid plan", _messages(error)) from error
+        raise InvalidPlan(f"{where} is not a valid plan", mistakes_of(error)) from error
     if base is None:
         return plan
     try:
@@ -138,32 +128,6 @@ def shrink(
     chosen = {"expert": expert, "seed": seed, "record": record}
     changes: dict[str, Any] = {key: value for key, value in chosen.items() if value is not None}
     return plan.model_copy(update={"scenes": parts, **changes})
-
-
-def _messages(error: ValidationError) -> list[str]:
-    items = error.errors()
-    deeper = {item["loc"][:1] for item in items if len(item["loc"]) > 1}
-    sentences = []
-    for item in items:
-        if item["type"] == "too_short" and item["loc"] in deeper:
-            continue  # the list is too short only because its items are invalid
-        sentences += _messages_of(item)
-    return sentences
-
-
-def _messages_of(item: Any) -> list[str]:
-    key = ""
-    for part in item["loc"]:
-        if part != "[key]":
-            key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
-    message = str(item["msg"]).removeprefix("Value error, ")
-    if not key:
-        return message.split("; ")
-    if item["type"] == "extra_forbidden":
-        message = "no such key"
-    given = item["input"]
-    shown = f" (found {given!r})" if isinstance(given, str | int | float | bool) else ""
-    return [f"{key}: {message}{shown}"]
 
 
 def _name_from(path: Path) -> str:

@@ -67,7 +67,7 @@ def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, recorder: 
     world.step()
     recorder("physics")
     view, projection = view_matrix(optical_pose(pose, job.camera)), projection_matrix(job.camera)
-    image = shown.client.camera_image(FRAME_SIZE_PX, view, projection, is_lit=True)
+    image = shown.client.camera_image(FRAME_SIZE_PX, FRAME_SIZE_PX, view, projection, is_lit=True)
     recorder("getCameraImage")
     _save_png(image.rgba[:, :, :3])
     recorder("Pillow RGB")

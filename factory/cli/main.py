@@ -48,6 +48,7 @@ VERBS = MappingProxyType(
         "render": CommandEntry("run.render", _MAKE, "Render a states dataset into a dataset that stores frames."),
         "plan": CommandEntry("run.plan", _MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
         "scene": CommandEntry("scene.command", _MAKE, "Build, import, inspect and render scenes."),
+        "rig": CommandEntry("rig.command", _MAKE, "List, show and check sensor rigs."),
         "gate": CommandEntry("run.gate", _MAKE, "Measure the success rate of first attempts in one scene."),
         "status": CommandEntry("inspect.status", _INSPECT, "Show the progress of a run and its workers."),
         "jobs": CommandEntry("inspect.jobs", _INSPECT, "List, show, retry and cancel jobs; release barred hosts."),

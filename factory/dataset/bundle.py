@@ -14,10 +14,11 @@ from factory.dataset.shared_renderer import View, shared_renderer
 from schemas.bundle import BundleReader, encode_depth
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
+from schemas.rig import Camera
 from schemas.scene import Instance
 from schemas.storage.place import Place
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame
+from workers.render import CameraImage, RenderedFrame
 
 _FRAME_MEMBER = re.compile(r"(rgb_front|depth_front|seg_front)/(\d{6})\.\w+(\.zst)?")
 
@@ -60,6 +61,11 @@ class EpisodeBundle(BundleReader):
             WorldError: this machine cannot render.
         """
         return shrink_frame(shared_renderer().render(*self._view(t, size * antialias)), antialias)
+
+    def render_camera(self, pose: Pose, camera: Camera) -> CameraImage:
+        """Renders the image of a camera of a rig from a pose of base_link; raises the errors of `render`."""
+        recorded_with = self.meta.provenance.fingerprint.renderer
+        return shared_renderer().render_camera(self.package, camera, pose, recorded_with)
 
     def _view(self, t: int, size: int = FRAME_SIZE_PX) -> tuple[View, str]:
         view = View(self.package, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size)

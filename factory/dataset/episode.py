@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from threading import Lock
-from typing import BinaryIO, NamedTuple, Self
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,16 @@ from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
-from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.rig import Imu, Rig, Sensor, WheelOdometry
 from schemas.scene import Instance
 from schemas.storage.place import FilePlace
 from schemas.storage.shard_index import episode_place
 from schemas.support.closing import Closing
+
+if TYPE_CHECKING:
+    from factory.dataset.observation import CameraObservation
+    from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 
 
 class Frame(NamedTuple):
@@ -50,10 +55,12 @@ class Episode(Closing):
         ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
-    def __init__(self, path: FilePlace, summary: EpisodeSummary) -> None:
+    def __init__(self, path: FilePlace, summary: EpisodeSummary, rig: Rig | None = None) -> None:
         self.path = path
         self.summary = summary
         """Row of the episode in the metadata table."""
+        self.rig = rig
+        """Rig of `observe`."""
         self._opened: _Opened | None = None
         self._opening = Lock()
 
@@ -145,6 +152,51 @@ class Episode(Closing):
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
         return (self.frame(t, size, antialias) for t in range(0, len(self), stride))
 
+    def observe(self, t: int, sensors: Iterable[str] | None = None) -> dict[str, CameraObservation | LidarScan]:
+        """Returns the images of the rig's cameras and the scans of its lidars at step t, by name (docs/rigs.md).
+
+        They are rendered when they are read. A sensor with a lower rate than the control rate is omitted at the steps
+        between two measurements.
+
+        Args:
+            t: step; a negative t counts from the end.
+            sensors: names of cameras and lidars; all by default.
+
+        Raises:
+            UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
+        """
+        from factory.dataset.observation import observe  # not at the start of each process that reads a dataset
+
+        chosen, step = self._sensors(sensors), self._step(t)
+        with self._reading() as bundle:
+            hz = bundle.meta.job.task.control_hz
+            return {
+                name: observe(bundle, sensor, step)
+                for name, sensor in chosen.items()
+                if not isinstance(sensor, Imu | WheelOdometry) and step % sensor.stride(hz) == 0
+            }
+
+    def motion(self, sensors: Iterable[str] | None = None) -> dict[str, ImuMeasurements | OdometryMeasurements]:
+        """Returns the measurements of the rig's IMUs and wheel odometry over the whole episode, by name.
+
+        Args:
+            sensors: names of IMUs and wheel odometry; all by default.
+
+        Raises:
+            UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
+        """
+        from factory.dataset.observation import measure
+
+        chosen = self._sensors(sensors)
+        with self._reading() as bundle:
+            found = {name: sensor for name, sensor in chosen.items() if isinstance(sensor, Imu | WheelOdometry)}
+            return {name: measure(bundle, sensor) for name, sensor in found.items()}
+
+    def _sensors(self, names: Iterable[str] | None) -> Mapping[str, Sensor]:
+        if self.rig is None:
+            raise UsageError(f"{self.episode_id} has no rig: open the dataset as Dataset(path, rig='paper')")
+        return self.rig.choose(names)
+
     def __len__(self) -> int:
         return self.summary.num_steps
 
@@ -185,8 +237,8 @@ class Episode(Closing):
             self._opened.close()
             self._opened = None
 
-    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary]]:
-        return type(self), (self.path, self.summary)
+    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary, Rig | None]]:
+        return type(self), (self.path, self.summary, self.rig)
 
 
 class _Opened:

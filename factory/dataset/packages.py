@@ -5,16 +5,21 @@ from __future__ import annotations
 import functools
 import secrets
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from factory.support.settings import cache_directory, scene_path
 from schemas.dataset_files import SCENES
 from schemas.errors import ArchiveCorrupt
-from schemas.scene import SceneInfo, read_scene_info
+from schemas.scene import SceneInfo, decode_scene, read_scene_info
 from schemas.storage.disk import translated
 from schemas.storage.place import Place, digest_of
+from schemas.support.extras import require_package
+
+if TYPE_CHECKING:
+    from workers.sensors.rays import SceneRays
 
 _KEPT_INFOS = 64
+_KEPT_RAYS = 2
 
 
 class ScenePackage(NamedTuple):
@@ -35,11 +40,29 @@ class ScenePackage(NamedTuple):
         """
         return find_package_file(*self).read_bytes()
 
+    def rays(self) -> SceneRays:
+        """Returns the ray caster of the scene; those of the most recently used scenes are kept.
+
+        Raises:
+            ArchiveCorrupt: No package has the digest.
+            UsageError: embreex is not installed; the message names the extra.
+        """
+        return _rays_of(self)
+
     @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - the keys are values, and few
     def info(self) -> SceneInfo:
         """Returns the metadata of the scene; raises the errors of `read`."""
         with find_package_file(*self).open("rb") as file:
             return read_scene_info(file)
+
+
+@functools.lru_cache(maxsize=_KEPT_RAYS)
+def _rays_of(package: ScenePackage) -> SceneRays:
+    require_package("embreex", "a lidar")
+    from workers.sensors.rays import SceneRays
+
+    with find_package_file(*package).open("rb") as file:
+        return SceneRays(decode_scene(file))
 
 
 def find_package_file(root: Place, name: str, sha256: str) -> Path:

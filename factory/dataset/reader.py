@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -18,6 +19,8 @@ from schemas.dataset_files import METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.rig import Rig
+from schemas.rig.file import load_rig, require_rates
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
 from schemas.support.foreign import PARSER_ERRORS
@@ -45,18 +48,25 @@ _LATER = pa.schema(
 class Dataset:
     """Dataset in a directory or at a URL, or a filtered part of it; a sequence of episodes in the order of the plan.
 
+    Args:
+        path: Directory or URL.
+        rig: Sensors that `Episode.observe` renders: a rig, the name of a built-in one, or a TOML file.
+
     >>> data = Dataset("dataset").filter(split="train_id", tier=("near", "mid"))  # doctest: +SKIP
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
 
     Raises:
         WorldError: The directory holds no dataset, or its format is newer than this software.
         ArchiveCorrupt: The tables are damaged.
+        UsageError: The rig does not exist, has mistakes, or has a rate that does not divide the control rate.
     """
 
-    def __init__(self, path: str | Place) -> None:
+    def __init__(self, path: str | Place, rig: str | Path | Rig | None = None) -> None:
         self.root = place_of(path)
         self.meta: DatasetMeta = read_dataset_meta(self.root)
         """Description of the dataset and of the software that generated it."""
+        self.rig = None if rig is None else _rig(rig, self.meta.plan.task.control_hz)
+        """Rig of `Episode.observe`."""
         self.metadata: pa.Table = _read_table(self.root / METADATA_FILE)
         """One row for each episode; the columns are the fields of `EpisodeSummary`."""
         self._targets: list[str] = pc.unique(self.metadata["target_id"]).to_pylist()
@@ -92,6 +102,7 @@ class Dataset:
     def _with(self, table: pa.Table) -> Dataset:
         part = object.__new__(Dataset)
         part.root, part.meta, part.metadata, part._targets = self.root, self.meta, table, self._targets
+        part.rig = self.rig
         return part
 
     def __len__(self) -> int:
@@ -113,7 +124,7 @@ class Dataset:
         (row,) = self.metadata.slice(position % len(self), 1).to_pylist()
         summary = _parse(self.root, row)
         place = packed_place(self.root, summary.index)
-        return Episode(place or self.root / file_name_of(summary.episode_id), summary)
+        return Episode(place or self.root / file_name_of(summary.episode_id), summary, self.rig)
 
     def _position(self, episode_id: str) -> int:
         position = int(pc.index(self.metadata["episode_id"], episode_id).as_py())
@@ -123,6 +134,13 @@ class Dataset:
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.root)!r}, {len(self)} episodes)"
+
+
+def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:
+    if not isinstance(rig, Rig):
+        return load_rig(str(rig), control_hz)
+    require_rates(rig, control_hz)
+    return rig
 
 
 def _as_strings(values: str | Iterable[str]) -> pa.Array:

@@ -15,9 +15,10 @@ from factory.dataset.packages import ScenePackage
 from factory.support.settings import read_renderer
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
+from schemas.rig import Camera
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame
+from workers.render import CameraImage, RenderedFrame
 from workers.render.choose import open_apart
 from workers.render.process import ProcessRenderer
 
@@ -83,6 +84,13 @@ class SharedRenderer:
             self._warn_of_other(renderer.description, recorded_with)
             renderer.load_package(package.sha256, package.read, view.camera)
             return renderer.render(view.pose, view.size)
+
+    def render_camera(self, package: ScenePackage, camera: Camera, pose: Pose, recorded_with: str) -> CameraImage:
+        """Returns the image of a camera of a rig for a pose of base_link; arguments and errors as those of `render`."""
+        with self._borrowed(package.sha256) as renderer:
+            self._warn_of_other(renderer.description, recorded_with)
+            renderer.load_package(package.sha256, package.read, CameraConfig())
+            return renderer.render_camera(camera, pose)
 
     @property
     def description(self) -> str:

@@ -1,4 +1,4 @@
-"""Geometry of the robot's pinhole camera: pose, view matrix, projection matrix and intrinsics.
+"""Geometry of perspective images: optical pose, view matrix, projection matrix and intrinsics.
 
 Pure functions in float64. Does not render and uses no graphics library.
 """
@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
+from schemas.rig.mount import Mount
 from schemas.support.portable import product
 from workers.geometry.pose import Pose
 
@@ -34,9 +36,34 @@ class OpticalPose:
 
 def optical_pose(pose: Pose, camera: CameraConfig) -> OpticalPose:
     """Returns the pose of the optical frame for a pose of base_link; the optical axis is parallel to base_link's x."""
+    return mounted_pose(pose, Mount(x_m=camera.x_m, y_m=camera.y_m, z_m=camera.z_m))
+
+
+def mounted_pose(pose: Pose, mount: Mount) -> OpticalPose:
+    """Returns the pose of the optical frame of a sensor for a pose of base_link; it looks along x of its frame."""
     base = _rotation(pose)
-    eye = product(base, np.array(((camera.x_m,), (camera.y_m,), (camera.z_m,))))[:, 0] + (pose.x, pose.y, pose.z)
-    return OpticalPose(eye, base[:, _OPTICAL_AXES] * _OPTICAL_SIGNS)
+    eye = product(base, np.array(((mount.x_m,), (mount.y_m,), (mount.z_m,))))[:, 0] + (pose.x, pose.y, pose.z)
+    axes = product(base, mount_rotation(mount)) if _is_turned(mount) else base
+    return OpticalPose(eye, axes[:, _OPTICAL_AXES] * _OPTICAL_SIGNS)
+
+
+def mount_rotation(mount: Mount) -> Matrix:
+    """Returns the (3, 3) rotation from the sensor frame to base_link."""
+    (cr, cp, cy), (sr, sp, sy) = (
+        [function(math.radians(angle)) for angle in (mount.roll_deg, mount.pitch_deg, mount.yaw_deg)]
+        for function in (math.cos, math.sin)
+    )
+    return np.array(
+        (
+            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+            (-sp, cp * sr, cp * cr),
+        )
+    )
+
+
+def _is_turned(mount: Mount) -> bool:
+    return any((mount.roll_deg, mount.pitch_deg, mount.yaw_deg))
 
 
 def view_matrix(optical: OpticalPose) -> Matrix:
@@ -47,15 +74,62 @@ def view_matrix(optical: OpticalPose) -> Matrix:
     return view
 
 
+class Perspective(NamedTuple):
+    """Perspective image without distortion, of any size and with any principal point."""
+
+    width: int
+    """Width, pixels."""
+    height: int
+    """Height, pixels."""
+    half: tuple[float, float]
+    """Half width and half height on the plane z = 1 of the optical frame."""
+    centre: tuple[float, float]
+    """Column and row of the principal point, pixels from the left and the top edge."""
+    near_m: float
+    """Start of the clip range along the optical axis, metres."""
+    far_m: float
+    """End of the clip range, metres."""
+
+    @classmethod
+    def of(cls, camera: CameraConfig, size: int) -> Self:
+        """Returns the image of `size` x `size` pixels of a camera."""
+        half = math.tan(math.radians(camera.fov_deg) / 2)
+        return cls(size, size, (half, half), (size / 2, size / 2), camera.near_m, camera.far_m)
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths along rows and columns, pixels."""
+        return self.width / 2 / self.half[0], self.height / 2 / self.half[1]
+
+    @property
+    def corner(self) -> float:
+        """Distance from the eye to the farthest point of the image on the plane z = 1."""
+        reach = [
+            max(centre, side - centre) / focal
+            for centre, side, focal in zip(self.centre, (self.width, self.height), self.focal_px, strict=True)
+        ]
+        return math.sqrt(1 + reach[0] ** 2 + reach[1] ** 2)
+
+    def matrix(self) -> Matrix:
+        """Returns the (4, 4) OpenGL projection matrix; its clip w is the depth in metres."""
+        near, far = self.near_m, self.far_m
+        matrix = np.zeros((4, 4))
+        matrix[0, 0], matrix[1, 1] = 1.0 / self.half[0], 1.0 / self.half[1]
+        matrix[0, 2], matrix[1, 2] = 1 - 2 * self.centre[0] / self.width, 2 * self.centre[1] / self.height - 1
+        matrix[2, 2], matrix[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)
+        matrix[3, 2] = -1.0
+        return matrix
+
+    def steps(self) -> tuple[Matrix, Matrix]:
+        """Returns x (width,) of the columns and y (height,) of the rows on the plane z = 1, at pixel centres."""
+        fx, fy = self.focal_px
+        columns, rows = np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64)
+        return (columns + 0.5 - self.centre[0]) / fx, (rows + 0.5 - self.centre[1]) / fy
+
+
 def projection_matrix(camera: CameraConfig) -> Matrix:
     """Returns the (4, 4) OpenGL perspective matrix of a square image; its clip w is the depth in metres."""
-    scale = 1.0 / math.tan(math.radians(camera.fov_deg) / 2)
-    near, far = camera.near_m, camera.far_m
-    matrix = np.zeros((4, 4))
-    matrix[0, 0] = matrix[1, 1] = scale
-    matrix[2, 2], matrix[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)
-    matrix[3, 2] = -1.0
-    return matrix
+    return Perspective.of(camera, 1).matrix()
 
 
 def intrinsics(camera: CameraConfig, size: int) -> Matrix:

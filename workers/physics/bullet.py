@@ -76,7 +76,7 @@ class ShapePlacement(NamedTuple):
     """Quaternion (w, x, y, z)."""
 
 
-class CameraImage(NamedTuple):
+class TinyImage(NamedTuple):
     """Image of the TinyRenderer; rows from the top."""
 
     rgba: NDArray[np.uint8]
@@ -263,29 +263,36 @@ class BulletClient(Closing):
         _p.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._id)
 
     def camera_image(
-        self, size: int, view: NDArray[np.float64], projection: NDArray[np.float64], *, is_lit: bool = False
-    ) -> CameraImage:
+        self,
+        width: int,
+        height: int,
+        view: NDArray[np.float64],
+        projection: NDArray[np.float64],
+        *,
+        is_lit: bool = False,
+    ) -> TinyImage:
         """Renders an image with the TinyRenderer.
 
         Args:
-            size: width and height, pixels.
+            width: width, pixels.
+            height: height, pixels.
             view: (4, 4) OpenGL view matrix for column vectors.
             projection: (4, 4) OpenGL projection matrix for column vectors.
             is_lit: whether PyBullet's light and shadow are applied.
         """
         _, _, rgba, depth, bodies = _p.getCameraImage(
-            size,
-            size,
+            width,
+            height,
             view.T.ravel().tolist(),
             projection.T.ravel().tolist(),
             **({} if is_lit else _UNLIT),
             renderer=_p.ER_TINY_RENDERER,
             physicsClientId=self._id,
         )
-        return CameraImage(
-            np.asarray(rgba, np.uint8).reshape(size, size, 4),
-            np.asarray(depth, np.float32).reshape(size, size),
-            np.asarray(bodies, np.int32).reshape(size, size),
+        return TinyImage(
+            np.asarray(rgba, np.uint8).reshape(height, width, 4),
+            np.asarray(depth, np.float32).reshape(height, width),
+            np.asarray(bodies, np.int32).reshape(height, width),
         )
 
     def _add_static(self, height_m: float, collision: int = -1, visual: int = -1) -> int:

@@ -1,4 +1,4 @@
-"""Protocol of the renderers of the front camera, and the types of their frames: colour, depth and instance ids.
+"""Protocol of the renderers, and the types of their frames: colour, depth, instance ids and normals.
 
 Does not render and imports no graphics library.
 """
@@ -15,10 +15,20 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
 
-__all__ = ["WHOLE", "DepthAndIds", "PartialRenderer", "RenderedFrame", "Renderer", "Window"]
+__all__ = [
+    "WHOLE",
+    "CameraImage",
+    "DepthAndIds",
+    "PartialRenderer",
+    "RenderedAtlas",
+    "RenderedFrame",
+    "Renderer",
+    "Window",
+]
 
 
 class Window(NamedTuple):
@@ -73,6 +83,35 @@ class DepthAndIds:
         return DepthAndIds(self.depth[rows, columns], self.ids[rows, columns])
 
 
+@dataclass(frozen=True)
+class RenderedAtlas:
+    """Faces of a camera in one image (`workers.geometry.faces`); rows from the top."""
+
+    rgb: NDArray[np.uint8]
+    """(height, width, 3) sRGB, or with a fourth channel, which is undefined, if the atlas is resampled."""
+    depth: NDArray[np.float32]
+    """(height, width) metres along the optical axis of each face; 0 where no surface is within the clip range."""
+    ids: NDArray[np.uint16]
+    """(height, width) instance ids; 0 for no surface."""
+    normals: NDArray[np.uint8] | None = None
+    """(height, width, 3) encoded normals, see `shaders.NORMALS`; undefined where no surface was hit."""
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """Image of a camera of a rig; rows from the top, arrays not shared with the renderer."""
+
+    rgb: NDArray[np.uint8]
+    """(height, width, 3) sRGB, top row first; black outside of the image circle of a fisheye camera."""
+    depth: NDArray[np.float32]
+    """(height, width) depth in metres by the measure of the camera, axial or radial; 0 where no surface was hit."""
+    ids: NDArray[np.uint16]
+    """(height, width) instance id of the nearest surface; 0 for no surface."""
+    normals: NDArray[np.float32] | None = None
+    """(height, width, 3) unit normals towards the camera, in its optical frame; 0 where no surface was hit. `None`
+    unless the camera has the output `normals`."""
+
+
 class Renderer(AbstractContextManager["Renderer", None], Protocol):
     """Renderer of compiled scenes from the robot's camera; it is opened once and closed once."""
 
@@ -109,6 +148,17 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
 
         Raises:
             UsageError: no scene was loaded.
+        """
+
+    def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
+        """Returns the image of a camera of a rig, without noise, for a pose of base_link.
+
+        Args:
+            camera: any camera; it needs not be the loaded one.
+            pose: pose of base_link in the world.
+
+        Raises:
+            UsageError: no scene was loaded, or this renderer has no normals, which the camera needs.
         """
 
     def close(self) -> None:

@@ -17,19 +17,23 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
+from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from schemas.support.closing import Closing
 from schemas.support.portable import product
 from schemas.support.stage_timer import StageTimer, no_stage_timer
-from workers.geometry.camera import OpticalPose, optical_pose, projection_matrix, view_matrix
+from workers.geometry.camera import OpticalPose, Perspective, optical_pose, view_matrix
+from workers.geometry.faces import Face, FacePlan
 from workers.geometry.pose import Pose
-from workers.render import DepthAndIds, RenderedFrame, Window
+from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame, Window
+from workers.render.compose import compose_image
 from workers.render.cull import edges_of
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
+_KEPT_TARGETS = 16
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
@@ -67,7 +71,6 @@ class GlRenderer(Closing):
             WorldError: this machine has no usable EGL driver.
         """
         self._camera = CameraConfig()
-        self._projection = projection_matrix(self._camera)
         self._lap = lap
         self._size = size
         self._context = _open_context()
@@ -76,10 +79,10 @@ class GlRenderer(Closing):
         self.description = _describe(self._context)
         self._shelf = SceneShelf(self._prepare, kept_scenes)
         self._scene: GpuScene | None = None
-        self._sky = SkyPainter(None, self._camera)
+        self._sky = SkyPainter(None)
         with self._context:
             self._programs = Programs(self._context)
-            self._targets = {size: GlTarget(self._context, size)}
+            self._targets = {(size, size): GlTarget(self._context, size, size)}
             self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
             self._context.front_face = "cw"  # because `onto_target` mirrors the image
 
@@ -102,10 +105,9 @@ class GlRenderer(Closing):
         """Selects a scene by a key and the camera; see `Renderer`."""
         self._require_own_process()
         self._camera = camera
-        self._projection = projection_matrix(camera)
         with self._context:
             self._scene = self._shelf.take(key, read)
-        self._sky = SkyPainter(self._scene.sky, camera)
+        self._sky = SkyPainter(self._scene.sky)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -117,17 +119,17 @@ class GlRenderer(Closing):
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
-        scene = self._loaded()
-        view = self._look(scene, pose)
+        scene, image = self._loaded(), self._image(size)
+        view = _look(scene, image, optical_pose(pose, self._camera))
         with self._context:
-            target = self._target(size or self._size)
+            target = self._target(image.width, image.height)
             target.begin()
             scene.draw(view.drawn, view.matrix)
             self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
             self._lap("render")
             rgb = target.read_colour()
-            relief = target.read_relief(self._camera, rgb)
-        self._sky.paint(rgb, relief.depth, view.optical)
+            relief = target.read_relief(image, rgb)
+        self._sky.paint(rgb, relief.depth, view.optical, image)
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
 
@@ -169,27 +171,76 @@ class GlRenderer(Closing):
         parts = scene.parts_within(optical, edges_of(window, self._size, self._camera), depth_m)
         if not len(parts):
             return 0
-        depth = self._render_bare(scene, self._matrix(optical)[1], parts, window).depth
+        depth = self._render_bare(scene, _matrix(self._image(), optical)[1], parts, window).depth
         return int(np.count_nonzero(depth < depth_m)) - int(np.count_nonzero(depth == 0.0))
 
     def _render_bare(
         self, scene: GpuScene, matrix: bytes, parts: NDArray[np.intp], window: Window | None = None
     ) -> DepthAndIds:
         with self._context:
-            target = self._target(self._size)
+            target = self._target(self._size, self._size)
             target.begin(window)
             scene.draw_bare(parts, matrix)
             self._context.finish()
             self._lap("render")
-            relief = target.read_relief(self._camera, window=window)
+            relief = target.read_relief(self._image(), window=window)
         self._lap("read-back")
         return relief
 
-    def _target(self, size: int) -> GlTarget:
-        """Returns the target of a size; targets are kept for reuse."""
-        if size not in self._targets:
-            self._targets[size] = GlTarget(self._context, size)
-        return self._targets[size]
+    def render_faces(self, plan: FacePlan, optical: OpticalPose, normals: bool = False) -> RenderedAtlas:
+        """Returns the atlas of the faces of a camera.
+
+        Args:
+            plan: faces of the camera.
+            optical: pose of the optical frame of the camera.
+            normals: whether normals are rendered too, which takes another pass.
+
+        Raises:
+            UsageError: no scene was loaded, or this process was forked after the renderer was opened.
+        """
+        scene = self._loaded()
+        looks = [(face, face.optical(optical)) for face in plan.faces]
+        views = [(face, _look(scene, face.view, eye)) for face, eye in looks]
+        clip_range = plan.faces[0].view
+        with self._context:
+            target = self._target(plan.width, plan.height)
+            target.begin()
+            for face, view in views:
+                target.begin_face(face)
+                scene.draw(view.drawn, view.matrix)
+            self._context.finish()
+            self._lap("render")
+            rgb = target.read_colour(channels=3 if plan.sampling is None else 4)
+            relief = target.read_relief(clip_range, rgb)
+            codes = self._render_normals(scene, target, views) if normals else None
+        for face, eye in looks:
+            part = np.s_[face.top : face.top + face.view.height, : face.view.width]
+            self._sky.paint(rgb[part], relief.depth[part], eye, face.view)
+        self._lap("read-back")
+        return RenderedAtlas(rgb, relief.depth, relief.ids, codes)
+
+    def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
+        """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render_faces`."""
+        return compose_image(self, camera, pose)
+
+    def _render_normals(self, scene: GpuScene, target: GlTarget, views: list[tuple[Face, _View]]) -> NDArray[np.uint8]:
+        target.begin()
+        for face, view in views:
+            target.begin_face(face)
+            scene.draw_normals(view.drawn.parts, view.matrix, view.optical.eye)
+        return target.read_colour()
+
+    def _image(self, size: int | None = None) -> Perspective:
+        return Perspective.of(self._camera, size or self._size)
+
+    def _target(self, width: int, height: int) -> GlTarget:
+        """Returns the target of a size; the most recently used targets are kept for reuse."""
+        size = width, height
+        target = self._targets.pop(size, None) or GlTarget(self._context, width, height)
+        self._targets[size] = target
+        if len(self._targets) > _KEPT_TARGETS:
+            self._targets.pop(next(iter(self._targets))).release()
+        return target
 
     def _require_own_process(self) -> None:
         if self._pid != os.getpid():
@@ -202,17 +253,21 @@ class GlRenderer(Closing):
         return self._scene
 
     def _look(self, scene: GpuScene, pose: Pose) -> _View:
-        optical = optical_pose(pose, self._camera)
-        clip, matrix = self._matrix(optical)
-        return _View(optical, clip, matrix, scene.order(clip, optical, self._camera))
-
-    def _matrix(self, optical: OpticalPose) -> tuple[NDArray[np.float64], bytes]:
-        """Returns the matrix from world to OpenGL clip space, and that of the shader programs."""
-        clip = product(self._projection, view_matrix(optical))
-        return clip, onto_target(clip, self._camera).T.astype(np.float32).tobytes()
+        return _look(scene, self._image(), optical_pose(pose, self._camera))
 
     def _prepare(self, scene: CompiledScene) -> GpuScene:
         return GpuScene(self._context, self._programs, scene)
+
+
+def _look(scene: GpuScene, image: Perspective, optical: OpticalPose) -> _View:
+    clip, matrix = _matrix(image, optical)
+    return _View(optical, clip, matrix, scene.order(clip, optical, image))
+
+
+def _matrix(image: Perspective, optical: OpticalPose) -> tuple[NDArray[np.float64], bytes]:
+    """Returns the matrix from world to OpenGL clip space, and that of the shader programs."""
+    clip = product(image.matrix(), view_matrix(optical))
+    return clip, onto_target(clip, image.near_m).T.astype(np.float32).tobytes()
 
 
 def _open_context() -> moderngl.Context:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.geometry.camera import OpticalPose
+from workers.geometry.camera import OpticalPose, Perspective
 from workers.render import Window
 from workers.render.cull import Edges, PartBounds, may_reach, visible_parts, window_of_corners
 from workers.render.occlude import Occluders
-from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
+from workers.render.shaders import BARE, NORMALS, PLAIN, TEXTURED, VERTEX, ShaderPair
 
 _TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
@@ -39,6 +39,9 @@ class _Program:
 
     def set_clip_matrix(self, clip_from_world: bytes) -> None:
         self._program["clip_from_world"].write(clip_from_world)
+
+    def set_eye(self, eye: NDArray[np.float64]) -> None:
+        self._program["eye"].value = tuple(eye.tolist())
 
     def vertex_array(self, mesh: _Mesh) -> moderngl.VertexArray:
         content = [(mesh.vertices, self._pair.layout, *self._pair.fields)]
@@ -113,13 +116,14 @@ class GpuScene:
         self._bare = programs.of(BARE)
         self._plain, self._textured = (program.vertex_array(self._mesh) for program in self._coloured)
         self._uncoloured = self._bare.vertex_array(self._mesh)
+        self._programs, self._normals = programs, list[moderngl.VertexArray]()
         self._textures = _upload_textures(context, scene.textures)
         self._light = _upload_light(context, scene.light_map)
 
-    def order(self, clip: NDArray[np.float64], optical: OpticalPose, camera: CameraConfig) -> DrawOrder:
+    def order(self, clip: NDArray[np.float64], optical: OpticalPose, image: Perspective) -> DrawOrder:
         """Returns the parts that are in view and not behind a wall, nearest first in bands, plain before textured."""
         seen = visible_parts(self._bounds, clip, optical.eye)
-        parts = seen[~self._occluders.hidden(self._bounds, seen, optical, camera)]
+        parts = seen[~self._occluders.hidden(self._bounds, seen, optical, image)]
         count = len(parts)
         run = np.arange(count) * _BANDS // max(count, 1) * 2 + self._is_textured[parts]
         return DrawOrder(parts[np.argsort(run, kind="stable")], np.bincount(run).tolist())
@@ -164,12 +168,23 @@ class GpuScene:
             self._write_commands(parts)
             self._uncoloured.render_indirect(self._commands, count=len(parts))
 
+    def draw_normals(self, parts: NDArray[np.intp], clip_from_world: bytes, eye: NDArray[np.float64]) -> None:
+        """Draws encoded normals instead of colour, depth and ids of parts, see `shaders.NORMALS`."""
+        program = self._programs.of(NORMALS)
+        if not self._normals:
+            self._normals.append(program.vertex_array(self._mesh))
+        program.set_clip_matrix(clip_from_world)
+        program.set_eye(eye)
+        if len(parts):
+            self._write_commands(parts)
+            self._normals[0].render_indirect(self._commands, count=len(parts))
+
     def _write_commands(self, parts: NDArray[np.intp]) -> None:
         self._commands.write(self._draws[parts].tobytes())
 
     def close(self) -> None:
         """Frees the device memory."""
-        arrays = (self._plain, self._textured, self._uncoloured)
+        arrays: list[Any] = [self._plain, self._textured, self._uncoloured, *self._normals]
         for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
             held.release()
 

@@ -6,16 +6,14 @@ Pure geometry. The test is conservative, so that an image is the same with and w
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.geometry.camera import OpticalPose
+from workers.geometry.camera import OpticalPose, Perspective
 from workers.render.cull import PartBounds, reach_of_planes
 
 F64 = NDArray[np.float64]
@@ -82,7 +80,7 @@ class Occluders:
         return np.asarray(highest.min(axis=1, initial=np.inf) < self._heights - _MARGIN_M)
 
     def hidden(
-        self, bounds: PartBounds, parts: NDArray[np.intp], optical: OpticalPose, camera: CameraConfig
+        self, bounds: PartBounds, parts: NDArray[np.intp], optical: OpticalPose, view: Perspective
     ) -> NDArray[np.bool_]:
         """Returns (len(parts),) true for parts that are completely in the shadow of one rectangle.
 
@@ -90,21 +88,21 @@ class Occluders:
             bounds: bounding boxes of all parts.
             parts: indices of the parts to test.
             optical: pose of the camera.
-            camera: gives near plane and field of view.
+            view: gives near plane and field of view.
         """
-        planes, offsets = self._shadows(optical, camera)
+        planes, offsets = self._shadows(optical, view)
         high = reach_of_planes(-planes, -offsets) @ bounds.facts[:, parts]  # height above the inverted planes
         within = high.reshape(5, len(planes) // 5, len(parts)).max(axis=0) < -_MARGIN_M
         return np.asarray(within.any(axis=0))
 
-    def _shadows(self, optical: OpticalPose, camera: CameraConfig) -> tuple[F64, F64]:
+    def _shadows(self, optical: OpticalPose, view: Perspective) -> tuple[F64, F64]:
         """Returns the planes of the shadows: (5 R, 3) normals that point inside and (5 R,) offsets, the first plane of
         all R rectangles first.
 
         A shadow is the space behind the rectangle and between the four planes through the eye and its edges. The plane
         through the eye e and an edge from p to q has the normal (q - e) x (p - e) = q x p + e x (q - p).
         """
-        chosen = self._choose(optical, camera)
+        chosen = self._choose(optical, view)
         x, y, z = optical.eye.tolist()
         times_eye = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))  # v @ it is the cross product of e and v
         moments, edges = self._edges
@@ -115,12 +113,12 @@ class Occluders:
         offsets[:, 4] = self._heights[chosen]
         return planes.transpose(1, 0, 2).reshape(-1, 3), offsets.T.ravel()
 
-    def _choose(self, optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
+    def _choose(self, optical: OpticalPose, view: Perspective) -> NDArray[np.intp]:
         """Returns the rectangles with the largest image that face the eye and are in front of the near plane."""
         height = self.normals @ optical.eye - self._heights
         away = self._centres - optical.eye
         square = np.einsum("sk,sk->s", away, away)
-        nearest = camera.near_m * math.sqrt(1 + 2 * math.tan(math.radians(camera.fov_deg) / 2) ** 2)
+        nearest = view.near_m * view.corner
         can_hide = (height > nearest + _MARGIN_M) & (away @ optical.rotation[:, 2] > -self._radii)
         size = self.areas * height / (square * np.sqrt(square)) * can_hide
         if len(size) > _MOST_ASKED:

@@ -12,12 +12,13 @@ from collections.abc import Callable, Hashable
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
+from schemas.rig import Camera, CameraOutput
 from schemas.scene import CompiledScene, encode_scene
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
-from workers.render import DepthAndIds, RenderedFrame
+from workers.render import CameraImage, DepthAndIds, RenderedFrame
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind
 from workers.render.shelf import KEPT_SCENES, SceneShelf
@@ -107,6 +108,14 @@ class ProcessRenderer(Closing):
         relief = self._process.frames.take_relief(self._size)
         self._lap("read-back")
         return relief
+
+    def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
+        """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render`."""
+        self._process.ask(RequestKind.CAMERA, pose=pose, sensor=camera.model_dump_json(exclude_defaults=True))
+        self._lap("render")
+        image = self._process.frames.take_image(camera.height, camera.width, CameraOutput.NORMALS in camera.outputs)
+        self._lap("read-back")
+        return image
 
 
 def _checked(size: int) -> int:

@@ -7,17 +7,24 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import functools
 import io
 import os
 import sys
 import traceback
+from typing import Annotated
+
+from pydantic import Field, TypeAdapter
 
 from schemas.errors import FactoryError, UsageError
+from schemas.rig import Camera
 from schemas.scene import decode_scene
 from workers.process.pipes import listen, take_stdout
 from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
+
+_CAMERAS: TypeAdapter[Camera] = TypeAdapter(Annotated[Camera, Field(discriminator="model")])
 
 
 def main() -> int:
@@ -74,11 +81,18 @@ class _Server:
                 self._frames.put(self._renderer.render(request.pose, request.size))
             case RequestKind.RELIEF:
                 self._frames.put(self._renderer.render_depth_and_ids(request.pose))
+            case RequestKind.CAMERA:
+                self._frames.put(self._renderer.render_camera(_parse_camera(request.sensor), request.pose))
 
     def _read_package(self) -> bytes:
         with os.fdopen(self._scene_descriptor, "rb", closefd=False) as file:
             file.seek(0)
             return file.read()
+
+
+@functools.lru_cache(maxsize=64)
+def _parse_camera(text: str) -> Camera:
+    return _CAMERAS.validate_json(text)
 
 
 def _failure(number: int, error: Exception) -> Reply:

@@ -66,7 +66,14 @@ class RenderingProcess:
         self._scene.flush()
 
     def ask(
-        self, kind: RequestKind, *, scene: int = 0, camera: CameraConfig = _CAMERA, pose: Pose = _ORIGIN, size: int = 0
+        self,
+        kind: RequestKind,
+        *,
+        scene: int = 0,
+        camera: CameraConfig = _CAMERA,
+        pose: Pose = _ORIGIN,
+        size: int = 0,
+        sensor: str = "",
     ) -> None:
         """Sends a request and waits for its reply.
 
@@ -76,7 +83,9 @@ class RenderingProcess:
         """
         self._require_open()
         self._number += 1
-        request = RenderRequest(number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size)
+        request = RenderRequest(
+            number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size, sensor=sensor
+        )
         with contextlib.suppress(ConnectionError):  # reading the reply detects the death of the process
             self._socket.sendall(to_line(request))
         self._receive(self._number)

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from schemas.base import Model
 from schemas.config import CameraConfig
+from schemas.rig.cameras import MAX_PIXELS
 from workers.geometry.pose import Pose
-from workers.render import DepthAndIds, RenderedFrame
+from workers.render import CameraImage, DepthAndIds, RenderedFrame
 
 MAX_SIZE_PX = 2048
 """Largest width and height of a frame, pixels."""
-_PIXELS = MAX_SIZE_PX * MAX_SIZE_PX
-_DEPTH_AT, _IDS_AT, _RGB_AT = 0, 4 * _PIXELS, 6 * _PIXELS
-_BYTES = 9 * _PIXELS
+_PIXELS = max(MAX_SIZE_PX * MAX_SIZE_PX, MAX_PIXELS)
+_DEPTH_AT, _NORMALS_AT, _IDS_AT, _RGB_AT = 0, 4 * _PIXELS, 16 * _PIXELS, 18 * _PIXELS
+_BYTES = 21 * _PIXELS
 
 
 class RequestKind(StrEnum):
@@ -32,6 +33,7 @@ class RequestKind(StrEnum):
     LOAD = "load"  # selects a stored scene and a camera
     RENDER = "render"  # renders colour, depth and ids
     RELIEF = "relief"  # renders depth and ids
+    CAMERA = "camera"  # renders a camera of a rig
 
 
 class RenderRequest(Model):
@@ -49,6 +51,8 @@ class RenderRequest(Model):
     """Pose of base_link in the world to render from."""
     size: int = 0
     """Width and height of the frame, pixels."""
+    sensor: str = ""
+    """Camera of a rig, as JSON text: the process parses each text once."""
 
 
 class ReplyKind(StrEnum):
@@ -77,7 +81,7 @@ def to_line(message: RenderRequest | Reply) -> bytes:
 
 
 class FrameMemory:
-    """Shared memory for one frame of up to `MAX_SIZE_PX`; unused pages take no memory."""
+    """Shared memory for one frame or camera image of at most `MAX_PIXELS`; unused pages take no memory."""
 
     def __init__(self, descriptor: int) -> None:
         """Maps the memory.
@@ -94,31 +98,42 @@ class FrameMemory:
         os.ftruncate(descriptor, _BYTES)
         return descriptor
 
-    def put(self, seen: RenderedFrame | DepthAndIds) -> None:
-        """Stores a frame, or depth and ids only."""
-        size = len(seen.depth)
-        self._depth(size)[:] = seen.depth
-        self._ids(size)[:] = seen.ids
-        if isinstance(seen, RenderedFrame):
-            self._rgb(size)[:] = seen.rgb
+    def put(self, seen: RenderedFrame | DepthAndIds | CameraImage) -> None:
+        """Stores a frame or a camera image, or depth and ids only."""
+        height, width = seen.depth.shape
+        self._depth(height, width)[:] = seen.depth
+        self._ids(height, width)[:] = seen.ids
+        if not isinstance(seen, DepthAndIds):
+            self._rgb(height, width)[:] = seen.rgb
+        if isinstance(seen, CameraImage) and seen.normals is not None:
+            self._normals(height, width)[:] = seen.normals
 
     def take_frame(self, size: int) -> RenderedFrame:
         """Returns a copy of the stored frame, which has that size."""
-        return RenderedFrame(self._rgb(size).copy(), self._depth(size).copy(), self._ids(size).copy())
+        return RenderedFrame(self._rgb(size, size).copy(), self._depth(size, size).copy(), self._ids(size, size).copy())
 
     def take_relief(self, size: int) -> DepthAndIds:
         """Returns a copy of depth and ids of the stored frame, which has that size."""
-        return DepthAndIds(self._depth(size).copy(), self._ids(size).copy())
+        return DepthAndIds(self._depth(size, size).copy(), self._ids(size, size).copy())
+
+    def take_image(self, height: int, width: int, normals: bool) -> CameraImage:
+        """Returns a copy of the stored camera image, which has that size, with or without normals."""
+        size = height, width
+        rgb, depth, ids = self._rgb(*size).copy(), self._depth(*size).copy(), self._ids(*size).copy()
+        return CameraImage(rgb, depth, ids, self._normals(*size).copy() if normals else None)
 
     def close(self) -> None:
         """Unmaps the memory; further calls have no effect."""
         self._memory.close()
 
-    def _rgb(self, size: int) -> NDArray[np.uint8]:
-        return np.frombuffer(self._memory, np.uint8, 3 * size * size, _RGB_AT).reshape(size, size, 3)
+    def _rgb(self, height: int, width: int) -> NDArray[np.uint8]:
+        return np.frombuffer(self._memory, np.uint8, 3 * height * width, _RGB_AT).reshape(height, width, 3)
 
-    def _depth(self, size: int) -> NDArray[np.float32]:
-        return np.frombuffer(self._memory, np.float32, size * size, _DEPTH_AT).reshape(size, size)
+    def _depth(self, height: int, width: int) -> NDArray[np.float32]:
+        return np.frombuffer(self._memory, np.float32, height * width, _DEPTH_AT).reshape(height, width)
 
-    def _ids(self, size: int) -> NDArray[np.uint16]:
-        return np.frombuffer(self._memory, np.uint16, size * size, _IDS_AT).reshape(size, size)
+    def _ids(self, height: int, width: int) -> NDArray[np.uint16]:
+        return np.frombuffer(self._memory, np.uint16, height * width, _IDS_AT).reshape(height, width)
+
+    def _normals(self, height: int, width: int) -> NDArray[np.float32]:
+        return np.frombuffer(self._memory, np.float32, 3 * height * width, _NORMALS_AT).reshape(height, width, 3)

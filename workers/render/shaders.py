@@ -120,3 +120,36 @@ void main() {
     ("position", "instance"),
 )
 """Shaders for depth and ids of any part, without colour. A benchmark uses them to measure the cost of colour."""
+
+NORMALS = ShaderPair(
+    """
+#version 330
+in vec3 position; in int instance;
+uniform mat4 clip_from_world; uniform vec3 eye;
+out vec3 frag_ray; flat out int frag_instance;
+void main() {
+    gl_Position = clip_from_world * vec4(position, 1.0);
+    frag_ray = position - eye; frag_instance = instance;
+}
+""",
+    """
+#version 330
+in vec3 frag_ray; flat in int frag_instance;
+layout(location = 0) out vec4 rgb; layout(location = 1) out uint id;
+void main() {
+    vec3 normal = cross(dFdx(frag_ray), dFdy(frag_ray));
+    normal /= max(abs(normal.x) + abs(normal.y) + abs(normal.z), 1e-30);
+    normal *= dot(normal, frag_ray) > 0.0 ? -1.0 : 1.0;
+    vec2 side = vec2(normal.x >= 0.0 ? 1.0 : -1.0, normal.y >= 0.0 ? 1.0 : -1.0);
+    vec2 folded = normal.z >= 0.0 ? normal.xy : (1.0 - abs(normal.yx)) * side;
+    uvec2 steps = uvec2(round((folded * 0.5 + 0.5) * 4095.0));
+    rgb = vec4(steps.x >> 4, (steps.x & 15u) << 4 | steps.y >> 8, steps.y & 255u, 255.0) / 255.0;
+    id = uint(frag_instance);
+}
+""",
+    "3f4 20x 1u2 2x",
+    ("position", "instance"),
+)
+"""Shaders for normals of the triangles in the world frame, towards the camera: 12 bits for each of the two coordinates
+of the octahedral map in the 24 bits of a colour, which is 0.03 degrees (Z. H. Cigolle et al., "A Survey of Efficient
+Representations for Independent Unit Vectors", JCGT 3(2), 2014)."""

@@ -16,14 +16,17 @@ from PIL import Image
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
+from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
-from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.camera import OpticalPose, Perspective, optical_pose, view_matrix
+from workers.geometry.faces import FacePlan
 from workers.geometry.pose import Pose
-from workers.physics.bullet import BulletClient, CameraImage, bullet_version
+from workers.physics.bullet import BulletClient, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
-from workers.render import DepthAndIds, RenderedFrame
+from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame
+from workers.render.compose import compose_image
 from workers.render.shelf import KEPT_SCENES, SceneShelf
 from workers.render.sky import SkyPainter
 
@@ -50,7 +53,7 @@ class TinyRenderer(Closing):
         self._lap = lap
         self._shelf = SceneShelf(TinyScene, kept_scenes)
         self._scene: TinyScene | None = None
-        self._sky = SkyPainter(None, self._camera)
+        self._sky = SkyPainter(None)
 
     def close(self) -> None:
         """Frees the physics clients of the scenes; further calls have no effect."""
@@ -65,7 +68,7 @@ class TinyRenderer(Closing):
         """Selects a scene by a key and the camera; see `Renderer`."""
         self._camera = camera
         self._scene = self._shelf.take(key, read)
-        self._sky = SkyPainter(self._scene.sky, camera)
+        self._sky = SkyPainter(self._scene.sky)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
@@ -77,38 +80,56 @@ class TinyRenderer(Closing):
         Raises:
             UsageError: no scene was loaded.
         """
-        if self._scene is None:
-            raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
-        optical = optical_pose(pose, self._camera)
-        size = size or self._size
-        projection = _at_pixel_centres(projection_matrix(self._camera), size)
-        image = self._scene.client.camera_image(size, view_matrix(optical), projection)
-        self._lap("render")
-        frame = self._frame(image, self._scene.instance_of_body)
-        self._sky.paint(frame.rgb, frame.depth, optical)
-        self._lap("read-back")
-        return frame
+        return self._render(Perspective.of(self._camera, size or self._size), optical_pose(pose, self._camera))
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids; takes as long as `render`."""
         frame = self.render(pose)
         return DepthAndIds(frame.depth, frame.ids)
 
-    def _frame(self, image: CameraImage, instance_of_body: NDArray[np.uint16]) -> RenderedFrame:
-        near, far = self._camera.near_m, self._camera.far_m
+    def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
+        """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render_faces`."""
+        return compose_image(self, camera, pose)
+
+    def render_faces(self, plan: FacePlan, optical: OpticalPose, normals: bool = False) -> RenderedAtlas:
+        """Returns the atlas of the faces of a camera.
+
+        Raises:
+            UsageError: no scene was loaded, or normals are wanted.
+        """
+        if normals:
+            raise UsageError("TinyRenderer has no normals: use the renderer gl, or remove `normals` from outputs")
+        rgb = np.zeros((plan.height, plan.width, 3 if plan.sampling is None else 4), np.uint8)
+        atlas = RenderedAtlas(rgb, np.zeros(rgb.shape[:2], np.float32), np.zeros(rgb.shape[:2], np.uint16))
+        for face in plan.faces:
+            part = np.s_[face.top : face.top + face.view.height, : face.view.width]
+            frame = self._render(face.view, face.optical(optical))
+            rgb[part][..., :3], atlas.depth[part], atlas.ids[part] = frame.rgb, frame.depth, frame.ids
+        return atlas
+
+    def _render(self, view: Perspective, optical: OpticalPose) -> RenderedFrame:
+        if self._scene is None:
+            raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
+        image = self._scene.client.camera_image(view.width, view.height, view_matrix(optical), _at_pixel_centres(view))
+        self._lap("render")
+        near, far = view.near_m, view.far_m
+        instance_of_body = self._scene.instance_of_body
         depth = far * near / (far - (far - near) * image.depth.astype(np.float64))
         hit = (image.bodies >= 0) & (depth >= near) & (depth <= far)
-        return RenderedFrame(
+        frame = RenderedFrame(
             rgb=image.rgba[:, :, :3] * hit[:, :, None].astype(np.uint8),
             depth=np.where(hit, depth, 0.0).astype(np.float32),
             ids=np.where(hit, instance_of_body[image.bodies], 0).astype(np.uint16),
         )
+        self._sky.paint(frame.rgb, frame.depth, optical, view)
+        self._lap("read-back")
+        return frame
 
 
-def _at_pixel_centres(projection: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+def _at_pixel_centres(view: Perspective) -> NDArray[np.float64]:
     """Returns the projection shifted by half a pixel: TinyRenderer samples the corner of a pixel, not its centre."""
-    shifted = projection.copy()
-    shifted[:2, 2] += 1.0 / size
+    shifted = view.matrix()
+    shifted[:2, 2] += 1.0 / view.width, 1.0 / view.height
     return shifted
 
 

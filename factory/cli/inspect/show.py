@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import click
+from PIL import Image
 
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import count_option, place_argument, write_option
@@ -15,8 +16,10 @@ from factory.dataset.bundle import EpisodeBundle
 from factory.runs.catalog import find_package
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from factory.visualize.panels import draw_contact_sheet
+from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError
+from schemas.rig.file import load_rig
 from schemas.scene import CompiledScene, decode_scene
 from schemas.storage.disk import translated
 from schemas.storage.place import Place
@@ -30,12 +33,14 @@ _KINDS = (".png", ".mp4", ".gif")
 @click.argument("episode")
 @write_option("FILE", "Output file: .png, .mp4 or .gif. Default: EPISODE.png.", dir_okay=False)
 @count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
+@click.option("--rig", metavar="RIG", help="Show the cameras of a rig, a row for each. Default: the recorded camera.")
 @json_option
-def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
+def command(root: Place, episode: str, out: Path | None, columns: int, rig: str | None, as_json: bool) -> None:
     """Write one episode as a contact sheet or a video.
 
     EPISODE is a name or number: ep_000001 or 1. A .png file is a contact sheet. An .mp4 or .gif file is a real-time
-    video of colour, depth, instance ids and a map with the trajectory, with the instruction below.
+    video of colour, depth, instance ids and a map with the trajectory, with the instruction below. RIG is a built-in
+    rig or a TOML file, see `factory rig list`.
     """
     path = episode_path(root, episode)
     target = out or Path(f"{path.stem}.png")
@@ -45,6 +50,8 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
             f"-o {target}: {f'suffix {kind!r} is not supported' if kind else 'the suffix is missing'}; supported "
             f"suffixes: {', '.join(_KINDS)}"
         )
+    if rig is not None and kind != ".png":
+        raise UsageError(f"-o {target}: --rig draws a contact sheet: choose a file that ends in .png")
     if kind == ".mp4":
         require_mp4()
     with path.open("rb") as file, EpisodeBundle(file, root) as bundle:
@@ -55,7 +62,7 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
             target.parent.mkdir(parents=True, exist_ok=True)
         facts = {"file": str(target), "kind": kind[1:], "episode": job.episode_id, "frames": bundle.length}
         if kind == ".png":
-            sheet = draw_contact_sheet(bundle, scene, columns)
+            sheet = draw_contact_sheet(bundle, scene, columns) if rig is None else _rig_sheet(bundle, rig, columns)
             with translated("write", target):
                 sheet.save(target)
         else:
@@ -64,6 +71,13 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
         print_json(facts | {"bytes": target.stat().st_size})
     else:
         click.echo(str(target))
+
+
+def _rig_sheet(bundle: EpisodeBundle, reference: str, columns: int) -> Image.Image:
+    rig = load_rig(reference, bundle.meta.job.task.control_hz)
+    if not rig.cameras:
+        raise UsageError(f"rig {rig.name!r} has no camera to show")
+    return draw_rig_sheet(bundle, rig, columns)
 
 
 def _save_film(target: Path, bundle: BundleReader, scene: CompiledScene) -> Fraction:

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from factory.scenes.importer import Part
 from factory.scenes.importer.material import Surface
-from factory.scenes.light.rays import Caster
 from factory.scenes.navigation.floor import find_floor_height
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Singles
+from workers.geometry.rays import Caster
 
 _PATH = "/AddedCeiling"
 _PAINT = Surface(colour=(0.72, 0.72, 0.70))

@@ -15,12 +15,12 @@ from factory.scenes.light.contact import contact_shade
 from factory.scenes.light.curves import Bends, find_bends
 from factory.scenes.light.irradiance import lamp_light, sky_light
 from factory.scenes.light.lamps import Lamps, find_lamps
-from factory.scenes.light.rays import Caster
 from factory.scenes.light.smooth import even_out, fill_hidden, smooth_charts
 from factory.scenes.light.texels import Texels, lay_texels
 from factory.scenes.light.tone import tone
 from factory.scenes.light.unwrap import unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
+from workers.geometry.rays import Caster
 
 _COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (8, 8), (4, 4)

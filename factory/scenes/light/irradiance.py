@@ -11,10 +11,10 @@ import numpy as np
 
 from factory.scenes.light.charts import number_rows
 from factory.scenes.light.lamps import Lamps, light_from, nearest_lamps
-from factory.scenes.light.rays import Caster
 from factory.scenes.light.texels import PATTERNS, SPOTS, Texels
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats, Ints, Singles
+from workers.geometry.rays import Caster
 
 _REACH_M = 1.6
 _CELL_M = 2.5

@@ -84,7 +84,7 @@ def test_each_optional_package_is_in_its_extra() -> None:
         for name in map(_name, requirements)
         if name != "minivla-factory"
     }
-    brought |= dict.fromkeys(("embreex", "mapbox_earcut", "pxr"), "sim")
+    brought |= dict.fromkeys(("mapbox_earcut", "pxr"), "sim")
     assert dict(EXTRA_OF) == brought
 
 

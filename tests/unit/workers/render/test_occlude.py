@@ -8,7 +8,7 @@ import pytest
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from tests.builders.scene import Box, build_scene, room_walls
-from workers.geometry.camera import optical_pose
+from workers.geometry.camera import Perspective, optical_pose
 from workers.geometry.pose import Pose
 from workers.render.cull import PartBounds
 from workers.render.occlude import Occluders
@@ -23,7 +23,7 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
     """Returns the instance ids of the parts that are classified as hidden."""
     bounds = PartBounds.of(scene)
     parts = np.arange(len(scene.part_first))
-    hidden = Occluders.of(scene).hidden(bounds, parts, optical_pose(pose, CAMERA), CAMERA)
+    hidden = Occluders.of(scene).hidden(bounds, parts, optical_pose(pose, CAMERA), Perspective.of(CAMERA, 640))
     return set(scene.part_instance[hidden].tolist())
 
 

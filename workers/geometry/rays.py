@@ -15,7 +15,7 @@ from schemas.support.numpy_types import Floats, Singles
 class Caster:
     """Ray caster over a set of triangles."""
 
-    def __init__(self, triangles: Floats) -> None:
+    def __init__(self, triangles: Floats | Singles) -> None:
         """Builds the acceleration structure of triangles (T, 3, 3), metres."""
         corners = np.ascontiguousarray(triangles, np.float32)
         self._scene: Any = rtcore_scene.EmbreeScene()
@@ -38,6 +38,10 @@ class Caster:
         x, y, z = (self._normals[k].take(triangle, mode="clip") * directions[:, k] for k in range(3))
         distance = np.where(has_met, np.asarray(hit["tfar"], np.float32), np.float32(reach_m))
         return distance, has_met & (x + y + z > 0)
+
+    def first_triangles(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.int32]:
+        """Returns for N rays the number of the triangle that is hit first within the length of the ray, or -1."""
+        return np.asarray(self._scene.run(origins, directions, lengths_m, query="INTERSECT"))
 
     def is_free(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.bool_]:
         """Returns for N rays whether they hit nothing within their length."""

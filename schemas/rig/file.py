@@ -1,0 +1,55 @@
+"""Loads rigs: built-in ones by name, others from TOML files. Errors name the key of every mistake. Writes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from schemas.errors import InvalidRig, UsageError
+from schemas.rig.rig import Rig
+from schemas.support.foreign import path_trouble
+from schemas.support.suggest import did_you_mean
+from schemas.support.toml_file import mistakes_of, read_toml
+
+_FOLDER = Path(__file__).parent / "builtin"
+BUILTIN_RIGS = ("paper", "nova-carter", "turtlebot4", "panorama")
+"""Names of the built-in rigs; each is a file in `schemas/rig/builtin`."""
+DEFAULT_CONTROL_HZ = 60
+"""Control rate of the built-in plans, Hz."""
+
+
+def load_rig(reference: str, control_hz: int = DEFAULT_CONTROL_HZ) -> Rig:
+    """Returns a built-in rig by its name, or reads a TOML file.
+
+    Args:
+        reference: name of a built-in rig, or path of a file.
+        control_hz: control rate that the rates of the sensors must divide, Hz.
+
+    Raises:
+        UsageError: neither a built-in rig nor a file has that name.
+        InvalidRig: the file has mistakes, or a rate does not divide the control rate; the error lists all of them.
+    """
+    path = _FOLDER / f"{reference}.toml" if reference in BUILTIN_RIGS else Path(reference)
+    trouble = path_trouble(reference)
+    if trouble:
+        raise UsageError(f"cannot read rig {reference[:80]!r}: {trouble}")
+    if not path.is_file():
+        known = f"the built-in rigs are {', '.join(BUILTIN_RIGS)}{did_you_mean(path.stem, BUILTIN_RIGS)}"
+        what = "that is a directory; give a TOML file" if path.is_dir() else "no such file"
+        raise UsageError(f"no rig {reference!r}: {what}; {known}")
+    data = read_toml(path, "rig", InvalidRig)
+    data.setdefault("name", path.stem)
+    try:
+        rig = Rig.model_validate(data)
+    except ValidationError as error:
+        raise InvalidRig(f"{path} is not a valid rig", mistakes_of(error)) from error
+    require_rates(rig, control_hz)
+    return rig
+
+
+def require_rates(rig: Rig, control_hz: int) -> None:
+    """Raises `InvalidRig` unless the rates of all sensors divide a control rate, Hz."""
+    faults = rig.faults(control_hz)
+    if faults:
+        raise InvalidRig(f"rig {rig.name!r} does not fit a control rate of {control_hz} Hz", faults)

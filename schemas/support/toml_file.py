@@ -1,0 +1,75 @@
+"""Reads TOML files into plain data, and lists the mistakes of their content by key. Knows no model."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from schemas.errors import FactoryError, Findings
+from schemas.support.foreign import PARSER_ERRORS
+from schemas.support.suggest import did_you_mean
+
+_MOST_BYTES = 4 << 20
+
+
+def read_toml(path: Path, noun: str, refusal: type[Findings]) -> dict[str, Any]:
+    """Returns the content of a TOML file of at most 4 MiB.
+
+    Args:
+        path: existing file.
+        noun: content of the file for messages, such as `plan`.
+        refusal: class of the error.
+
+    Raises:
+        Findings: the file cannot be read as TOML; of the class `refusal`.
+    """
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise refusal(f"{path} is not a {noun}", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FactoryError:
+        raise
+    except RecursionError as error:
+        raise refusal(f"{path} is not a {noun}", ["its values are nested too deeply"]) from error
+    except PARSER_ERRORS as error:
+        what = "is not valid TOML" if path.suffix == ".toml" else f"is not a {noun}; {noun}s are TOML files"
+        raise refusal(f"{path} {what}", [str(error)]) from error
+
+
+def mistakes_of(error: ValidationError) -> list[str]:
+    """Returns one sentence for each mistake, with its key."""
+    items = error.errors()
+    deeper = {item["loc"][:1] for item in items if len(item["loc"]) > 1}
+    sentences = []
+    for item in items:
+        if item["type"] == "too_short" and item["loc"] in deeper:
+            continue  # the list is too short only because its items are invalid
+        sentences += _sentences_of(item)
+    return sentences
+
+
+def _sentences_of(item: Any) -> list[str]:
+    key = ""
+    for part in item["loc"]:
+        if part != "[key]":
+            key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if not key:
+        return message.split("; ")
+    if item["type"] == "extra_forbidden":
+        message = "no such key"
+    if item["type"] == "union_tag_invalid":
+        return [f"{key}: {_unknown_tag(item['ctx'])}"]
+    given = item["input"]
+    shown = f" (found {given!r})" if isinstance(given, str | int | float | bool) else ""
+    return [f"{key}: {message}{shown}"]
+
+
+def _unknown_tag(context: dict[str, str]) -> str:
+    """Returns the message for a value of a discriminator that selects no model."""
+    name, tag = context["discriminator"].strip("'"), context["tag"]
+    known = [word.strip("' ") for word in context["expected_tags"].split(",")]
+    return f"unknown {name} {tag!r}; valid: {', '.join(known)}{did_you_mean(tag, known)}"

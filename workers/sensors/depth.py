@@ -1,0 +1,175 @@
+"""Noise of depth images that are measured by triangulation: a stereo pair, or a camera and a projector.
+
+Pure functions on images of a pinhole camera with axial depth. Renders nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Literal
+
+import numpy as np
+
+from schemas.rig.noise import StereoDepthNoise, StructuredLightNoise
+from schemas.support.numpy_types import Bools, Ints, Singles
+from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
+
+_EDGE_PX = 1.0
+"""Second difference of the disparity over half a matching window above which the window contains an edge, pixels."""
+_BAND = 32
+"""Rows that are displaced at once, so that the pixel numbers stay in the cache of the processor."""
+_LEAST_PX = np.float32(1e-6)
+"""Disparity that replaces those at and below 0, which give no measurement, pixels."""
+_BLOCK_PX, _HOLE_BLOCKS = 4, 4
+"""Side of the blocks of which holes consist, pixels, and distance of the random values between which the field of
+holes is interpolated, blocks."""
+
+
+def noisy_depth(
+    depth: Singles, noise: StereoDepthNoise | StructuredLightNoise, focal_px: float, key: NoiseKey, step: int
+) -> Singles:
+    """Returns the depth image that triangulation measures; 0 without a measurement.
+
+    Args:
+        depth: (H, W) distance along the optical axis, metres; 0 where no surface is visible.
+        noise: parameters.
+        focal_px: focal length along the rows, pixels.
+        key: identity of the sensor in the episode.
+        step: control step of the image.
+    """
+    scale, shape = np.float32(focal_px * noise.baseline_m), depth.shape
+    seen = shifted(depth, noise.shift_std_px, key, step)
+    if seen.min() <= 0:
+        seen = np.where(seen > 0, seen, np.float32(np.inf))
+    exact = scale / seen
+    lost = (exact > scale / np.float32(noise.range_min_m)) | (exact < scale / np.float32(noise.range_max_m))
+    lost |= hidden(exact, noise.second_view)
+    if noise.edge_dropout:
+        near_edges = np.flatnonzero(edges(exact, noise.window_px))
+        is_lost = key.is_below(noise.edge_dropout, Effect.EDGE_DROPOUT, len(near_edges), step)
+        lost.ravel()[near_edges[is_lost]] = True
+    if noise.hole_share:
+        lost |= holes(shape, noise.hole_share, key, step)
+    measured = noisy_disparity(exact, noise.disparity_std_px, noise.disparity_step_px, key, step)
+    lost |= measured <= 0
+    np.divide(scale, np.maximum(measured, _LEAST_PX, out=measured), out=measured)
+    measured *= ~lost
+    return measured
+
+
+def noisy_disparity(disparity: Singles, std_px: float, step_px: float, key: NoiseKey, step: int) -> Singles:
+    """Returns disparities (H, W) with Gaussian noise, rounded to the resolution of the matcher, pixels.
+
+    A disparity d = f b / z with the standard deviation s gives z a standard deviation of z^2 s / (f b) (K. Khoshelham
+    and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2),
+    2012; A. Grunnet-Jepsen et al., "Tuning depth cameras for best performance", Intel RealSense). The rounding is that
+    of A. Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
+    """
+    values = key.normals(Effect.DISPARITY, disparity.shape, step)
+    values *= np.float32(std_px)
+    values += disparity
+    if step_px:
+        values *= np.float32(1 / step_px)
+        np.rint(values, out=values)
+        values *= np.float32(step_px)
+    return values
+
+
+def shifted(depth: Singles, std_px: float, key: NoiseKey, step: int) -> Singles:
+    """Returns depth (H, W) read at randomly displaced pixels, which makes the outlines of objects rough.
+
+    Handa et al. 2014 and J. T. Barron and J. Malik, "Intrinsic scene properties from a single RGB-D image", CVPR 2013.
+    The displacement is rounded to whole pixels, and the pixels at the border are displaced inwards.
+    """
+    if not std_px:
+        return depth
+    offsets, reach = _displacements(std_px, depth.shape[1])
+    drawn, pixels = key.bits(Effect.SHIFT, depth.shape, step), _inner_pixels(depth.shape, reach)
+    result = np.empty_like(depth)
+    for rows in (slice(first, first + _BAND) for first in range(0, len(depth), _BAND)):
+        depth.ravel().take(pixels[rows] + offsets.take(drawn[rows] >> 8), out=result[rows], mode="clip")
+    return result
+
+
+@functools.lru_cache(maxsize=16)
+def _displacements(std_px: float, width: int) -> tuple[Ints, int]:
+    """Returns 256 equally probable displacements, as differences of pixel numbers, and the largest one in pixels."""
+    middles = np.arange(1 << 11, LEVELS, 1 << 12, dtype=np.uint16)
+    values = np.rint(normal_of(middles) * std_px).astype(np.int64)
+    return (values[:, None] * width + values).ravel(), int(values.max())
+
+
+@functools.lru_cache(maxsize=16)
+def _inner_pixels(shape: tuple[int, int], margin: int) -> Ints:
+    """Returns for each pixel (H, W) the number of the nearest pixel that is not in the margin."""
+    rows, columns = (np.clip(np.arange(side), margin, side - 1 - margin) for side in shape)
+    return rows[:, None] * shape[1] + columns
+
+
+def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
+    """Returns the pixels (H, W) that the second camera does not see, or that the projector does not illuminate.
+
+    A pixel in column x has the column u = x - d in a view from the right. It is hidden if u is outside of the image,
+    or if a pixel further to the right, which is nearer, has the same column or one further to the left (D. Scharstein
+    and R. Szeliski, "A taxonomy and evaluation of dense two-frame stereo correspondence algorithms", IJCV 47, 2002).
+
+    Args:
+        disparity: (H, W) disparity d, pixels; 0 where no surface is visible.
+        second_view: side on which the second camera or the projector is.
+    """
+    if second_view == "left":
+        return hidden(disparity[:, ::-1], "right")[:, ::-1]
+    width = disparity.shape[1]
+    from_right = np.arange(width - 1, -1, -1, dtype=np.float32) - disparity[:, ::-1]
+    found = from_right < 0
+    found[:, 1:] |= from_right[:, 1:] >= np.minimum.accumulate(from_right, axis=1)[:, :-1]
+    return found[:, ::-1]
+
+
+def edges(disparity: Singles, window_px: int) -> Bools:
+    """Returns the pixels (H, W) whose matching window contains a depth edge.
+
+    The disparity of a plane is linear in the image, so that a second difference over half a window shows an edge and
+    not a slope.
+    """
+    half = window_px // 2
+    found = np.zeros(disparity.shape, bool)
+    for image, mark in ((disparity, found), (disparity.T, found.T)):
+        bend = image[2 * half :] + image[: -2 * half]
+        bend -= image[half:-half]
+        bend -= image[half:-half]
+        mark[half:-half] |= np.abs(bend, out=bend) > _EDGE_PX
+    return found
+
+
+def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Bools:
+    """Returns an image (H, W) with random spots of about 16 pixels, as where a matcher finds no texture."""
+    height, width = shape
+    values = _smooth_noise((-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)), key, step)
+    spots = values < _hole_level(share)
+    return spots.repeat(_BLOCK_PX, axis=1).repeat(_BLOCK_PX, axis=0)[:height, :width]
+
+
+def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
+    """Returns (H, W) random values between which is interpolated: whole numbers below 2^24, which float32 adds
+    exactly."""
+    rows, columns = (_interpolation(side) for side in shape)
+    coarse = key.bits(Effect.HOLES, (rows.shape[1], columns.shape[1]), step) >> 8
+    return np.asarray(rows @ coarse.astype(np.float32) @ columns.T)
+
+
+@functools.lru_cache(maxsize=16)
+def _interpolation(side: int) -> Singles:
+    """Returns the weights (side, values) of linear interpolation, multiplied by `_HOLE_BLOCKS`."""
+    blocks, share = np.arange(side), np.arange(side) % _HOLE_BLOCKS
+    weights = np.zeros((side, -(-side // _HOLE_BLOCKS) + 1), np.float32)
+    weights[blocks, blocks // _HOLE_BLOCKS] = _HOLE_BLOCKS - share
+    weights[blocks, blocks // _HOLE_BLOCKS + 1] = share
+    return weights
+
+
+@functools.lru_cache(maxsize=64)
+def _hole_level(share: float) -> float:
+    """Returns the value of `_smooth_noise` below which is this share of a large image."""
+    values = np.sort(_smooth_noise((512, 512), NoiseKey(0, 0, ""), 0), axis=None)
+    return float(values[round(share * (values.size - 1))]) + (share == 1)
