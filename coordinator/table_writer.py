@@ -11,7 +11,7 @@ from coordinator.context import RunContext
 from coordinator.ledger import claims
 from coordinator.ledger.run_ledger import RESTART_REMEDY
 from coordinator.packing import pack_settled
-from coordinator.tables.checkpoint import write_checkpoint
+from coordinator.tables.checkpoint import Checkpoints
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
@@ -31,8 +31,11 @@ class TableWriter:
     """
 
     def __init__(self, run: RunContext, gate: Sequence[GateOutcome]) -> None:
-        self._run, self._gate = run, tuple(gate)
-        self._has_written = False
+        self._run = run
+        terms = run.terms
+        self._checkpoints = (
+            Checkpoints(run.archive, terms.plan, terms.catalog, gate) if terms.evaluation is None else None
+        )
         self._changed = threading.Event()
         if run.are_tables_owed:
             self._changed.set()
@@ -43,18 +46,16 @@ class TableWriter:
 
     def write(self) -> None:
         """Packs settled episodes and writes the tables if a change was recorded since the last write."""
-        run, terms = self._run, self._run.terms
-        if not self._changed.is_set() or terms.evaluation is not None:
+        run = self._run
+        if not self._changed.is_set() or self._checkpoints is None:
             return
         self._changed.clear()
         try:
             with run.ledger.reading() as connection:
                 is_over = not claims.has_open_jobs(connection)
-                # the first and the last write use the ledger only, because the file may have changed meanwhile
-                anew = is_over or not self._has_written
-                pack_settled(run.archive, connection, terms.plan, is_over, run.settings.shard_episodes)
-                write_checkpoint(run.archive, connection, terms.plan, terms.catalog, run.clock(), self._gate, anew=anew)
-            self._has_written = True
+                pack_settled(run.archive, connection, run.terms.plan, is_over, run.settings.shard_episodes)
+                # the last write uses the ledger only, as the first one does, because the files may have changed
+                self._checkpoints.write(connection, run.clock(), rewrite=is_over)
         except Exception:
             self._changed.set()  # the tables still have to be written
             raise
@@ -64,7 +65,7 @@ class TableWriter:
 
         The time is limited if the run is not finished.
         """
-        if self._run.terms.evaluation is not None or self._changed.is_set():
+        if self._checkpoints is None or self._changed.is_set():
             return  # the tables that they are made from are not up to date
         try:
             limit_s = None if self._run.ledger.is_finished() else _THUMBNAILS_S

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import BinaryIO, cast
 
 import numpy as np
@@ -234,6 +234,7 @@ class BundleReader(Closing):
         """Leaves the file open; the caller owns it."""
 
 
+@cache
 def _keep_freed_memory() -> None:
     """Raises glibc's thresholds for returning freed memory to the kernel (mallopt(3), M_MMAP_THRESHOLD).
 

@@ -43,11 +43,17 @@ def records_of_gateway(
             yield row.idx, RecordedFile(row.size)
 
 
-def recorded_files(connection: Connection) -> Mapping[int, RecordedFile]:
-    """Returns the record of every archived episode, with the gateway that keeps it."""
+def recorded_files(connection: Connection, *, digests: bool = True) -> Mapping[int, RecordedFile]:
+    """Returns the record of every archived episode, with the gateway that keeps it.
+
+    Args:
+        connection: connection for reading.
+        digests: whether the records have digests, which are half of the memory of a million records.
+    """
     away = gateways_by_episode(connection)
-    rows = connection.execute(select(episodes.c.idx, episodes.c.size, episodes.c.sha256))
-    return {row.idx: RecordedFile(row.size, row.sha256, away.get(row.idx)) for row in rows}
+    columns = (episodes.c.idx, episodes.c.size, *((episodes.c.sha256,) if digests else ()))
+    rows = connection.execute(select(*columns).execution_options(yield_per=_ROWS))
+    return {row.idx: RecordedFile(row.size, row.sha256 if digests else None, away.get(row.idx)) for row in rows}
 
 
 def gateways_by_episode(connection: Connection) -> Mapping[int, str]:

@@ -23,6 +23,7 @@ from coordinator.expansion.draw import PlannedJob, expand
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
+from coordinator.ledger.tallies import install_tallies
 from schemas.base import Sha256
 from schemas.dataset_files import LEDGER_FILE
 from schemas.episode_spec import EpisodeSpec
@@ -91,6 +92,7 @@ def open_run(
         if holds_run(connection):
             _check_is_ours(read_info(connection), plan, catalog)
             _bring_up_to_date(connection)
+            install_tallies(connection)
             facts = {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)}
             if connection.execute(select(info).where(info.c.key == PLANNED)).first() is None:
                 facts[PLANNED] = planned_digest(connection)
@@ -99,6 +101,7 @@ def open_run(
         planned = expand(plan, catalog) if planned is None else planned
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
+        install_tallies(connection)
         _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
         _write_info(connection, {PLANNED: planned_digest(connection)})
         return True

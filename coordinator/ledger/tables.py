@@ -11,7 +11,7 @@ from sqlalchemy import text as sql
 LEDGER_FORMAT = 2
 """Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost."""
 
-ADDED_LATER = frozenset({"hosts", "keepers"})
+ADDED_LATER = frozenset({"hosts", "keepers", "job_tallies", "attempt_tallies"})
 """Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
 
 PLANNED = "planned"
@@ -166,4 +166,25 @@ workers = Table(
     Column("archived", Integer, nullable=False, default=0),
     Column("last_beat", Double, nullable=False),
     Index("ix_workers_host", "host", "last_beat"),
+)
+
+job_tallies = Table(
+    "job_tallies",
+    METADATA,
+    Column("state", String(16), primary_key=True),
+    Column("scene", String(64), primary_key=True),
+    Column("tier", String(16), primary_key=True),
+    Column("split", String(32), primary_key=True),
+    Column("superseded", Boolean, primary_key=True),
+    Column("jobs", Integer, nullable=False, comment="number of jobs"),
+    comment="Number of jobs by state and cell; triggers keep it.",
+)
+
+attempt_tallies = Table(
+    "attempt_tallies",
+    METADATA,
+    Column("outcome", String(16), primary_key=True),
+    Column("attempts", Integer, nullable=False, comment="number of attempts"),
+    Column("steps", BigInteger, nullable=False, comment="sum of their steps"),
+    comment="Number of attempts by outcome; triggers keep it.",
 )

@@ -73,7 +73,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
     result = Reconciled()
     present = archive.present()
     with engine.begin() as connection:
-        recorded = recorded_files(connection)
+        recorded = recorded_files(connection, digests=False)
     difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
     unsure = {index: present[index] for index in difference.strays}
     verdicts = _judge_all(archive, engine, terms, checker, unsure, difference)

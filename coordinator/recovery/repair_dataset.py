@@ -23,14 +23,14 @@ from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.opening import holds_run, open_run, read_info
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.records import read_summaries
+from coordinator.ledger.reading.records import read_content_digests
 from coordinator.ledger.repair import record_whole
 from coordinator.packing import pack_settled
 from coordinator.recovery.reconcile import quarantine_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
 from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
 from coordinator.recovery.table_records import restore_failures
-from coordinator.tables.checkpoint import read_failures, write_checkpoint
+from coordinator.tables.checkpoint import count_failures, write_checkpoint
 from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_column
@@ -179,14 +179,14 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     if isinstance(digests, str):
         found[METADATA_FILE] = digests
     elif ledger is not None:
-        owned = [row.content_digest for row in read_summaries(ledger)]
+        owned = read_content_digests(ledger)
         if owned != digests:
             found[METADATA_FILE] = f"{len(digests)} rows that are not the ledger's {len(owned)}"
     reasons = read_column(root / ATTEMPTS_FILE, "reason")
     if isinstance(reasons, str):
         found[ATTEMPTS_FILE] = reasons
     elif ledger is not None:
-        failed = sum(1 for _ in read_failures(ledger))
+        failed = count_failures(ledger)
         if failed != len(reasons):
             found[ATTEMPTS_FILE] = f"{len(reasons)} rows, the ledger has {failed}"
     try:

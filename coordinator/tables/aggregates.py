@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Any, Self
+
+import pyarrow as pa
 
 from schemas.terms import FailReason
 
-
-class _Refused(Protocol):
-    scene: str
-    reason: str
-
-
-Failure = TypeVar("Failure", bound=_Refused)
 _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
+_SUMS = ("num_steps", "spawn_dist_m", "trajectory_length_m", "final_ne_m")
+_CELL = ["scene", "split", "spawn_tier"]
+_MAKER = ["renderer", "software", "cpu"]
 
 
 @dataclass
@@ -34,23 +32,21 @@ class EpisodeSums:
     final_ne_m: float = 0.0
     """Sum of final navigation errors, metres."""
 
-    def add(
-        self, episodes: int, steps: int, spawn_dist_m: float, trajectory_length_m: float, final_ne_m: float
-    ) -> None:
-        """Adds sums over further episodes."""
-        self.episodes += episodes
-        self.steps += steps
-        self.spawn_dist_m += spawn_dist_m
-        self.trajectory_length_m += trajectory_length_m
-        self.final_ne_m += final_ne_m
+    def add(self, other: EpisodeSums) -> None:
+        """Adds the sums over further episodes."""
+        self.episodes += other.episodes
+        self.steps += other.steps
+        self.spawn_dist_m += other.spawn_dist_m
+        self.trajectory_length_m += other.trajectory_length_m
+        self.final_ne_m += other.final_ne_m
 
 
 @dataclass
 class TableAggregates:
-    """Aggregates of the written rows; the memory use is a few hundred bytes per episode."""
+    """Aggregates of rows of both tables; the memory use does not depend on the number of rows."""
 
-    digests: list[tuple[str, str]] = field(default_factory=list)
-    """Episode id and content digest of each episode."""
+    rows: int = 0
+    """Number of rows."""
     counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     """Number of episodes by (scene, split, tier)."""
     categories: Counter[str] = field(default_factory=Counter)
@@ -63,8 +59,49 @@ class TableAggregates:
     makers: set[tuple[str, str, str]] = field(default_factory=set)
     """Renderer, package versions as JSON, and CPU of the workers."""
 
-    def count_failures(self, rows: Iterable[Failure]) -> Iterator[Failure]:
-        """Yields the rows unchanged and counts the task failures."""
-        for row in rows:
-            self.refused[row.scene] += row.reason in _TASK_FAILURES
-            yield row
+    @classmethod
+    def total(cls, parts: Iterable[TableAggregates]) -> Self:
+        """Returns the aggregates of all rows of some parts; the order of the parts determines rounding errors."""
+        total = cls()
+        for part in parts:
+            total.rows += part.rows
+            total.counts.update(part.counts)
+            total.categories.update(part.categories)
+            total.refused.update(part.refused)
+            total.renderers |= part.renderers
+            total.makers |= part.makers
+            for ours, theirs in ((total.scenes, part.scenes), (total.tiers, part.tiers)):
+                for key, sums in theirs.items():
+                    ours[key].add(sums)
+        return total
+
+
+def aggregate_episodes(table: pa.Table) -> TableAggregates:
+    """Returns the aggregates of rows of `metadata.parquet`."""
+    found = TableAggregates(rows=len(table), renderers=set(table["renderer"].unique().to_pylist()))
+    found.makers.update((row["renderer"], row["software"], row["cpu"]) for row in _sums(table, _MAKER, ()))
+    for row in _sums(table, ["target_category"], ()):
+        found.categories[row["target_category"]] = row["count_all"]
+    for row in _sums(table, _CELL, ()):
+        found.counts[row["scene"], row["split"], row["spawn_tier"]] = row["count_all"]
+    for key, sums in (("scene", found.scenes), ("spawn_tier", found.tiers)):
+        for row in _sums(table, [key], _SUMS):
+            sums[row[key]] = EpisodeSums(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
+    return found
+
+
+def aggregate_failures(table: pa.Table) -> TableAggregates:
+    """Returns the aggregates of rows of `attempts.parquet`."""
+    found = TableAggregates(rows=len(table))
+    for row in _sums(table, ["scene", "reason"], ()):
+        found.refused[row["scene"]] += row["count_all"] * (row["reason"] in _TASK_FAILURES)
+    return found
+
+
+def _sums(table: pa.Table, keys: list[str], columns: Sequence[str]) -> list[dict[str, Any]]:
+    """Returns row counts and column sums by key; with one thread, so that floating-point sums are reproducible."""
+    grouped = table.group_by(keys, use_threads=False)
+    found: list[dict[str, Any]] = grouped.aggregate(
+        [*((name, "sum") for name in columns), ([], "count_all")]
+    ).to_pylist()
+    return found

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import Row, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
@@ -14,8 +15,9 @@ from coordinator.expansion.instances import shared_categories
 from coordinator.expansion.scene_cells import all_sides
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.reading.records import LedgerEpisodes
-from coordinator.ledger.tables import attempts, episodes, jobs
-from coordinator.tables.write import write_tables
+from coordinator.ledger.states import Event
+from coordinator.ledger.tables import attempts, episodes, events, jobs
+from coordinator.tables.write import DatasetTables, TableChanges, TableContent
 from schemas.dataset import FailedAttempt
 from schemas.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
 from schemas.episode_spec import columns_of
@@ -24,6 +26,61 @@ from schemas.job import episode_id
 from schemas.plan import Plan
 
 _YIELD_ROWS = 1000
+_OF_LEASES = (Event.CLAIMED, Event.ANNOUNCED)
+_OF_EPISODES = frozenset({Event.ARCHIVED, Event.ADOPTED, Event.LOST})
+_WITHOUT_FAILURE = frozenset({Event.ARCHIVED, Event.ADOPTED})
+_FAILURES = (
+    select(attempts, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.category, jobs.c.target_id)
+    .join(jobs, jobs.c.id == attempts.c.job_id)
+    .where(attempts.c.outcome != SUCCESS)
+    .order_by(attempts.c.idx, attempts.c.attempt, attempts.c.id)
+)
+
+
+class Checkpoints:
+    """Writer of the tables of one run; a checkpoint reads the rows that have changed since the last one.
+
+    Args:
+        archive: archive of the dataset, held exclusively.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        gate: results of the pilot; empty keeps the results in the existing metadata.
+    """
+
+    def __init__(self, archive: Archive, plan: Plan, catalog: Catalog, gate: Sequence[GateOutcome] = ()) -> None:
+        self._archive, self._plan, self._gate = archive, plan, gate
+        self._scenes = {name: entry.sha256 for name, entry in catalog.items()}
+        self._sides = all_sides(plan, catalog)
+        shared = {name: shared_categories(found, catalog[name]) for name, found in self._sides.items()}
+        self._shared = shared if plan.disjoint_instances else None
+        self._tables = DatasetTables()
+        self._last_event: int | None = None
+
+    def write(self, connection: Connection, now: datetime, *, rewrite: bool = False) -> DatasetMeta:
+        """Writes the tables and replaces each file as a whole.
+
+        Args:
+            connection: connection for reading.
+            now: the time of writing, UTC.
+            rewrite: whether to read every row from the ledger, as the first call does.
+
+        Raises:
+            WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.
+        """
+        last = last_event(connection)
+        changes = None if rewrite or self._last_event is None else _changes(connection, self._last_event)
+        content = TableContent(
+            plan=self._plan,
+            scenes=self._scenes,
+            episodes=LedgerEpisodes(connection),
+            failures=LedgerFailures(connection),
+            sides=self._sides,
+            shared=self._shared,
+            gate=self._gate,
+        )
+        meta = self._tables.write(self._archive, content, now, changes)
+        self._last_event = last
+        return meta
 
 
 def write_checkpoint(
@@ -33,29 +90,31 @@ def write_checkpoint(
     catalog: Catalog,
     now: datetime,
     gate: Sequence[GateOutcome] = (),
-    *,
-    anew: bool = True,
 ) -> DatasetMeta:
-    """Writes the tables and replaces each file as a whole; for the arguments see `write_tables`.
+    """Writes the tables from the ledger once; for arguments and errors see `Checkpoints`."""
+    return Checkpoints(archive, plan, catalog, gate).write(connection, now)
 
-    Raises:
-        WorldError: the disk is full or unavailable; the tables are unchanged.
-    """
-    scenes = {name: entry.sha256 for name, entry in catalog.items()}
-    sides = all_sides(plan, catalog)
-    shared = {name: shared_categories(found, catalog[name]) for name, found in sides.items()}
-    return write_tables(
-        archive,
-        plan,
-        scenes,
-        LedgerEpisodes(connection),
-        read_failures(connection),
-        now,
-        sides,
-        shared if plan.disjoint_instances else None,
-        gate,
-        anew=anew,
+
+def last_event(connection: Connection) -> int:
+    """Returns the id of the last event; 0 if there is none."""
+    return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
+
+
+def _changes(connection: Connection, since: int) -> TableChanges:
+    """Returns the episodes whose rows have changed after an event; the ledger adds an event to each change."""
+    query = (
+        select(events.c.event, jobs.c.idx)
+        .join(jobs, jobs.c.id == events.c.job_id)
+        .where(events.c.id > since, events.c.event.not_in(_OF_LEASES))
     )
+    archived: set[int] = set()
+    failed: set[int] = set()
+    for event, index in connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
+        if event in _OF_EPISODES:
+            archived.add(index)
+        if event not in _WITHOUT_FAILURE:
+            failed.add(index)
+    return TableChanges(archived, failed)
 
 
 def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
@@ -77,24 +136,36 @@ def count_failures(connection: Connection) -> int:
     return int(connection.execute(failed).scalar_one())
 
 
+class LedgerFailures:
+    """Source of failed attempts for the table writer.
+
+    Args:
+        connection: connection for reading.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def rows(self, first: int, last: int) -> Iterator[FailedAttempt]:
+        """Yields the attempts without an episode between two episode numbers, ordered by episode, attempt and time."""
+        return map(_failure_of, self._connection.execute(_FAILURES.where(jobs.c.idx.between(first, last))))
+
+
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:
     """Yields the attempts without an episode, ordered by episode, attempt and time."""
-    query = (
-        select(attempts, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.category, jobs.c.target_id)
-        .join(jobs, jobs.c.id == attempts.c.job_id)
-        .where(attempts.c.outcome != SUCCESS)
-        .order_by(attempts.c.idx, attempts.c.attempt, attempts.c.id)
+    return map(_failure_of, connection.execute(_FAILURES.execution_options(yield_per=_YIELD_ROWS)))
+
+
+def _failure_of(row: Row[Any]) -> FailedAttempt:
+    return FailedAttempt(
+        episode_id=episode_id(row.idx),
+        draw=row.draw,
+        attempt=row.attempt,
+        **columns_of(row, FailedAttempt),
+        reason=row.outcome,
+        detail=row.detail,
+        steps=row.steps,
+        seconds=row.seconds,
+        worker=row.sid,
+        at=datetime.fromtimestamp(row.at, UTC),
     )
-    for row in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
-        yield FailedAttempt(
-            episode_id=episode_id(row.idx),
-            draw=row.draw,
-            attempt=row.attempt,
-            **columns_of(row, FailedAttempt),
-            reason=row.outcome,
-            detail=row.detail,
-            steps=row.steps,
-            seconds=row.seconds,
-            worker=row.sid,
-            at=datetime.fromtimestamp(row.at, UTC),
-        )

@@ -7,27 +7,25 @@ does not change the ledger.
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
-from coordinator.tables.aggregates import TableAggregates
+from coordinator.tables.aggregates import TableAggregates, aggregate_episodes, aggregate_failures
 from coordinator.tables.card import dataset_card, with_shards
 from coordinator.tables.card_configs import splits_at
-from coordinator.tables.metadata_table import Episodes, ListedEpisodes, plain_row, write_metadata
+from coordinator.tables.grouped_table import GroupedTable, ListedRows, RowSource, plain_row
+from coordinator.tables.table_reader import read_digest
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta, software_versions
-from schemas.encoding.digest import dataset_digest
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
@@ -35,24 +33,115 @@ from schemas.storage.place import Place
 SIDE_COLUMN = "instance_side"
 """Name of the last column of `metadata.parquet`, the side of the target: `train`, `evaluation` or `shared`; null if the
 plan does not separate the sides."""
-_BATCH_ROWS = 2000
 _TYPES = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
+
+
+class TableContent(NamedTuple):
+    """Content of the files that the plan and the ledger determine."""
+
+    plan: Plan
+    """Plan of the run."""
+    scenes: Mapping[str, str]
+    """Mapping of scene name to SHA-256 of its compiled package."""
+    episodes: RowSource
+    """Rows of all archived episodes."""
+    failures: RowSource
+    """Rows of all failed attempts."""
+    sides: Mapping[str, Sides] = MappingProxyType({})
+    """Mapping of scene name to the side of each instance, for plans with disjoint instances."""
+    shared: Mapping[str, tuple[str, ...]] | None = None
+    """Mapping of scene name to the categories with shared instances; `None` for other plans."""
+    gate: Sequence[GateOutcome] = ()
+    """Results of the pilot; empty keeps the results in the existing metadata."""
+
+    def episode_rows(self, first: int, last: int) -> Iterator[dict[str, Any]]:
+        """Yields rows of `metadata.parquet`."""
+        for row in self.episodes.rows(first, last):
+            plain = plain_row(row)
+            side = self.sides.get(plain["scene"], {}).get(plain["target_id"])
+            yield {**plain, SIDE_COLUMN: None if side is None else str(side)}
+
+    def failure_rows(self, first: int, last: int) -> Iterator[dict[str, Any]]:
+        """Yields rows of `attempts.parquet`."""
+        return map(plain_row, self.failures.rows(first, last))
+
+
+class TableChanges(NamedTuple):
+    """Numbers of the episodes whose rows have changed since the last write."""
+
+    episodes: Collection[int]
+    """Episodes that were archived or lost."""
+    failures: Collection[int]
+    """Episodes with new failed attempts."""
+
+
+class DatasetTables:
+    """Writer of the four files of one dataset; remembers what it has written."""
+
+    def __init__(self) -> None:
+        self._episodes = GroupedTable(METADATA_FILE, _METADATA_SCHEMA, aggregate_episodes)
+        self._failures = GroupedTable(ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, aggregate_failures)
+
+    def write(
+        self, archive: Archive, content: TableContent, now: datetime, changes: TableChanges | None = None
+    ) -> DatasetMeta:
+        """Writes all four files. The memory use does not depend on the number of rows.
+
+        Args:
+            archive: archive of the dataset, held exclusively.
+            content: content of the files.
+            now: the time of writing, UTC.
+            changes: changes since the last call of this object; `None` reads every row.
+
+        Returns:
+            The written metadata; `complete` states whether all planned episodes are archived.
+
+        Raises:
+            WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.
+        """
+        plan, former = content.plan, _former(archive.root)
+        changed = (None, None) if changes is None else changes
+        episodes = self._episodes.write(archive, plan.episodes, content.episode_rows, changed[0])
+        failures = self._failures.write(archive, plan.episodes, content.failure_rows, changed[1])
+        complete = episodes.rows == plan.episodes
+        meta = DatasetMeta(
+            run=plan.run,
+            plan_digest=plan.digest,
+            seed=plan.seed,
+            plan=plan,
+            episodes=episodes.rows,
+            planned=plan.episodes,
+            complete=complete,
+            dataset_digest=read_digest(archive.root / METADATA_FILE) if complete else None,
+            renderers=tuple(sorted(episodes.renderers)),
+            scenes=dict(content.scenes),
+            failed_attempts=failures.rows,
+            software=software_versions(),
+            git_commit=git_commit(Path(__file__).parents[2]),
+            created_at=former.created_at if former else now.astimezone(UTC),
+            updated_at=now,
+            shared_instances=None if content.shared is None else dict(content.shared),
+            gate=tuple(content.gate) or (former.gate if former else ()),
+        )
+        aggregates = TableAggregates.total((episodes, failures))
+        card = dataset_card(meta, aggregates, splits_at(archive.root))
+        _write_text(archive, CARD_FILE, with_shards(card, len(archive.shards())))
+        _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last, because it describes the other files
+        return meta
 
 
 def write_tables(
     archive: Archive,
     plan: Plan,
     scenes: Mapping[str, str],
-    episodes: Episodes | Iterable[EpisodeSummary],
+    episodes: Iterable[EpisodeSummary],
     failures: Iterable[FailedAttempt],
     now: datetime,
     sides: Mapping[str, Sides] = MappingProxyType({}),
     shared: Mapping[str, tuple[str, ...]] | None = None,
     gate: Sequence[GateOutcome] = (),
-    *,
-    anew: bool = True,
 ) -> DatasetMeta:
-    """Writes all four files. The rows are streamed: the memory use is a few hundred bytes per episode.
+    """Writes all four files from rows in memory; see `TableContent` and `DatasetTables.write`.
 
     Args:
         archive: archive of the dataset, held exclusively.
@@ -61,55 +150,12 @@ def write_tables(
         episodes: rows of all archived episodes, ordered by number.
         failures: rows of all failed attempts, in the order of the table.
         now: the time of writing, UTC.
-        sides: mapping of scene name to the side of each instance, for plans with disjoint instances.
-        shared: mapping of scene name to the categories with shared instances; `None` for other plans.
-        gate: results of the pilot; empty keeps the results in the existing metadata.
-        anew: whether to generate every row from the ledger. Otherwise the rows with unchanged episode files are copied
-            from the existing table, which this process has written.
-
-    Returns:
-        The written metadata; `complete` states whether all planned episodes are archived.
-
-    Raises:
-        WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.
+        sides: mapping of scene name to the side of each instance.
+        shared: mapping of scene name to the categories with shared instances.
+        gate: results of the pilot.
     """
-    aggregates, former = TableAggregates(), _former(archive.root)
-    listed = ListedEpisodes(episodes) if isinstance(episodes, Iterable) else episodes
-    written = write_metadata(
-        archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, aggregates, anew=anew
-    )
-    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, aggregates.count_failures(failures)))
-    meta = DatasetMeta(
-        **_of_plan(plan, written, aggregates),
-        scenes=dict(scenes),
-        failed_attempts=failed,
-        software=software_versions(),
-        git_commit=git_commit(Path(__file__).parents[2]),
-        created_at=former.created_at if former else now.astimezone(UTC),
-        updated_at=now,
-        shared_instances=None if shared is None else dict(shared),
-        gate=tuple(gate) or (former.gate if former else ()),
-    )
-    card = dataset_card(meta, aggregates, splits_at(archive.root))
-    _write_text(archive, CARD_FILE, with_shards(card, len(archive.shards())))
-    _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last, because it describes the other files
-    return meta
-
-
-def _of_plan(plan: Plan, written: int, aggregates: TableAggregates) -> dict[str, Any]:
-    """Returns the fields of the description that follow from the plan and the written rows."""
-    complete = written == plan.episodes
-    return {
-        "run": plan.run,
-        "plan_digest": plan.digest,
-        "seed": plan.seed,
-        "plan": plan,
-        "episodes": written,
-        "planned": plan.episodes,
-        "complete": complete,
-        "dataset_digest": dataset_digest(aggregates.digests) if complete else None,
-        "renderers": tuple(sorted(aggregates.renderers)),
-    }
+    content = TableContent(plan, scenes, ListedRows(episodes), ListedRows(failures), sides, shared, gate)
+    return DatasetTables().write(archive, content, now)
 
 
 def parquet_schema(model: type[Model]) -> pa.Schema:
@@ -130,15 +176,6 @@ def _column_type(annotation: Any) -> pa.DataType:
 
 _METADATA_SCHEMA = parquet_schema(EpisodeSummary).append(pa.field(SIDE_COLUMN, pa.string()))
 _ATTEMPTS_SCHEMA = parquet_schema(FailedAttempt)
-
-
-def _write_rows(archive: Archive, name: str, schema: pa.Schema, rows: Iterable[dict[str, Any]]) -> int:
-    source, count = iter(rows), 0
-    with archive.replacing(name) as path, pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        while batch := list(islice(source, _BATCH_ROWS)):
-            writer.write_batch(pa.RecordBatch.from_pylist(batch, schema=schema))
-            count += len(batch)
-    return count
 
 
 def _write_text(archive: Archive, name: str, text: str) -> None:

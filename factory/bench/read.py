@@ -80,7 +80,7 @@ def bench_read(
 
 def _draw(dataset: Dataset, frames: int) -> list[tuple[int, int]]:
     rng = np.random.default_rng(_SEED)
-    lengths = dataset.metadata["num_steps"].to_pylist()
+    lengths = dataset.column("num_steps").to_pylist()
     positions = rng.integers(len(lengths), size=frames)
     return [(int(position), int(rng.integers(lengths[position]))) for position in positions]
 

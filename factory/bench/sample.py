@@ -40,6 +40,13 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
     return plan.model_copy(update={"scenes": tuple(part.model_copy(update={"episodes": episodes}) for part in parts)})
 
 
+def enlarge(plan: Plan, episodes: int) -> Plan:
+    """Returns the plan with at least `episodes` episodes, in the same proportions."""
+    times = -(-episodes // plan.episodes)
+    scenes = (scene.model_copy(update={"episodes": scene.episodes * times}) for scene in plan.scenes)
+    return plan.model_copy(update={"scenes": tuple(scenes)})
+
+
 def first_attempts(plan: Plan, catalog: Catalog, scene: str) -> tuple[Job, ...]:
     """Returns the first attempt at every episode of a scene."""
     planned = (job for job in expand(plan, catalog) if job.episode.scene == scene)

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from coordinator.tables.table_reader import table_digest
+from factory.dataset.columns import NAMES, Columns
 from factory.dataset.episode import Episode, Frame
-from factory.dataset.table import read_table
 from factory.dataset.vocabulary import require_known
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
-from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.job import index_of_file
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
-from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
 
 __all__ = ["Dataset", "Episode", "Frame"]
@@ -39,10 +43,6 @@ _FILTERS = {
     "expert": "expert",
     "episode": "episode_id",
 }
-_COLUMNS = list(EpisodeSummary.model_fields)
-_LATER = pa.schema(
-    [("spawn_surface_m", pa.float64()), ("final_surface_m", pa.float64()), ("target_in_view", pa.bool_())]
-)
 
 
 class Dataset:
@@ -67,15 +67,41 @@ class Dataset:
         """Description of the dataset and of the software that generated it."""
         self.rig = None if rig is None else _rig(rig, self.meta.plan.task.control_hz)
         """Rig of `Episode.observe`."""
-        self.metadata: pa.Table = _read_table(self.root / METADATA_FILE)
-        """One row for each episode; the columns are the fields of `EpisodeSummary`."""
-        self._targets: list[str] = pc.unique(self.metadata["target_id"]).to_pylist()
+        self._columns = Columns(self.root)
+        self._chosen: NDArray[np.int64] | None = None
+        """Ascending rows of the table that are part of this dataset; `None` for all."""
+
+    @cached_property
+    def metadata(self) -> pa.Table:
+        """Table with one row for each episode; the columns are the fields of `EpisodeSummary`.
+
+        Text columns whose values repeat are dictionaries. The table of a million episodes takes about 0.5 GB; `column`
+        reads one column.
+        """
+        return pa.table({name: self.column(name) for name in NAMES})
+
+    def column(self, name: str) -> pa.Array:
+        """Returns one column of `metadata`.
+
+        Raises:
+            ArchiveCorrupt: The column is damaged.
+        """
+        whole = self._columns[name]
+        part = whole if self._chosen is None else whole.take(pa.array(self._chosen))
+        return part.cast(pa.int64()) if pa.types.is_integer(part.type) else part
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yields the values of each row of `metadata`, which are not validated; keeps one row in memory.
+
+        Raises:
+            ArchiveCorrupt: A column is damaged.
+        """
+        return map(self._columns.row, range(len(self)) if self._chosen is None else self._chosen.tolist())
 
     @property
     def digest(self) -> str:
         """SHA-256 over the content digests of these episodes; equal content gives an equal digest."""
-        names = self.metadata["episode_id"].to_pylist()
-        return dataset_digest(zip(names, self.metadata["content_digest"].to_pylist(), strict=True))
+        return table_digest(pa.table({name: self.column(name) for name in ("episode_id", "content_digest")}))
 
     def filter(self, **wanted: str | Iterable[str]) -> Dataset:
         """Returns the episodes that match all conditions; an empty dataset when a valid value matches no episode.
@@ -87,26 +113,28 @@ class Dataset:
         Raises:
             UsageError: The filter does not exist, or a value is not valid for it.
         """
-        table = self.metadata
+        chosen = self._chosen
         for name, values in wanted.items():
             if name not in _FILTERS:
                 raise UsageError(
                     f"unknown filter {name!r}; valid filters: {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}"
                 )
-            asked, column = _as_strings(values), _FILTERS[name]
-            held = self._targets if name == "target" else pc.unique(self.metadata[column]).to_pylist()
-            require_known(name, asked.to_pylist(), held, self.meta.plan)
-            table = table.filter(pc.field(column).isin(asked))
-        return self._with(table)
+            asked, column = _as_strings(values), self._columns[_FILTERS[name]]
+            held = column.dictionary if pa.types.is_dictionary(column.type) else column
+            unheld = asked.filter(pc.invert(pc.is_in(asked, held)))
+            require_known(name, unheld.to_pylist(), held.to_pylist, self.meta.plan)
+            matching = pc.is_in(column, asked).to_numpy(zero_copy_only=False)
+            chosen = np.flatnonzero(matching) if chosen is None else chosen[matching[chosen]]
+        return self._with(chosen)
 
-    def _with(self, table: pa.Table) -> Dataset:
+    def _with(self, chosen: NDArray[np.int64] | None) -> Dataset:
         part = object.__new__(Dataset)
-        part.root, part.meta, part.metadata, part._targets = self.root, self.meta, table, self._targets
+        part.root, part.meta, part._columns, part._chosen = self.root, self.meta, self._columns, chosen
         part.rig = self.rig
         return part
 
     def __len__(self) -> int:
-        return int(self.metadata.num_rows)
+        return self._columns.rows if self._chosen is None else len(self._chosen)
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[position] for position in range(len(self)))
@@ -121,16 +149,27 @@ class Dataset:
         position = self._position(key) if isinstance(key, str) else key
         if not -len(self) <= position < len(self):
             raise IndexError(f"{self.root}: index {position} is out of range for {len(self)} episodes")
-        (row,) = self.metadata.slice(position % len(self), 1).to_pylist()
-        summary = _parse(self.root, row)
+        position %= len(self)
+        summary = _parse(
+            self.root, self._columns.row(position if self._chosen is None else int(self._chosen[position]))
+        )
         place = packed_place(self.root, summary.index)
         return Episode(place or self.root / file_name_of(summary.episode_id), summary, self.rig)
 
     def _position(self, episode_id: str) -> int:
-        position = int(pc.index(self.metadata["episode_id"], episode_id).as_py())
-        if position < 0:
+        row = self._row_of(episode_id)
+        position = row if self._chosen is None else int(np.searchsorted(self._chosen, row))
+        if row < 0 or (self._chosen is not None and (position == len(self) or self._chosen[position] != row)):
             raise KeyError(f"{episode_id} is not one of the {len(self)} selected episodes of {self.root}")
         return position
+
+    def _row_of(self, episode_id: str) -> int:
+        """Returns the row of an episode in the table, or -1."""
+        names, numbers = self._columns["episode_id"], self._columns["index"].to_numpy(zero_copy_only=False)
+        row = bisect_left(numbers, index_of_file(f"{episode_id}.zip") or 0)
+        if row < len(names) and names[row].as_py() == episode_id:
+            return row
+        return int(pc.index(names, episode_id).as_py())  # unknown, or the rows of a damaged table are not in order
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.root)!r}, {len(self)} episodes)"
@@ -146,15 +185,6 @@ def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:
 def _as_strings(values: str | Iterable[str]) -> pa.Array:
     found = [values] if isinstance(values, str) else list(values)
     return pa.array([value.value if isinstance(value, StrEnum) else value for value in found], pa.string())
-
-
-def _read_table(path: Place) -> pa.Table:
-    try:
-        return read_table(path, _COLUMNS, _LATER)
-    except FileNotFoundError as error:
-        raise ArchiveCorrupt(f"{path} is missing: resume the run to rewrite it") from error
-    except (pa.ArrowException, *PARSER_ERRORS) as error:
-        raise ArchiveCorrupt(f"{path} is damaged ({error}): resume the run to rewrite it") from error
 
 
 def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
@@ -21,7 +22,7 @@ _BUFFER_SAMPLES = 1 << 22
 
 def scene_numbers(dataset: Dataset) -> NDArray[np.int64]:
     """Returns the number of the scene of each episode, (E,); scenes are numbered by their first episode."""
-    column = dataset.metadata["scene_sha256"]
+    column = dataset.column("scene_sha256").cast(pa.string())
     numbers: NDArray[np.int64] = pc.index_in(column, value_set=pc.unique(column)).to_numpy().astype(np.int64)
     return numbers
 

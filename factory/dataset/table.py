@@ -17,10 +17,8 @@ _TICKS_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _MIN, _MAX = -(2**63), 2**63 - 1
 
 
-def read_table(path: Place, columns: Sequence[str], later: pa.Schema | None = None) -> pa.Table:
+def read_table(path: Place, columns: Sequence[str]) -> pa.Table:
     """Returns the named columns of a table; other columns, which a later version added, are ignored.
-
-    Columns of `later`, which versions of this software added after the first, are null where the table lacks them.
 
     Timestamps that `datetime` cannot represent become null, so that a row with one is invalid instead of unreadable.
 
@@ -30,17 +28,15 @@ def read_table(path: Place, columns: Sequence[str], later: pa.Schema | None = No
     """
     table = pq.read_table(table_of(path))
     table.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
-    for field in later or ():
-        if field.name not in table.column_names:
-            table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     table = table.select(list(columns))
     for position, field in enumerate(table.schema):
         if pa.types.is_timestamp(field.type):
-            table = table.set_column(position, field, _representable(table[position]))
+            table = table.set_column(position, field, representable(table[position]))
     return table
 
 
-def _representable(times: pa.ChunkedArray) -> pa.ChunkedArray:
+def representable(times: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Returns timestamps with null for those that `datetime` cannot represent."""
     ticks, per_second = times.cast(pa.int64()), _TICKS_PER_SECOND[times.type.unit]
     first, last = (int(bound.timestamp()) * per_second for bound in (_EARLIEST, _LATEST))
     is_valid = pc.and_(pc.greater_equal(ticks, max(first, _MIN)), pc.less_equal(ticks, min(last, _MAX)))

@@ -96,7 +96,7 @@ class ClipDataset:
         """Episodes of the samples."""
         self._length, self._stride, self._every = length, stride, every
         self._size, self._antialias, self._with_ids, self._threads = size, antialias, with_ids, threads
-        steps = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.int64)
+        steps = np.asarray(dataset.column("num_steps").to_pylist(), np.int64)
         self.counts: NDArray[np.int64] = np.maximum(0, (steps - (length - 1) * stride - 1) // every + 1)
         """(E,) number of samples of each episode; the samples of an episode are contiguous."""
         self._ends: NDArray[np.int64] = np.cumsum(self.counts, dtype=np.int64)

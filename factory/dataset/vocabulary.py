@@ -16,13 +16,13 @@ from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, COLOUR_NAMES, ExpertNa
 _SHOWN = 24
 
 
-def require_known(name: str, values: Iterable[str], held: Sequence[str], plan: Plan) -> None:
-    """Raises an error unless every value is valid for a filter, even if no episode has it.
+def require_known(name: str, values: Iterable[str], held: Callable[[], Sequence[str]], plan: Plan) -> None:
+    """Raises an error unless every value is valid for a filter, although no episode has it.
 
     Args:
         name: Name of the filter.
-        values: Requested values.
-        held: Distinct values of the filter in the dataset.
+        values: Requested values that no episode of the dataset has.
+        held: Function that returns the values of the filter in the dataset.
         plan: Plan of the dataset.
 
     Raises:
@@ -31,8 +31,8 @@ def require_known(name: str, values: Iterable[str], held: Sequence[str], plan: P
     words = _WORDS[name](plan) if name in _WORDS else ()
     is_spelt_like_one = _SPELLINGS.get(name, _is_nothing)
     for value in values:
-        if value not in words and value not in held and not is_spelt_like_one(value, plan):
-            there = list(dict.fromkeys((*words, *held)))
+        if value not in words and not is_spelt_like_one(value, plan):
+            there = list(dict.fromkeys((*words, *held())))
             raise UsageError(f"unknown {name} {value!r}; valid values: {_enumerate(there)}{did_you_mean(value, there)}")
 
 

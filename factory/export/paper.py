@@ -138,7 +138,7 @@ def _metadata(export: Finish[PaperOptions, PaperFacts]) -> pa.Table:
     """Returns the rows of the episodes: the published columns, then the others without those of the bundle file."""
     table, facts = export.dataset.metadata, [piece.facts for piece in export.pieces]
     ours = [name for name in table.column_names if name not in {*PUBLISHED_COLUMNS, *_OF_THE_BUNDLE}]
-    rows = table.take([piece.position for piece in export.pieces]).select([*PUBLISHED_COLUMNS, *ours])
+    rows = _decoded(table.take([piece.position for piece in export.pieces]).select([*PUBLISHED_COLUMNS, *ours]))
     meta, count = export.dataset.meta, len(facts)
     values = {
         "split": [published_split(name, export.options) for name in rows["split"].to_pylist()],
@@ -151,6 +151,12 @@ def _metadata(export: Finish[PaperOptions, PaperFacts]) -> pa.Table:
         place = rows.column_names.index(name)
         rows = rows.set_column(place, name, pa.array(column, rows.schema.field(place).type))
     return rows
+
+
+def _decoded(table: pa.Table) -> pa.Table:
+    """Returns a table whose dictionaries are plain text."""
+    plain = [pa.field(x.name, x.type.value_type if pa.types.is_dictionary(x.type) else x.type) for x in table.schema]
+    return table.cast(pa.schema(plain))
 
 
 def _part_of(meta: DatasetMeta, rows: pa.Table) -> DatasetMeta:

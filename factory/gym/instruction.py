@@ -108,7 +108,7 @@ def words_for(kind: InstructionKind, words: Sequence[str] | None, root: Place) -
             raise UsageError(f"a vocabulary requires instruction='tokens', found instruction={kind!r}")
         return ()
     if words is None:
-        return vocabulary((*COLOUR_NAMES, *Dataset(root).metadata["instruction"].to_pylist()))
+        return vocabulary((*COLOUR_NAMES, *Dataset(root).column("instruction").to_pylist()))
     if tuple(words[:2]) != vocabulary()[:2]:
         raise UsageError(
             f"not a valid vocabulary, because it begins with {tuple(words[:2])}; pass `env.unwrapped.vocabulary`"

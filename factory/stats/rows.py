@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -25,6 +25,7 @@ from schemas.terms import Split
 
 MOST_OPENED = 2000
 """Maximum number of episodes opened for frames, tracks and actions; the tables use all rows."""
+_ROWS_AT_A_TIME = 2000
 _NAMED = 3
 """Maximum number of examples in a remark."""
 Row = TypeVar("Row", bound=Model)
@@ -58,26 +59,32 @@ def read_rows(root: Place) -> Rows:
     """
     dataset = Dataset(root)
     rows = Rows(dataset.meta)
-    rows.episodes = _without_duplicates(rows, _parse(rows, METADATA_FILE, dataset.metadata, EpisodeSummary))
+    rows.episodes = _without_duplicates(rows, _parse(rows, METADATA_FILE, dataset.rows(), EpisodeSummary))
     rows.episodes = _with_files(rows, root)
     rows.failures = _read_failures(rows, root / ATTEMPTS_FILE)
-    _compare_with_meta(rows, dataset.metadata.num_rows)
+    _compare_with_meta(rows, len(dataset))
     _compare_with_plan(rows)
     _compare_with_shared_instances(rows)
     return rows
 
 
-def _parse(rows: Rows, file: str, table: pa.Table, model: type[Row]) -> list[Row]:
+def _parse(rows: Rows, file: str, values_of_rows: Iterable[dict[str, Any]], model: type[Row]) -> list[Row]:
     found: list[Row] = []
     wrong: list[str] = []
-    for number, values in enumerate(table.to_pylist(), 1):
+    number = 0
+    for number, values in enumerate(values_of_rows, 1):
         try:
             found.append(model.model_validate(values))
         except ValidationError as error:
             wrong.append(_describe_invalid_row(number, values, error))
     if wrong:
-        rows.add_damage(file, f"{len(wrong)} of {table.num_rows} rows skipped: {_some(wrong)}")
+        rows.add_damage(file, f"{len(wrong)} of {number} rows skipped: {_some(wrong)}")
     return found
+
+
+def _values(table: pa.Table) -> Iterator[dict[str, Any]]:
+    for batch in table.to_batches(max_chunksize=_ROWS_AT_A_TIME):
+        yield from batch.to_pylist()
 
 
 def _describe_invalid_row(number: int, values: dict[str, Any], error: ValidationError) -> str:
@@ -131,7 +138,7 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
     else:
         if table.num_rows != rows.meta.failed_attempts:
             rows.add_damage(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} says {rows.meta.failed_attempts}")
-        return _parse(rows, ATTEMPTS_FILE, table, FailedAttempt)
+        return _parse(rows, ATTEMPTS_FILE, _values(table), FailedAttempt)
     return None
 
 

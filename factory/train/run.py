@@ -152,7 +152,7 @@ def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrame
         raise UsageError(f"--antialias {options.antialias}: {order.dataset.root} stores frames, which are not rendered")
     part = order.dataset.filter(split=order.split)
     if not len(part):
-        found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
+        found = ", ".join(sorted(set(order.dataset.column("split").to_pylist()))) or "none"
         raise UsageError(
             f"{order.dataset.root} has no such episodes in split {order.split}; splits with episodes: {found}"
         )

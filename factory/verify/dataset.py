@@ -6,14 +6,14 @@ Returns all findings; does not stop at the first. Does not write, print or need 
 from __future__ import annotations
 
 import multiprocessing
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from itertools import chain, islice
 from types import MappingProxyType
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import ValidationError
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.cells import cells
@@ -24,6 +24,7 @@ from factory.scenes.targets.target_list import list_file_name
 from factory.support.logs import configure_logs
 from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
+from factory.verify.rows import RowCheck
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import (
     ATTEMPTS_FILE,
@@ -46,7 +47,6 @@ from schemas.terms import Recording
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
 
 ProgressCallback = Callable[[int, int], None]
-Rows = dict[str, EpisodeSummary]
 _ROWS_AT_A_TIME = 2000
 _KIND_OF_FAULT = MappingProxyType(
     {
@@ -91,98 +91,94 @@ def verify(
     report = VerifyReport(root, deep)
     try:
         dataset = Dataset(root)
+        report.digest = dataset.digest
+        next(dataset.rows(), None)  # reads all columns
     except ArchiveCorrupt as error:
         report.add(Kind.DAMAGED, str(root), str(error))
         return report
-    report.episodes, report.complete, report.digest = len(dataset), dataset.meta.complete, dataset.digest
-    rows = _rows(dataset, report)
-    _check_listing(root, rows, report)
-    _check_tables(dataset, rows, report)
-    drawn = _drawn_again(rows, render)
+    meta = dataset.meta
+    report.episodes, report.complete = len(dataset), meta.complete
+    names = dataset.column("episode_id").to_pylist()
+    _check_listing(root, set(names), report)
+    _check_tables(dataset, report)
+    drawn = _drawn_again(dict(zip(names, dataset.column("format").to_pylist(), strict=True)), render)
     report.rendered = len(drawn)
-    frames_of = _reference_episodes(reference, [rows[name] for name in drawn])
-    checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report, drawn, frames_of)
+    rows = RowCheck(dataset, report)
+    frames_of = _reference_episodes(reference, dataset, drawn)
+    checks = _plan_checks(rows, _check_scenes(root, meta, report), report, drawn, frames_of)
     for done, result in enumerate(_run_checks(checks, processes), 1):
         report.findings += result.findings
         report.difference.merge(result.difference)
-        on_progress(done, len(rows))
+        on_progress(done, len(dataset))
+    if meta.episodes != len(rows.names):
+        report.add(Kind.CONTRADICTION, META_FILE, f"{meta.episodes} episodes, {METADATA_FILE} has {len(rows.names)}")
     if deep:
-        _check_quotas(dataset.meta, rows, report)
+        _check_quotas(meta, rows, report)
     return report
 
 
-def _rows(dataset: Dataset, report: VerifyReport) -> Rows:
-    rows: Rows = {}
-    for batch in dataset.metadata.to_batches(max_chunksize=_ROWS_AT_A_TIME):
-        for values in batch.to_pylist():
-            try:
-                row = EpisodeSummary.model_validate(values)
-            except ValidationError as error:
-                where = sorted({str(item["loc"][0]) for item in error.errors() if item["loc"]})
-                name = values.get("episode_id")
-                report.add(Kind.DAMAGED, METADATA_FILE, f"{name}: wrong values in {', '.join(where)}")
-                continue
-            if row.episode_id in rows:
-                report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has more than one row")
-            if row.episode_id != episode_id(row.index):
-                report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has index {row.index}")
-            rows[row.episode_id] = row
-    return rows
+def _drawn_again(formats: Mapping[str, int], count: int) -> set[str]:
+    """Returns the ids of at most `count` episodes, evenly spread over the dataset.
 
-
-def _drawn_again(rows: Rows, count: int) -> set[str]:
-    """Returns the ids of at most `count` episodes, evenly spread over the dataset."""
-    names = sorted(rows)
+    Args:
+        formats: Bundle format of each episode by id.
+        count: Number of episodes.
+    """
+    if not count:
+        return set()
+    names = sorted(name for name in formats if name is not None)
     chosen = {names[place * len(names) // count] for place in range(count)} if count < len(names) else set(names)
-    old = [name for name in sorted(chosen) if rows[name].format < _EXACT_POSES]
+    old = [name for name in sorted(chosen) if (formats[name] or 0) < _EXACT_POSES]
     if old:
         raise UsageError(
-            f"{old[0]} has bundle format {rows[old[0]].format}, whose poses are rounded to float32, so that its frames "
+            f"{old[0]} has bundle format {formats[old[0]]}, whose poses are rounded to float32, so that its frames "
             f"cannot be rendered again; verify without --render"
         )
     return chosen
 
 
-def _reference_episodes(root: Place | None, rows: Iterable[EpisodeSummary]) -> dict[str, Episode]:
+def _reference_episodes(root: Place | None, dataset: Dataset, names: Iterable[str]) -> dict[str, Episode]:
     """Returns the episodes of a reference by id, as far as it has them with the same number of steps."""
     if root is None:
         return {}
     reference = Dataset(root)
     if reference.meta.plan.record is not Recording.FRAMES:
         raise UsageError(f"--reference {root} stores no frames; `factory render` makes a dataset that stores them")
-    held = set(reference.metadata["episode_id"].to_pylist())
-    found = {row.episode_id: reference[row.episode_id] for row in rows if row.episode_id in held}
-    return {
-        row.episode_id: found[row.episode_id] for row in rows if len(found.get(row.episode_id, ())) == row.num_steps
-    }
+    found: dict[str, Episode] = {}
+    for name in names:
+        with suppress(KeyError, ArchiveCorrupt):  # the reference lacks the episode, or a row is damaged
+            if len(reference[name]) == len(dataset[name]):
+                found[name] = reference[name]
+    return found
 
 
 def _plan_checks(
-    rows: Rows,
+    rows: Iterable[EpisodeSummary],
     scenes: dict[str, SceneEntry],
     report: VerifyReport,
     drawn: Collection[str],
     frames_of: Mapping[str, Episode],
-) -> list[EpisodeCheck]:
-    checks = []
-    for row in rows.values():
+) -> Iterator[EpisodeCheck]:
+    for row in rows:
         target, findings = target_of(row, scenes.get(row.scene))
         report.findings += findings
         name = row.episode_id
-        checks.append(EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name)))
-    return checks
+        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name))
 
 
-def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:
-    if processes <= 1 or len(checks) <= 1:
-        yield from map(check_episode, checks)
+def _run_checks(checks: Iterator[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:
+    batch = list(islice(checks, _ROWS_AT_A_TIME))
+    if processes <= 1 or len(batch) <= 1:
+        yield from map(check_episode, chain(batch, checks))
         return
     fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
-    with ProcessPoolExecutor(min(processes, len(checks)), fresh, initializer=configure_logs) as pool:
-        yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
+    with ProcessPoolExecutor(min(processes, len(batch)), fresh, initializer=configure_logs) as pool:
+        while batch:  # `pool.map` reads all of its input at once
+            yield from pool.map(check_episode, batch, chunksize=_CHECKS_AT_A_TIME if len(batch) > 100 else 1)
+            batch = list(islice(checks, _ROWS_AT_A_TIME))
 
 
-def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
+def _check_listing(root: Place, names: Collection[str], report: VerifyReport) -> None:
     listed = list_episodes(root)
     for foreign in listed.foreign:
         report.add(Kind.FOREIGN, relative_name(foreign, root), "is not named like an episode")
@@ -193,7 +189,7 @@ def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
     if listed.index_fault:
         report.add(Kind.CONTRADICTION, SHARDS_FILE, f"{listed.index_fault}; rewrite it with `factory repair`")
     for index, path in listed.episodes.items():
-        if episode_id(index) not in rows:
+        if episode_id(index) not in names:
             report.add(
                 Kind.SURPLUS,
                 relative_name(path, root),
@@ -204,17 +200,15 @@ def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
             report.add(Kind.FOREIGN, entry.name, "does not belong to a dataset")
 
 
-def _check_tables(dataset: Dataset, rows: Rows, report: VerifyReport) -> None:
+def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
     meta = dataset.meta
     if meta.plan.digest != meta.plan_digest:
         report.add(Kind.CONTRADICTION, META_FILE, f"plan digest {meta.plan_digest}, its plan has {meta.plan.digest}")
-    if meta.episodes != len(rows):
-        report.add(Kind.CONTRADICTION, META_FILE, f"{meta.episodes} episodes, {METADATA_FILE} has {len(rows)}")
-    if meta.complete and meta.dataset_digest != dataset.digest:
-        text = f"dataset digest {meta.dataset_digest}, {METADATA_FILE} gives {dataset.digest}"
+    if meta.complete and meta.dataset_digest != report.digest:
+        text = f"dataset digest {meta.dataset_digest}, {METADATA_FILE} gives {report.digest}"
         report.add(Kind.CONTRADICTION, META_FILE, text)
     try:
-        attempts = pq.read_table(table_of(dataset.root / ATTEMPTS_FILE)).num_rows
+        attempts = sum(map(len, _batches(dataset.root / ATTEMPTS_FILE)))
     except FileNotFoundError:
         report.add(Kind.MISSING, ATTEMPTS_FILE, "is missing")
     except (pa.ArrowException, OSError) as error:
@@ -223,6 +217,12 @@ def _check_tables(dataset: Dataset, rows: Rows, report: VerifyReport) -> None:
         if attempts != meta.failed_attempts:
             report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} says {meta.failed_attempts}")
     _check_split_tables(dataset, report)
+
+
+def _batches(path: Place) -> Iterator[pa.RecordBatch]:
+    """Yields all rows of a table, so that every page is read."""
+    with pq.ParquetFile(table_of(path)) as file:
+        yield from file.iter_batches()
 
 
 def _check_split_tables(dataset: Dataset, report: VerifyReport) -> None:
@@ -263,9 +263,9 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
     return found
 
 
-def _check_quotas(meta: DatasetMeta, rows: Rows, report: VerifyReport) -> None:
+def _check_quotas(meta: DatasetMeta, rows: RowCheck, report: VerifyReport) -> None:
     """Compares the number of episodes in every cell with the plan; an incomplete dataset may have fewer."""
-    found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.values())
+    found = rows.cells
     wanted = {
         (scene.name, split, tier): count
         for scene in meta.plan.scenes
@@ -275,6 +275,6 @@ def _check_quotas(meta: DatasetMeta, rows: Rows, report: VerifyReport) -> None:
         have, want = found.get(key, 0), wanted.get(key, 0)
         if have > want or (meta.complete and have < want):
             report.add(Kind.CONTRADICTION, METADATA_FILE, f"{'/'.join(key)}: {have} episodes, the plan has {want}")
-    runs = sorted({row.plan_digest for row in rows.values()} - {meta.plan_digest})
+    runs = sorted(rows.plans - {meta.plan_digest})
     if runs:
         report.add(Kind.CONTRADICTION, METADATA_FILE, f"episodes of other plans: {', '.join(runs)}")

@@ -56,7 +56,7 @@ class ArraySpec:
 
     def _value_violations(self, array: NDArray[Any]) -> list[str]:
         has_bounds = self.low is not None or self.high is not None
-        if array.size == 0 or not (has_bounds or array.dtype.kind == "f"):
+        if array.size == 0 or (not has_bounds and (array.dtype.kind != "f" or np.isfinite(array).all())):
             return []
         axes = tuple(range(array.ndim - 1)) if isinstance(self.low or self.high, tuple) else None
         return self.range_violations(array.min(axes), array.max(axes))

@@ -44,7 +44,14 @@ def content_digest(frame_digests: Sequence[str], arrays: Iterable[NDArray[np.gen
     return digest.hexdigest()
 
 
-def dataset_digest(episodes: Iterable[tuple[str, str]]) -> str:
-    """Returns the SHA-256 over (episode id, content digest) pairs; their order does not matter."""
-    lines = "".join(f"{name} {digest}\n" for name, digest in sorted(episodes))
-    return hashlib.sha256(lines.encode()).hexdigest()
+def dataset_digest(episodes: Iterable[tuple[str, str]], *, is_sorted: bool = False) -> str:
+    """Returns the SHA-256 over (episode id, content digest) pairs; their order does not matter.
+
+    Args:
+        episodes: the pairs.
+        is_sorted: whether they are in ascending order, so that they need not be in memory at once.
+    """
+    digest = hashlib.sha256()
+    for name, content in episodes if is_sorted else sorted(episodes):
+        digest.update(f"{name} {content}\n".encode())
+    return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Measures the CPU time of writing dataset tables from large ledgers: complete, with a few new episodes, unchanged.
+"""Measures the CPU time of checkpoints of large ledgers: the first, with a few new episodes, unchanged.
 
 python -m tests.benchmarks.tables [ROWS ...]
 """
@@ -16,14 +16,17 @@ from sqlalchemy import create_engine, insert
 
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.engine import sqlite_url
-from coordinator.ledger.tables import METADATA, episodes
-from coordinator.tables.checkpoint import write_checkpoint
+from coordinator.ledger.states import Event, JobState
+from coordinator.ledger.tables import METADATA, episodes, events, jobs
+from coordinator.tables.checkpoint import Checkpoints
 from factory.cli.common.output import print_table
 from schemas.dataset import summary_of
+from schemas.episode_spec import EpisodeSpec
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
 
 _NOW = datetime(2026, 1, 2, tzinfo=UTC)
+_SPEC = dict(EpisodeSpec.of(parts_for().meta.job))
 _NEW = 50
 """Episodes that a busy run archives between two writings."""
 
@@ -31,7 +34,7 @@ _NEW = 50
 def main(sizes: list[int]) -> None:
     """Prints the CPU seconds of each write."""
     rows = [(size, *_measure(size)) for size in sizes or [10_000, 40_000, 200_000]]
-    print_table("tables written from the ledger, CPU seconds", ("rows", "anew", f"{_NEW} more", "unchanged"), rows)
+    print_table("tables written from the ledger, CPU seconds", ("rows", "first", f"{_NEW} more", "unchanged"), rows)
 
 
 def _measure(size: int) -> tuple[float, float, float]:
@@ -39,21 +42,44 @@ def _measure(size: int) -> tuple[float, float, float]:
     with tempfile.TemporaryDirectory() as folder, open_archive(Path(folder)) as archive:
         engine = create_engine(sqlite_url(Path(folder) / "ledger.db"))  # without keys that bind rows to jobs
         took = []
+        checkpoints = Checkpoints(archive, plan, catalog)
         with engine.begin() as connection:
             METADATA.create_all(connection)
+            connection.execute(insert(jobs), [_job(index) for index in range(1, size + _NEW + 1)])
         for first, last in ((1, size), (size + 1, size + _NEW), (0, -1)):
             with engine.begin() as connection:
                 if last > 0:
-                    connection.execute(insert(episodes), list(_rows(first, last)))
+                    connection.execute(insert(episodes), _rows(first, last))
+                    connection.execute(insert(events), [_event(index) for index in range(first, last + 1)])
             with engine.connect() as connection:
                 begun = time.process_time()
-                write_checkpoint(archive, connection, plan, catalog, _NOW, anew=last == size)
+                checkpoints.write(connection, _NOW)
                 took.append(round(time.process_time() - begun, 3))
         engine.dispose()
     return took[0], took[1], took[2]
 
 
-def _rows(first: int, last: int) -> Iterator[dict[str, object]]:
+def _job(index: int) -> dict[str, object]:
+    spec = dict(_SPEC, idx=index, draw=0)
+    return {**spec, "state": JobState.ARCHIVED, "sha256": f"{index:064x}", "size": 1000}
+
+
+def _event(index: int) -> dict[str, object]:
+    return {
+        "at": float(index),
+        "job_id": index,
+        "event": Event.ARCHIVED,
+        "state": JobState.ARCHIVED,
+        "attempt": 1,
+        "fence": 1,
+    }
+
+
+def _rows(first: int, last: int) -> list[dict[str, object]]:
+    return list(_generate(first, last))
+
+
+def _generate(first: int, last: int) -> Iterator[dict[str, object]]:
     summary = summary_of(parts_for().meta, "0" * 64, 1000)
     text = summary.model_dump_json().replace('"index":1,', '"index":%d,').replace("ep_000001", "ep_%06d")
     form = text.replace("0" * 64, "%064x", 1)

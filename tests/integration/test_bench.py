@@ -11,16 +11,23 @@ import pytest
 
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import read_entry
+from coordinator.ledger.opening import ledger_url_of
+from coordinator.ledger.reading.audit import ledger_trouble
 from factory.bench.coordinator import bench_coordinator
+from factory.bench.dataset import bench_dataset
 from factory.bench.machine import StageRecorder
 from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
-from factory.bench.sample import BenchSample
+from factory.bench.sample import BenchSample, enlarge
+from factory.bench.synthetic import make_synthetic
+from factory.dataset.reader import Dataset
+from factory.runs.catalog import find_package
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.scene import encode_scene
+from schemas.terms import Recording
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
@@ -149,3 +156,21 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert 30 < found.wire.rush.memory.start_mib <= found.wire.rush.memory.peak_mib
     # bundles of the burst and of the previous cycles
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4
+
+
+@pytest.mark.gl
+def test_a_generated_dataset_is_whole_and_is_measured(tmp_path: Path, recordings: dict[Recording, Path]) -> None:
+    recorded = Dataset(recordings[Recording.STATES])
+    plan = enlarge(recorded.meta.plan, 40)
+    catalog = {name: find_package(recorded.root, name, sha256) for name, sha256 in recorded.meta.scenes.items()}
+    samples = [BenchSample(episode.meta.job, Path(str(episode.path))) for episode in recorded]
+    told: list[int] = []
+    make_synthetic(tmp_path / "data", plan, catalog, samples, told.append)
+    assert sum(told) == plan.episodes
+    assert ledger_trouble(ledger_url_of(tmp_path / "data"), catalog) == ""
+    assert len({episode.summary.content_digest for episode in Dataset(tmp_path / "data")}) == plan.episodes
+    found = bench_dataset(tmp_path / "data", 10, 1.0)
+    assert (found.episodes, found.verification.findings) == (plan.episodes, 0)
+    assert found.gigabytes > 0
+    assert min(found.reader.episodes_per_s, found.ledger.status_s, found.checkpoint.rewrite_s) > 0
+    assert 0 < found.reader.opened.start_mib <= found.reader.memory.peak_mib

@@ -12,7 +12,7 @@ from sqlalchemy.exc import DatabaseError
 
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.records import read_summaries
+from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.options import CoordinatorOptions
 from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.service import Coordinator
@@ -86,7 +86,7 @@ def test_a_second_coordinator_is_refused_also_from_another_directory(finished, t
 def test_a_reader_cannot_write(finished):
     reader = open_reader(finished.url)
     with reader.connect() as connection:
-        assert len(list(read_summaries(connection))) == 2
+        assert len(list(LedgerEpisodes(connection).rows(1, 2))) == 2
     with reader.connect() as connection, pytest.raises(DatabaseError, match="read-only"):
         connection.execute(text("delete from episodes"))
     reader.dispose()

@@ -1,19 +1,24 @@
-"""`metadata.parquet` in row groups: reusing groups of the former table gives the bytes of a new table."""
+"""The tables in row groups: copying the groups of the former table gives the bytes of a new table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.tables import metadata_table
-from coordinator.tables.metadata_table import GROUP_ROWS, ListedEpisodes
-from coordinator.tables.write import write_tables
-from schemas.dataset import EpisodeSummary, summary_of
+from coordinator.tables import grouped_table
+from coordinator.tables.grouped_table import GROUP_ROWS, ListedRows
+from coordinator.tables.row_groups import RowGroupWriter
+from coordinator.tables.write import DatasetTables, TableChanges, TableContent
+from schemas.base import Model
+from schemas.dataset import EpisodeSummary, FailedAttempt, summary_of
 from tests.builders.bundle import parts_for
+from tests.builders.dataset import failure
 from tests.builders.ledger import room_plan
 
 NOW = datetime(2026, 1, 2, tzinfo=UTC)
@@ -21,15 +26,40 @@ PLAN = room_plan(3 * GROUP_ROWS)
 FILES = ("metadata.parquet", "attempts.parquet", "README.md", "dataset_meta.json")
 
 
-class Watched(ListedEpisodes):
-    """Counts the requested rows."""
+class Watched(ListedRows):
+    """Counts the rows that are read."""
 
-    asked = 0
+    read = 0
 
-    def rows(self, first: int, last: int) -> Iterable[EpisodeSummary]:
+    def rows(self, first: int, last: int) -> Iterable[Model]:
         found = list(super().rows(first, last))
-        self.asked += len(found)
+        self.read += len(found)
         return found
+
+
+class Run:
+    """Tables of one directory, written by one process."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._tables = DatasetTables()
+
+    def write(
+        self,
+        found: list[EpisodeSummary],
+        changed: Iterable[int] | None = None,
+        failures: list[FailedAttempt] | None = None,
+        failed: Iterable[int] = (),
+    ) -> int:
+        """Writes the tables; returns the number of rows that were read."""
+        episodes, attempts = Watched(found), Watched(failures or [])
+        changes = None if changed is None else TableChanges(set(changed), set(failed))
+        with open_archive(self.root) as archive:
+            self._tables.write(archive, TableContent(PLAN, {}, episodes, attempts), NOW, changes)
+        return episodes.read + attempts.read
+
+    def read(self) -> dict[str, bytes]:
+        return {name: (self.root / name).read_bytes() for name in FILES}
 
 
 def rows(numbers: Iterable[int], salt: int = 0) -> list[EpisodeSummary]:
@@ -48,55 +78,96 @@ def rows(numbers: Iterable[int], salt: int = 0) -> list[EpisodeSummary]:
     ]
 
 
-def write(root: Path, found: list[EpisodeSummary], *, anew: bool) -> int:
-    """Writes the tables; returns the number of rows read from the ledger."""
-    episodes = Watched(found)
-    with open_archive(root) as archive:
-        write_tables(archive, PLAN, {}, episodes, [], NOW, anew=anew)
-    return episodes.asked
-
-
-def read(root: Path) -> dict[str, bytes]:
-    return {name: (root / name).read_bytes() for name in FILES}
-
-
+FIRST = range(1, GROUP_ROWS + 1)
 STEPS = {
-    "the next ones": rows(range(1, GROUP_ROWS + 51)),
-    "gaps": rows([*range(1, 100), *range(200, GROUP_ROWS + 20), GROUP_ROWS * 2 + 5]),
-    "one lost": rows([*range(1, 41), *range(42, GROUP_ROWS + 1)]),
-    "one made again": rows(range(1, 41)) + rows([41], salt=10**6) + rows(range(42, GROUP_ROWS + 1)),
-    "none left": [],
-    "all": rows(range(1, 3 * GROUP_ROWS + 1)),
+    "the next ones": (rows(range(1, GROUP_ROWS + 51)), range(GROUP_ROWS + 1, GROUP_ROWS + 51)),
+    "gaps": (rows([*FIRST[:99], *FIRST[199:], GROUP_ROWS * 2 + 5]), [*range(100, 200), GROUP_ROWS * 2 + 5]),
+    "one lost": (rows([*range(1, 41), *range(42, GROUP_ROWS + 1)]), [41]),
+    "one made again": (rows(range(1, 41)) + rows([41], salt=10**6) + rows(range(42, GROUP_ROWS + 1)), [41]),
+    "none left": ([], FIRST),
+    "all": (rows(range(1, 3 * GROUP_ROWS + 1)), range(GROUP_ROWS + 1, 3 * GROUP_ROWS + 1)),
+    "nothing": (rows(FIRST), ()),
 }
 
 
 @pytest.mark.parametrize("step", list(STEPS))
 def test_an_updated_table_has_the_bytes_of_a_new_one(tmp_path, step):
-    (tmp_path / "new").mkdir()
-    write(tmp_path / "old", rows(range(1, GROUP_ROWS + 1)), anew=True)
-    write(tmp_path / "old", STEPS[step], anew=False)
-    write(tmp_path / "new", STEPS[step], anew=True)
-    assert read(tmp_path / "old") == read(tmp_path / "new")
+    found, changed = STEPS[step]
+    old, new = Run(tmp_path / "old"), Run(tmp_path / "new")
+    old.write(rows(FIRST))
+    old.write(found, changed)
+    new.write(found)
+    assert old.read() == new.read()
+
+
+def test_a_group_is_copied_to_another_place_when_an_earlier_group_changes(tmp_path):
+    found = rows(range(1, 2 * GROUP_ROWS + 1))
+    old, new = Run(tmp_path / "old"), Run(tmp_path / "new")
+    old.write(found)
+    assert old.write(found[5:], range(1, 6)) == GROUP_ROWS - 5
+    new.write(found[5:])
+    assert old.read() == new.read()
 
 
 def test_only_changed_groups_are_read_from_the_ledger(tmp_path):
-    found = rows(range(1, 2 * GROUP_ROWS + 1))
-    assert write(tmp_path, found, anew=True) == 2 * GROUP_ROWS
-    assert write(tmp_path, found, anew=False) == 0
+    run, found = Run(tmp_path), rows(range(1, 2 * GROUP_ROWS + 1))
+    assert run.write(found) == 2 * GROUP_ROWS
+    assert run.write(found, ()) == 0
     more = found + rows(range(2 * GROUP_ROWS + 1, 2 * GROUP_ROWS + 11))
-    assert write(tmp_path, more, anew=False) == 10
-    assert write(tmp_path, more, anew=True) == len(more)
+    assert run.write(more, range(2 * GROUP_ROWS + 1, 2 * GROUP_ROWS + 11)) == 10
+    assert run.write(more, ()) == 0
+    assert run.write(more) == len(more)
 
 
-@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"PAR1 no table PAR1"), Path.touch])
-def test_a_missing_or_damaged_former_table_is_rewritten(tmp_path, harm):
-    found = rows(range(1, 31))
-    write(tmp_path, found, anew=True)
-    whole = read(tmp_path)
+def test_failed_attempts_are_read_for_the_changed_groups_only(tmp_path):
+    failures = [failure(1), failure(GROUP_ROWS + 1)]
+    old, new = Run(tmp_path / "old"), Run(tmp_path / "new")
+    assert old.write([], failures=failures) == 2
+    assert old.write([], (), [*failures, failure(GROUP_ROWS + 1, 2)], [GROUP_ROWS + 1]) == 2
+    new.write([], failures=[*failures, failure(GROUP_ROWS + 1, 2)])
+    assert old.read() == new.read()
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        Path.unlink,
+        lambda path: path.write_bytes(b"PAR1 no table PAR1"),
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(path.read_bytes().replace(b"office", b"ofFice")),
+    ],
+)
+def test_a_missing_or_changed_former_table_is_read_from_the_ledger_again(tmp_path, harm):
+    run, found = Run(tmp_path), rows(range(1, 31))
+    run.write(found)
+    whole = run.read()
     harm(tmp_path / "metadata.parquet")
-    write(tmp_path, found, anew=False)
-    assert read(tmp_path) == whole
+    assert run.write(found, ()) == len(found)
+    assert run.read() == whole
+
+
+def test_the_first_write_of_a_process_copies_nothing(tmp_path):
+    found = rows(range(1, 31))
+    Run(tmp_path).write(found)
+    assert Run(tmp_path).write(found, ()) == len(found)
+
+
+def test_row_groups_have_the_bytes_of_one_writer(tmp_path):
+    Run(tmp_path).write(rows(range(1, 2 * GROUP_ROWS + 1)))
+    path = tmp_path / "metadata.parquet"
+    with pq.ParquetFile(path) as file, pq.ParquetWriter(tmp_path / "one", file.schema_arrow, compression="zstd") as one:
+        for group in range(file.num_row_groups):
+            one.write_table(file.read_row_group(group).cast(file.schema_arrow))
+    assert (tmp_path / "one").read_bytes() == path.read_bytes()
+
+
+def test_a_table_of_no_rows_can_be_read(tmp_path):
+    Run(tmp_path).write([])
+    table = pq.read_table(tmp_path / "metadata.parquet")
+    file = BytesIO()
+    RowGroupWriter(file, table.schema).close()
+    assert (table.num_rows, pq.read_table(file).schema) == (0, table.schema)
 
 
 def test_a_group_contains_a_range_of_plan_indices():
-    assert metadata_table.GROUP_ROWS == 2000  # changing it changes the bytes of every dataset
+    assert grouped_table.GROUP_ROWS == 2000  # changing it changes the bytes of every dataset

@@ -15,19 +15,12 @@ from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
-from coordinator.ledger.tables import attempts, episodes, jobs, workers
+from coordinator.ledger.tables import episodes, jobs, workers
+from coordinator.ledger.tallies import attempt_counts, job_counts
 from schemas.wire import Progress, WorkerStatus
 
 _RATE_WINDOW_S = 600.0
 
-_BY_CELL = (
-    select(jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split, func.count().label("jobs"))
-    .where(jobs.c.superseded.is_(False))
-    .group_by(jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split)
-)
-_REDRAWN = select(func.count()).select_from(jobs).where(jobs.c.draw > 0)
-_BY_OUTCOME = select(attempts.c.outcome, func.count()).group_by(attempts.c.outcome)
-_FRAMES = select(func.coalesce(func.sum(attempts.c.steps), 0)).where(attempts.c.outcome == SUCCESS)
 _HELD_BY = select(jobs.c.sid, func.count()).where(jobs.c.state.in_(HELD_STATES)).group_by(jobs.c.sid)
 
 
@@ -47,7 +40,8 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         UsageError: the database contains no ledger, or one with a newer format.
     """
     facts = read_info(connection)
-    cells = connection.execute(_BY_CELL).all()
+    tallies = connection.execute(job_counts(connection)).all()
+    cells = [row for row in tallies if not row.superseded]
     counts = _count_by(cells, None)[""]
     left = sum(counts[state] for state in OPEN_STATES)
     pace = _pace(connection, now, left)
@@ -58,8 +52,8 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         by_scene=_count_by(cells, "scene"),
         by_tier=_count_by(cells, "tier"),
         by_split=_count_by(cells, "split"),
-        redrawn=connection.execute(_REDRAWN).scalar_one(),
-        attempts={row[0]: row[1] for row in connection.execute(_BY_OUTCOME)},
+        redrawn=sum(row.jobs for row in tallies if row.superseded),
+        attempts={row.outcome: row.attempts for row in _attempts(connection)},
         workers=_workers(connection, now, facts.lease_ttl_s),
         hosts=troubled(connection),
         by_gateway=dict(count_by_gateway(connection)),
@@ -72,7 +66,13 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
 
 def count_frames(connection: Connection) -> int:
     """Returns the number of frames in the archived episodes."""
-    return int(connection.execute(_FRAMES).scalar_one())
+    return sum(int(row.steps) for row in _attempts(connection) if row.outcome == SUCCESS)
+
+
+def _attempts(connection: Connection) -> list[Row[Any]]:
+    """Returns the number of attempts and of their steps by outcome."""
+    rows = connection.execute(attempt_counts(connection)).all()
+    return [row for row in rows if row.attempts]
 
 
 def _count_by(cells: list[Row[Any]] | Any, column: str | None) -> dict[str, dict[str, int]]:

@@ -10,9 +10,11 @@ from typing import Any
 from pydantic import ValidationError
 from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
+from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
+from coordinator.ledger.tallies import job_counts
 from schemas.dataset import EpisodeSummary
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
@@ -116,8 +118,10 @@ def list_jobs(connection: Connection, wanted: JobFilter, limit: int = 100, offse
 
 
 def count_jobs(connection: Connection, wanted: JobFilter) -> int:
-    """Returns the number of jobs that match a filter."""
-    return int(connection.execute(_filtered(select(func.count()).select_from(jobs), wanted)).scalar_one())
+    """Returns the number of current jobs with the states, scenes, tiers and splits of a filter."""
+    counts = job_counts(connection).subquery()
+    query = _matching(select(func.coalesce(func.sum(counts.c.jobs), 0)), counts.c, wanted)
+    return int(connection.execute(query).scalar_one())
 
 
 def read_attempts(connection: Connection, index: int | None = None) -> Iterator[AttemptRecord]:
@@ -159,13 +163,9 @@ def read_archived(connection: Connection) -> frozenset[int]:
     return frozenset(connection.execute(select(episodes.c.idx)).scalars())
 
 
-def read_summaries(connection: Connection) -> Iterator[EpisodeSummary]:
-    """Yields the archived episodes ordered by number.
-
-    Raises:
-        WorldError: a row is damaged.
-    """
-    return _summaries(connection, select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx))
+def read_content_digests(connection: Connection) -> list[str]:
+    """Returns the content digests of the archived episodes, ordered by number."""
+    return list(connection.execute(select(episodes.c.content_digest).order_by(episodes.c.idx)).scalars())
 
 
 class LedgerEpisodes:
@@ -177,12 +177,6 @@ class LedgerEpisodes:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-
-    def digests(self) -> Iterator[tuple[int, str]]:
-        """Yields number and file SHA-256 of each episode, ascending."""
-        query = select(episodes.c.idx, episodes.c.sha256).order_by(episodes.c.idx)
-        for row in self._connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
-            yield row.idx, row.sha256
 
     def rows(self, first: int, last: int) -> Iterator[EpisodeSummary]:
         """Yields the rows of the episodes from `first` to `last`, ascending."""
@@ -202,13 +196,16 @@ def _summaries(connection: Connection, query: Select[Any]) -> Iterator[EpisodeSu
 
 
 def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
-    if wanted.index is not None:
-        return query.where(jobs.c.idx == wanted.index)
-    query = query.where(jobs.c.superseded.is_(False))
-    columns = {"state": wanted.states, "scene": wanted.scenes, "tier": wanted.tiers, "split": wanted.splits}
-    for name, values in columns.items():
-        if values:
-            query = query.where(jobs.c[name].in_(values))
+    return query.where(jobs.c.idx == wanted.index) if wanted.index is not None else _matching(query, jobs.c, wanted)
+
+
+def _matching(query: Select[Any], columns: ReadOnlyColumnCollection[str, Any], wanted: JobFilter) -> Select[Any]:
+    """Restricts a query to current jobs with the states, scenes, tiers and splits of a filter."""
+    query = query.where(columns.superseded.is_(False))
+    values = {"state": wanted.states, "scene": wanted.scenes, "tier": wanted.tiers, "split": wanted.splits}
+    for name, allowed in values.items():
+        if allowed:
+            query = query.where(columns[name].in_(allowed))
     return query
 
 

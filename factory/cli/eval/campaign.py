@@ -44,7 +44,7 @@ def splits_of(dataset: Dataset, asked: tuple[str, ...] | None) -> tuple[Split, .
     """
     if asked:
         return tuple(split for split in Split if str(split) in asked)
-    present = set(dataset.metadata["split"].to_pylist())
+    present = set(dataset.column("split").to_pylist())
     found = tuple(split for split in Split if str(split) in present and (asked is not None or split not in _TRAINED_ON))
     if not found:
         raise UsageError(

@@ -40,6 +40,7 @@ from factory.cli.common.options import (
 )
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
+from factory.cli.other.bench_dataset import dataset
 from factory.cli.other.bench_tables import (
     show_collect,
     show_coordinator,
@@ -273,6 +274,9 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
             repeats=repeats,
         )
     print_result(report, as_json, show_coordinator)
+
+
+command.add_command(dataset)
 
 
 @command.command("read")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import click
 
+from factory.bench.dataset import DatasetBench
 from factory.bench.model import (
     CollectBench,
     CoordinatorBench,
     Machine,
+    Memory,
     MemoryBench,
     ReadBench,
     RenderBench,
@@ -108,6 +110,33 @@ def show_memory(report: MemoryBench) -> None:
         ("peak, MiB", report.memory.peak_mib),
     ]
     print_table(f"Resident memory, alternating scenes: {', '.join(report.scenes)}", ("quantity", "value"), rows)
+
+
+def show_dataset(report: DatasetBench) -> None:
+    """Prints the costs of a large dataset."""
+    _say_machine(report.machine)
+    reader, verification, checkpoint = report.reader, report.verification, report.checkpoint
+    rows = [
+        ("generating, s", report.generate_s, ""),
+        ("opening, s", reader.open_s, _peak(reader.opened)),
+        ("selecting a split and a tier, s", reader.filter_s, ""),
+        ("first episode, s", reader.first_episode_s, ""),
+        ("random episodes/s", reader.episodes_per_s, _peak(reader.memory)),
+        ("random episodes/CPU s", reader.episodes_per_cpu_s, ""),
+        ("digest, s", reader.digest_s, ""),
+        (f"verification, {verification.findings} findings, s", verification.seconds, _peak(verification.memory)),
+        ("status, s", report.ledger.status_s, ""),
+        ("audit at the start of a coordinator, s", report.ledger.audit_s, ""),
+        ("first checkpoint of a process, s", checkpoint.rewrite_s, _peak(checkpoint.memory)),
+        ("checkpoint after 50 changes, s", checkpoint.changed_s, ""),
+        ("checkpoint without changes, s", checkpoint.unchanged_s, ""),
+    ]
+    title = f"{report.episodes} states episodes, {report.files} files, {report.gigabytes:.2f} GB"
+    print_table(title, ("quantity", "value", "memory"), rows)
+
+
+def _peak(memory: Memory) -> str:
+    return f"peak {memory.peak_mib:.0f} MiB"
 
 
 def show_coordinator(report: CoordinatorBench) -> None:

@@ -78,7 +78,7 @@ def specs_of_dataset(
     """
     _require_episodes(dataset, splits)
     part = dataset.filter(split=[str(split) for split in splits])
-    names = part.metadata["episode_id"].to_pylist()
+    names = part.column("episode_id").to_pylist()
     chosen = [names[place] for place in spread(len(names), episodes)]
     source = f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}"
     places = Places(dataset.root)
@@ -133,7 +133,7 @@ def categories_in_view(ids: NDArray[np.uint16], instances: Sequence[Instance], m
 
 
 def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
-    present = set(dataset.metadata["split"].to_pylist())
+    present = set(dataset.column("split").to_pylist())
     empty = [str(split) for split in splits if str(split) not in present]
     if empty:
         there = ", ".join(sorted(present)) or "none"

@@ -60,8 +60,8 @@ def estimate_export(order: ExportOrder) -> ExportEstimate:
     dataset, manifest = plan_manifest(order, exporter)
     require_same_export(order.out, manifest)
     sample, frames, size, seconds = _measure(order, dataset)
-    steps = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.float64)
-    scale = float(steps.sum()) / float(steps[dataset.metadata["episode_id"].to_pylist().index(sample)])
+    steps = np.asarray(dataset.column("num_steps").to_pylist(), np.float64)
+    scale = float(steps.sum()) / float(steps[dataset.column("episode_id").to_pylist().index(sample)])
     peak = round(size * scale * (2 if exporter.assembles else 1))
     free = _free_bytes(order.out)
     return ExportEstimate(
@@ -100,9 +100,10 @@ def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float
 
 
 def _by_nearness_to_the_median(dataset: Dataset) -> list[str]:
-    steps = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.float64)
+    steps = np.asarray(dataset.column("num_steps").to_pylist(), np.float64)
     order = np.argsort(np.abs(steps - np.median(steps)), kind="stable")
-    return [str(dataset.metadata["episode_id"][int(position)].as_py()) for position in order]
+    names: list[str] = dataset.column("episode_id").take(order).to_pylist()
+    return names
 
 
 def _free_bytes(out: Path) -> int:

@@ -183,7 +183,7 @@ def _make_pieces(state: _State) -> None:
 def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[ExportTask]:
     """Yields the tasks of missing pieces; records existing pieces and episodes that cannot be opened."""
     options = state.order.options.model_dump_json()
-    names = state.dataset.metadata["episode_id"]
+    names = state.dataset.column("episode_id")
     seen: set[str] = set()
     for position in range(len(state.dataset)):
         name = str(names[position].as_py())
@@ -211,7 +211,7 @@ def _episode_at(state: _State, position: int, name: str, is_twin: bool) -> Episo
 
 
 def _piece(state: _State, position: int, name: str) -> ExportPiece[Any]:
-    split = state.dataset.metadata["split"][position].as_py()
+    split = str(state.dataset[position].summary.split)
     folder, facts = state.out.piece_folder(name), state.out.facts_path(name)
     return ExportPiece(state.dataset, position, name, split, folder, facts, state.exporter.facts)
 
@@ -282,6 +282,6 @@ def _absent(order: ExportOrder, dataset: Dataset) -> tuple[str, ...]:
     """Returns the planned ids that the dataset does not have; empty if episodes were selected by id."""
     if order.episodes or dataset.meta.complete:
         return ()
-    held = set(Dataset(order.root).metadata["episode_id"].to_pylist())
+    held = set(Dataset(order.root).column("episode_id").to_pylist())
     planned = map(episode_id, range(1, dataset.meta.planned + 1))
     return tuple(name for name in planned if name not in held)

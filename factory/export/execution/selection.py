@@ -34,14 +34,14 @@ def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str]
     """
     wanted_splits, wanted = list(splits), list(episodes)
     if wanted:
-        there = set(dataset.metadata["episode_id"].to_pylist())
+        there = set(dataset.column("episode_id").to_pylist())
         missing = [name for name in wanted if name not in there]
         if missing:
             rest = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
             names = ", ".join(missing[:3]) + rest
             raise UsageError(f"{dataset.root} has no {names}; it has {len(dataset)} episodes")
         dataset = dataset.filter(episode=wanted)
-    held = sorted(set(dataset.metadata["split"].to_pylist()))
+    held = sorted(set(dataset.column("split").to_pylist()))
     if wanted_splits:
         dataset = dataset.filter(split=wanted_splits)
     if not len(dataset):

@@ -99,9 +99,9 @@ def number_pieces(pieces: Sequence[ExportPiece[LeRobotFacts]], stride: int) -> N
     found: list[Numbered] = []
     first = 0
     for number, piece in enumerate(ordered):
-        row = piece.dataset.metadata
-        task = str(row["instruction"][piece.position].as_py())
-        frames = -(-int(row["num_steps"][piece.position].as_py()) // stride)
+        row = piece.dataset[piece.position].summary
+        task = row.instruction
+        frames = -(-row.num_steps // stride)
         found.append(Numbered(piece, number, tasks.setdefault(task, len(tasks)), task, first, frames))
         first += frames
     return Numbering(found, tuple(tasks), _ranges(ordered), first)

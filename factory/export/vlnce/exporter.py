@@ -68,16 +68,17 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     def finish(self, export: Finish[Options, EpisodeFacts]) -> None:
         """Writes the files of every split, the scene meshes and the card."""
-        texts = export.dataset.metadata["instruction"].unique().to_pylist()
+        texts = export.dataset.column("instruction").unique().to_pylist()
         words = vocabulary_of(texts)
         length = max(len(words_of(text)) for text in texts)
         for split in dict.fromkeys(piece.split for piece in export.pieces):
             pieces = [piece for piece in export.pieces if piece.split == split]
             _write_once(export.out, f"{split}/{split}.json.gz", _episodes_json(pieces, words, length))
             _write_once(export.out, f"{split}/{split}_gt.json.gz", _paths_json(pieces))
-        rows = export.dataset.metadata.take([piece.position for piece in export.pieces])
-        for row in rows.group_by(["scene", "scene_sha256"]).aggregate([]).sort_by("scene").to_pylist():
-            _write_scene(export.out, export.dataset.root, row["scene"], row["scene_sha256"])
+        positions = [piece.position for piece in export.pieces]
+        columns = (export.dataset.column(name).take(positions).to_pylist() for name in ("scene", "scene_sha256"))
+        for scene, sha256 in sorted(set(zip(*columns, strict=True))):
+            _write_scene(export.out, export.dataset.root, scene, sha256)
         card = export_card(export.dataset.meta, len(export.pieces), _CARD.format(length=length), tags=("vln-ce",))
         export.out.write_text(CARD_FILE, card)
 

@@ -102,7 +102,7 @@ def test_redraws_of_an_even_plan_keep_the_category_for_half_of_the_draws():
             assert following.episode.category == job.episode.category
 
 
-def test_a_single_instance_of_a_category_is_drawn_again_for_an_even_plan():
+def test_a_single_instance_of_a_category_is_drawn_again_with_another_template_for_an_even_plan():
     plan = Plan(
         name="x",
         scenes=(ScenePlan(name="hospital", episodes=4),),
@@ -111,4 +111,6 @@ def test_a_single_instance_of_a_category_is_drawn_again_for_an_even_plan():
     )
     catalog = {"hospital": make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])}
     for job in expand(plan, catalog):
-        assert redraw(plan, catalog, job).episode == job.episode
+        again = redraw(plan, catalog, job).episode
+        assert again.target_id == job.episode.target_id
+        assert again.template_id != job.episode.template_id

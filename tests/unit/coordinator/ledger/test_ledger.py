@@ -18,11 +18,11 @@ from coordinator.ledger.opening import open_run, read_info
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.records import (
     JobFilter,
+    LedgerEpisodes,
     count_jobs,
     list_jobs,
     read_attempts,
     read_events,
-    read_summaries,
 )
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
@@ -242,7 +242,7 @@ def test_an_archived_episode_is_recorded_with_its_summary(desk):
     desk.done(lease)
     assert desk.archive(lease)
     with desk.open() as connection:
-        (summary,) = read_summaries(connection)
+        (summary,) = LedgerEpisodes(connection).rows(1, desk.plan.episodes)
         assert outcomes.is_owned(connection, 1)
         assert not outcomes.is_owned(connection, 2)
     assert (summary.index, summary.attempt, summary.file_bytes) == (1, 1, 1000)

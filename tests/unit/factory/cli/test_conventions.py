@@ -39,6 +39,8 @@ DIFFERENT = {
     ("factory gate", "--scene"): "measures one scene",
     ("factory train bc", "--split"): "learns from one split",
     ("factory keys ca", "--name"): "has a default",
+    ("factory bench collect", "--expert"): "compares several experts",
+    ("factory bench collect", "--record"): "compares both recordings",
     ("factory repair", "--plan"): "an addition to the dataset it works on",
 }
 """Options that take another kind of value than others of their name, and why."""

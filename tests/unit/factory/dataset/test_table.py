@@ -28,10 +28,3 @@ def test_a_timestamp_out_of_range_becomes_null(
     assert table.column_names == ["at"]
     assert [value.is_valid for value in table["at"]] == [is_always_valid, is_always_valid, True, False]
     assert table["at"][2].as_py().replace(tzinfo=UTC) == datetime(1970, 1, 1, tzinfo=UTC)
-
-
-def test_a_column_that_a_later_version_added_is_null_in_an_older_table(tmp_path: Path) -> None:
-    pq.write_table(pa.table({"episode_id": ["ep_000001", "ep_000002"]}), tmp_path / "table.parquet")
-    later = pa.schema([("final_surface_m", pa.float64())])
-    table = read_table(tmp_path / "table.parquet", ["final_surface_m", "episode_id"], later)
-    assert table.to_pydict() == {"final_surface_m": [None, None], "episode_id": ["ep_000001", "ep_000002"]}

@@ -1,0 +1,101 @@
+"""Counts jobs by state and cell, and attempts by outcome, by triggers of the database.
+
+The counts change in the transaction of each change. Therefore reading them takes the same time for any number of jobs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from sqlalchemy import Select, Table, delete, func, insert, inspect, select, text
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.tables import attempt_tallies, attempts, job_tallies, jobs
+
+_COUNT_JOBS = select(
+    jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.superseded, func.count().label("jobs")
+).group_by(jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.superseded)
+_COUNT_ATTEMPTS = select(
+    attempts.c.outcome, func.count().label("attempts"), func.sum(attempts.c.steps).label("steps")
+).group_by(attempts.c.outcome)
+_TALLIES = ((jobs, job_tallies, _COUNT_JOBS), (attempts, attempt_tallies, _COUNT_ATTEMPTS))
+
+
+def install_tallies(connection: Connection) -> None:
+    """Creates the triggers, and counts the rows that are in the ledger already.
+
+    Args:
+        connection: within a transaction of the writer, of a ledger that has all tables.
+    """
+    for counted, tally, count in _TALLIES:
+        for statement in _triggers(connection.dialect.name, counted, tally):
+            connection.execute(text(statement))
+        connection.execute(delete(tally))
+        connection.execute(insert(tally).from_select([column.name for column in tally.c], count))
+
+
+def job_counts(connection: Connection) -> Select[Any]:
+    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded."""
+    return select(job_tallies) if _has_tallies(connection) else _COUNT_JOBS
+
+
+def attempt_counts(connection: Connection) -> Select[Any]:
+    """Returns the query for the number of attempts and of their steps by outcome."""
+    return select(attempt_tallies) if _has_tallies(connection) else _COUNT_ATTEMPTS
+
+
+def _has_tallies(connection: Connection) -> bool:
+    """Returns whether a ledger has counts; one of an older version has none until it is opened for writing."""
+    return inspect(connection).has_table(job_tallies.name)
+
+
+def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
+    """Yields the statements that create the triggers of a table."""
+    add, subtract = _add(tally), _subtract(tally)
+    if dialect == "postgresql":
+        name = f"count_{counted.name}"
+        yield (
+            f"CREATE OR REPLACE FUNCTION {name}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+            f"IF TG_OP = 'UPDATE' THEN {subtract}; END IF; {add}; RETURN NULL; END $$"
+        )
+        yield f"DROP TRIGGER IF EXISTS {name} ON {counted.name}"
+        yield (
+            f"CREATE TRIGGER {name} AFTER INSERT OR UPDATE OF {_watched(tally)} ON {counted.name} "
+            f"FOR EACH ROW EXECUTE FUNCTION {name}()"
+        )
+        return
+    for event, body in (("INSERT", f"{add};"), (f"UPDATE OF {_watched(tally)}", f"{subtract}; {add};")):
+        name = f"count_{counted.name}_{event.split()[0].lower()}"
+        yield f"DROP TRIGGER IF EXISTS {name}"
+        yield f"CREATE TRIGGER {name} AFTER {event} ON {counted.name} BEGIN {body} END"
+
+
+def _watched(tally: Table) -> str:
+    """Returns the columns of the counted table that change the counts."""
+    return ", ".join(column.name for column in tally.primary_key)
+
+
+def _add(tally: Table) -> str:
+    keys = _watched(tally)
+    values = ", ".join(_amount(column.name, tally) for column in tally.c)
+    sums = ", ".join(f"{name} = {tally.name}.{name} + excluded.{name}" for name in _sums(tally))
+    return (
+        f"INSERT INTO {tally.name} ({', '.join(tally.c.keys())}) VALUES ({values}) "
+        f"ON CONFLICT ({keys}) DO UPDATE SET {sums}"
+    )
+
+
+def _subtract(tally: Table) -> str:
+    sums = ", ".join(f"{name} = {name} - {_amount(name, tally, 'OLD')}" for name in _sums(tally))
+    where = " AND ".join(f"{column.name} = OLD.{column.name}" for column in tally.primary_key)
+    return f"UPDATE {tally.name} SET {sums} WHERE {where}"
+
+
+def _amount(name: str, tally: Table, row: str = "NEW") -> str:
+    """Returns what a row adds to a column of the tally: 1 to the number of rows, or its value."""
+    return "1" if name == tally.name.replace("_tallies", "s") else f"{row}.{name}"
+
+
+def _sums(tally: Table) -> list[str]:
+    return [column.name for column in tally.c if not column.primary_key]

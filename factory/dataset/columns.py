@@ -1,0 +1,137 @@
+"""Columns of `metadata.parquet`, read at the first access and kept in a compact form. Interprets no row.
+
+A million rows take 0.3 GB: repeated text is stored once, and integers have the smallest type that fits. All columns are
+those of one version of the file, also if a coordinator replaces it meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import Any, TypeVar
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from factory.dataset.table import representable
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_files import METADATA_FILE
+from schemas.errors import ArchiveCorrupt
+from schemas.storage.place import Place, table_of
+from schemas.support.foreign import PARSER_ERRORS
+
+NAMES = tuple(EpisodeSummary.model_fields)
+"""Names of the columns."""
+_UNIQUE = frozenset({"episode_id", "content_digest", "file_sha256", "file_name"})
+"""Text columns whose values do not repeat."""
+_LATER = pa.schema(
+    [("spawn_surface_m", pa.float64()), ("final_surface_m", pa.float64()), ("target_in_view", pa.bool_())]
+)
+"""Columns that versions of this software added after the first; null where the table lacks them."""
+_SMALL_INTEGERS = (pa.int8(), pa.int16(), pa.int32())
+
+
+Found = TypeVar("Found")
+
+
+class Columns:
+    """Columns of the table of a dataset; safe to use from several threads, and in forked processes.
+
+    Args:
+        root: Location of the dataset.
+
+    Raises:
+        ArchiveCorrupt: The table is missing or damaged. A damaged column raises it at the first access.
+    """
+
+    def __init__(self, root: Place) -> None:
+        self._path = root / METADATA_FILE
+        self._loaded: dict[str, pa.Array] = {}
+        self._readers: dict[str, Callable[[int], Any]] = {}
+        self._loading = Lock()
+        self._file: pq.ParquetFile | None = self._translated(self._open)
+        self.rows: int = self._file.metadata.num_rows
+        """Number of rows."""
+
+    def __getitem__(self, name: str) -> pa.Array:
+        """Returns a column: text as a dictionary unless its values do not repeat, integers in the smallest type.
+
+        Raises:
+            ArchiveCorrupt: The column is damaged.
+        """
+        with self._loading:
+            if name not in self._loaded:
+                self._loaded[name] = self._translated(lambda: self._read(name))
+            return self._loaded[name]
+
+    def row(self, position: int) -> dict[str, Any]:
+        """Returns the values of one row, not validated."""
+        self._readers = self._readers or {name: _reader(self[name]) for name in NAMES}
+        return {name: read(position) for name, read in self._readers.items()}
+
+    def _open(self) -> pq.ParquetFile:
+        found = table_of(self._path)
+        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # opened once: it keeps its content
+        footer = pq.read_metadata(source)
+        names = footer.schema.to_arrow_schema().names
+        missing = [name for name in NAMES if name not in {*names, *_LATER.names}]
+        if missing:
+            raise ValueError(f"it has no column {missing[0]}")
+        repeating = [name for name in NAMES if name in names and name not in _UNIQUE]
+        return pq.ParquetFile(source, metadata=footer, read_dictionary=repeating)
+
+    def _read(self, name: str) -> pa.Array:
+        assert self._file is not None
+        if name not in self._file.schema_arrow.names:
+            return pa.nulls(self.rows, _LATER.field(name).type)
+        (column,) = self._file.read([name], use_threads=False).columns
+        column.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
+        compact = _compact(representable(column) if pa.types.is_timestamp(column.type) else column)
+        pa.default_memory_pool().release_unused()
+        return compact
+
+    def _translated(self, read: Callable[[], Found]) -> Found:
+        try:
+            return read()
+        except FileNotFoundError as error:
+            raise ArchiveCorrupt(f"{self._path} is missing: resume the run to rewrite it") from error
+        except (pa.ArrowException, *PARSER_ERRORS) as error:
+            raise ArchiveCorrupt(f"{self._path} is damaged ({error}): resume the run to rewrite it") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns all columns, because another process might open another version of the file."""
+        return {"_path": self._path, "_loaded": {name: self[name] for name in NAMES}, "_readers": {}, "rows": self.rows}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state | {"_loading": Lock(), "_file": None}
+
+
+def _compact(column: pa.ChunkedArray) -> pa.Array | pa.ChunkedArray:
+    if pa.types.is_string(column.type):
+        return column  # to combine its chunks takes twice its memory for a moment
+    whole = column.unify_dictionaries().combine_chunks()
+    if pa.types.is_dictionary(whole.type):
+        return pa.DictionaryArray.from_arrays(_narrowed(whole.indices), whole.dictionary)
+    return _narrowed(whole) if pa.types.is_integer(whole.type) else whole
+
+
+def _narrowed(integers: pa.Array) -> pa.Array:
+    """Returns integers in the smallest type that fits all of them."""
+    for kind in _SMALL_INTEGERS:
+        try:
+            return integers.cast(kind)
+        except pa.ArrowInvalid:
+            continue
+    return integers
+
+
+def _reader(column: pa.Array) -> Callable[[int], Any]:
+    """Returns a function that reads single values of a column, where possible faster than pyarrow's scalars."""
+    if pa.types.is_dictionary(column.type) and not column.null_count:
+        values, indices = column.dictionary.to_pylist(), column.indices.to_numpy()
+        return lambda position: values[indices[position]]
+    if (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)) and not column.null_count:
+        values = column.to_numpy()
+        return lambda position: values.item(position)
+    return lambda position: column[position].as_py()

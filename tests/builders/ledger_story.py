@@ -1,0 +1,85 @@
+"""Changes a ledger at random with the functions of a run, so that every kind of change occurs. Checks nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from sqlalchemy import select, update
+
+from coordinator.ledger import operator, outcomes
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.tables import episodes, jobs
+from schemas.terms import FailReason
+from schemas.wire import Lease
+from tests.builders.ledger import TTL_S, Desk
+
+__all__ = ["change_at_random", "scatter"]
+
+_REASONS = (FailReason.TIMEOUT, FailReason.COLLISION, FailReason.CRASH, FailReason.RELEASED)
+
+
+def scatter(desk: Desk) -> None:
+    """Spreads the order in which the jobs are claimed over all episode numbers."""
+    with desk.open() as connection:
+        connection.execute(update(jobs).values(not_before=(jobs.c.idx * 7919) % 4096 / 4096))
+
+
+def change_at_random(desk: Desk, steps: int, seed: int = 0) -> Iterator[str]:
+    """Makes changes one by one; yields the name of each."""
+    rng = np.random.default_rng(seed)
+    held: list[Lease] = []
+    for _ in range(steps):
+        name = str(rng.choice(["claim", "claim", "archive", "archive", "fail", "lose", "expire", "cancel", "retry"]))
+        _CHANGES[name](desk, held, rng)
+        yield name
+
+
+def _claim(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    rows = [desk.claim() for _ in range(int(rng.integers(1, 4)))]
+    held += [lease_of(row) for row in rows if row is not None]
+
+
+def _archive(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    if held:
+        lease = held.pop()
+        desk.done(lease)
+        desk.archive(lease)
+
+
+def _fail(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    if held:
+        desk.fail(held.pop(), _REASONS[int(rng.integers(len(_REASONS)))])
+
+
+def _lose(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    with desk.open() as connection:
+        archived = list(connection.execute(select(episodes.c.idx).order_by(episodes.c.idx)).scalars())
+        if archived:
+            outcomes.lose(connection, archived[int(rng.integers(len(archived)))], desk.now, "its file is missing")
+
+
+def _expire(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    held.clear()
+    desk.tick(2 * TTL_S)
+
+
+def _cancel(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    with desk.open() as connection:
+        operator.cancel(connection, [int(rng.integers(1, desk.plan.episodes))], desk.now)
+
+
+def _retry(desk: Desk, held: list[Lease], rng: np.random.Generator) -> None:
+    with desk.open() as connection:
+        operator.retry(connection, [], desk.now)
+
+
+_CHANGES = {
+    "claim": _claim,
+    "archive": _archive,
+    "fail": _fail,
+    "lose": _lose,
+    "expire": _expire,
+    "cancel": _cancel,
+    "retry": _retry,
+}
