@@ -1,6 +1,6 @@
 """Writes a Parquet file by row groups, and copies row groups of its previous version without decoding them.
 
-pyarrow encodes each row group as a file of its own. This module moves the bytes of the group into the table and adjusts
+pyarrow encodes each row group as a separate file. This module moves the bytes of the group into the table and adjusts
 the offsets in its description. The file has the bytes that one `pyarrow.parquet.ParquetWriter` gives.
 """
 
