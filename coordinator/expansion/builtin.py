@@ -33,7 +33,7 @@ _PAPER = Plan(
 )
 """1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law. The
 paper's office is one open room: near and mid starts in this one, which has inner walls, need sight of the target
-(docs/decisions/0157-start-papers-office-episodes-in-sight-of-the-target.md)."""
+(docs/decisions/0154-start-papers-office-episodes-in-sight-of-the-target.md)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
 """Categories that hardly any start shows alone (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""

@@ -2,35 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from schemas.dataset import FailedAttempt
-from schemas.encoding.digest import dataset_digest
+from schemas.encoding.table_digest import DIGESTED, table_digest
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
-
-_DIGESTED = ("episode_id", "content_digest")
-_ROWS_AT_A_TIME = 10_000
 
 
 def read_digest(path: Place) -> str:
     """Returns the digest of the dataset with this `metadata.parquet`."""
-    return table_digest(pq.read_table(table_of(path), columns=list(_DIGESTED)))
-
-
-def table_digest(table: pa.Table) -> str:
-    """Returns the digest of the episodes of a table, `schemas.encoding.digest.dataset_digest`."""
-    ordered = table.select(_DIGESTED).sort_by([(name, "ascending") for name in _DIGESTED])
-    return dataset_digest(_pairs(ordered), is_sorted=True)
-
-
-def _pairs(table: pa.Table) -> Iterator[tuple[str, str]]:
-    for batch in table.to_batches(max_chunksize=_ROWS_AT_A_TIME):
-        yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
+    return table_digest(pq.read_table(table_of(path), columns=list(DIGESTED)))
 
 
 def read_column(path: Place, name: str) -> list[str] | str:

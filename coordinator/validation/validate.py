@@ -21,7 +21,7 @@ from schemas.terms import Recording
 
 _STRIDE = 8
 """Distance between two decoded frames of a sample, steps
-(docs/decisions/0152-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""
+(docs/decisions/0151-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""
 
 
 def validate(

@@ -15,13 +15,13 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from coordinator.tables.table_reader import table_digest
 from factory.dataset.columns import NAMES, Columns
 from factory.dataset.episode import Episode, Frame
 from factory.dataset.vocabulary import require_known
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
+from schemas.encoding.table_digest import table_digest
 from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.job import index_of_file
 from schemas.rig import Rig

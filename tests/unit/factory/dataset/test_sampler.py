@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from factory.dataset import sampler
 from factory.dataset.reader import Dataset
 from factory.dataset.sampler import SceneSampler, shuffle_by_scene
 from factory.dataset.torch import ClipDataset, FrameDataset
+from schemas.dataset_files import METADATA_FILE
+from schemas.job import episode_id
 from tests.builders.dataset import make_dataset
 
 STEPS = (7, 3, 9, 1, 5, 4)
@@ -24,10 +27,20 @@ STEPS = (7, 3, 9, 1, 5, 4)
 def dataset(tmp_path: Path) -> Dataset:
     """A table of 60 episodes in 30 scenes; their files do not exist."""
     make_dataset(tmp_path / "data", 1)
-    found = Dataset(tmp_path / "data")
-    scenes = [f"scene {number % 30}" for number in range(60)]
-    found.metadata = pa.table({"num_steps": [*STEPS] * 10, "scene_sha256": scenes})
-    return found
+    path = tmp_path / "data" / METADATA_FILE
+    (row,) = pq.read_table(path).to_pylist()
+    rows = [
+        {
+            **row,
+            "index": number,
+            "episode_id": episode_id(number),
+            "num_steps": steps,
+            "scene_sha256": f"{number % 30:064}",
+        }
+        for number, steps in enumerate([*STEPS] * 10, 1)
+    ]
+    pq.write_table(pa.Table.from_pylist(rows, schema=pq.read_schema(path)), path)
+    return Dataset(tmp_path / "data")
 
 
 @pytest.fixture
@@ -132,8 +145,7 @@ def test_few_scenes_are_shuffled_as_a_whole() -> None:
 
 
 def test_a_dataset_without_samples_has_an_empty_order(dataset: Dataset) -> None:
-    dataset.metadata = dataset.metadata.slice(0, 0)
-    assert list(SceneSampler(FrameDataset(dataset))) == []
+    assert list(SceneSampler(FrameDataset(dataset.filter(split="test_ood_obj")))) == []
 
 
 @pytest.mark.parametrize(
