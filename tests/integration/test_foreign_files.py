@@ -102,8 +102,9 @@ def test_invalid_utf8_in_a_table_is_reported_as_damage(tmp_path):
     bad = pa.array([b"\xff\xfe"] * table.num_rows, pa.binary()).view(pa.string())
     strange = table.set_column(table.schema.get_field_index("instruction"), "instruction", bad)
     pq.write_table(strange, path)
-    with pytest.raises(ArchiveCorrupt, match=r"metadata.parquet is damaged"):
-        Dataset(tmp_path / "out")
+    for read in (lambda data: data[0], lambda data: data["ep_000001"], lambda data: data.metadata):
+        with pytest.raises(ArchiveCorrupt, match=r"metadata.parquet is damaged"):  # columns are read on demand
+            read(Dataset(tmp_path / "out"))
     assert isinstance(read_column(path, "instruction"), str)
     attempts = tmp_path / "attempts.parquet"
     pq.write_table(pa.table({"detail": bad}), attempts)
