@@ -23,7 +23,7 @@ _TALLIES = ((jobs, job_tallies, _COUNT_JOBS), (attempts, attempt_tallies, _COUNT
 
 
 def install_tallies(connection: Connection) -> None:
-    """Creates the triggers, and counts the rows that are in the ledger already.
+    """Creates the triggers, and counts the rows that are in the ledger already; writes nothing if the counts are right.
 
     Args:
         connection: within a transaction of the writer, of a ledger that has all tables.
@@ -31,8 +31,10 @@ def install_tallies(connection: Connection) -> None:
     for counted, tally, count in _TALLIES:
         for statement in _triggers(connection.dialect.name, counted, tally):
             connection.execute(text(statement))
-        connection.execute(delete(tally))
-        connection.execute(insert(tally).from_select([column.name for column in tally.c], count))
+        known = {tuple(row) for row in connection.execute(select(tally).where(tally.c[counted.name] > 0))}
+        if known != {tuple(row) for row in connection.execute(count)}:
+            connection.execute(delete(tally))
+            connection.execute(insert(tally).from_select([column.name for column in tally.c], count))
 
 
 def job_counts(connection: Connection) -> Select[Any]:
@@ -51,7 +53,7 @@ def _has_tallies(connection: Connection) -> bool:
 
 
 def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
-    """Yields the statements that create the triggers of a table."""
+    """Yields the statements that create the triggers of a table; in SQLite, another statement needs another name."""
     add, subtract = _add(tally), _subtract(tally)
     if dialect == "postgresql":
         name = f"count_{counted.name}"
@@ -67,8 +69,7 @@ def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
         return
     for event, body in (("INSERT", f"{add};"), (f"UPDATE OF {_watched(tally)}", f"{subtract}; {add};")):
         name = f"count_{counted.name}_{event.split()[0].lower()}"
-        yield f"DROP TRIGGER IF EXISTS {name}"
-        yield f"CREATE TRIGGER {name} AFTER {event} ON {counted.name} BEGIN {body} END"
+        yield f"CREATE TRIGGER IF NOT EXISTS {name} AFTER {event} ON {counted.name} BEGIN {body} END"
 
 
 def _watched(tally: Table) -> str:

@@ -27,8 +27,9 @@ OF_RECORDING = {
     "replayed_digest",
     "seconds",
     "act_ms",
+    "difference",
 }
-"""Values that name the dataset, or measure time."""
+"""Values that name the dataset, measure time, or count rendered frames, of which a states recording has three."""
 PRINTING = {
     "stats": ("stats", DATA),
     "stats --language": ("stats", DATA, "--language"),
