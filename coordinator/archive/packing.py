@@ -184,7 +184,7 @@ class PackingArchive(ABC):
             return f"cannot be read: {error.strerror}"
 
     def _write_shard(self, episodes: Iterable[tuple[int, bytes]], first: int, last: int) -> ShardDirectory:
-        """Publishes a shard of a range and returns its directory; publishes nothing if there are no episodes."""
+        """Publishes a shard of a range and returns its directory; does nothing without episodes."""
         part = self._staging.part(f"shard_{first:06d}")
         try:
             with translated("write", part.parent), part.open("x+b") as file:

@@ -137,10 +137,18 @@ def rollout(
 @scene_filter()
 @count_option("--episodes", 100, "Number of episodes of each run.")
 @click.option(
-    "--record", "records", type=click.Choice(list(Recording)), multiple=True, help="Recording to run; repeatable."
+    "--record",
+    "records",
+    type=click.Choice([str(kind) for kind in Recording]),
+    multiple=True,
+    help="Recording to run; repeatable.",
 )
 @click.option(
-    "--expert", "experts", type=click.Choice(list(ExpertName)), multiple=True, help="Expert to run; repeatable."
+    "--expert",
+    "experts",
+    type=click.Choice([str(name) for name in ExpertName]),
+    multiple=True,
+    help="Expert to run; repeatable.",
 )
 @workers_option("Number of simulation processes")
 @_repeats_option
