@@ -79,9 +79,7 @@ def copy_to(store: ObjectPath, folder: Path) -> None:
 
 def test_no_thread_of_arrow_holds_a_python_object_of_a_table_in_a_bucket(store: ObjectPath) -> None:
     store.objects.put("table", BIG)
-    with table_of(
-        store / "table"
-    ) as source:  # a Python file object here aborts about one process in thirty at its exit
+    with table_of(store / "table") as source:  # a Python file object here aborts some processes at their exit
         assert isinstance(source, pa.NativeFile)
         assert not isinstance(source, pa.PythonFile)
         assert source.read() == BIG
