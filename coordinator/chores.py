@@ -27,9 +27,9 @@ from coordinator.periodic_tasks import PeriodicTask
 from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.validation.validator import sandbox_of
 from schemas.job import episode_id
-from schemas.keys import host_of
+from schemas.protocol.keys import host_of
+from schemas.protocol.messages import Fail
 from schemas.terms import FailReason
-from schemas.wire import Fail
 
 _SHOWN_HOSTS = 10
 _BARRED_S = 5.0

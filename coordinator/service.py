@@ -29,8 +29,8 @@ from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Nearby, Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
+from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
-from schemas.wire import Progress
 
 _WAIT_S = 0.5
 _DEPARTURE_S = 3.0

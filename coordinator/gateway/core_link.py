@@ -15,7 +15,7 @@ from coordinator.protocol.ask import read_reply
 from coordinator.protocol.node import ZenohNode
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
-from schemas.keys import Verb, verb_key
+from schemas.protocol.keys import Verb, verb_key
 from schemas.support.log_limit import Repeated
 
 _ANY_RUN = "*"

@@ -21,9 +21,9 @@ from coordinator.transfer.puller import Checker
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
 from schemas.job import Job
-from schemas.keys import Verb
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack
 from schemas.storage.place import FilePlace, at_hand
-from schemas.wire import Ack
 
 _LAST = 2**31 - 1
 

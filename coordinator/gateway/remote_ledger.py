@@ -15,9 +15,9 @@ from coordinator.protocol.protocol import Pull
 from coordinator.protocol.relay import Archived, Hold, Inventory, InventoryReply, Refused
 from schemas.dataset import BundleReceipt
 from schemas.errors import UsageError
-from schemas.keys import Verb
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack, cut_detail
 from schemas.storage.disk import replacing
-from schemas.wire import Ack, cut_detail
 
 OWNER_FILE = "gateway.json"
 """Name of the file in the directory of a gateway."""

@@ -30,9 +30,9 @@ from coordinator.status.health import Snapshot
 from coordinator.transfer.puller import Checker, Pullers
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
-from schemas.keys import Chunk, Verb
+from schemas.protocol.keys import Chunk, Verb
+from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
-from schemas.wire import Lease
 
 _ORDERS_S = 0.25
 _SILENCE_S = 10.0

@@ -23,8 +23,8 @@ from coordinator.ledger.moves import (
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import OPEN_STATES, Event, JobState
 from coordinator.ledger.tables import events, jobs
-from schemas.keys import host_of
-from schemas.wire import Beat, Lease
+from schemas.protocol.keys import host_of
+from schemas.protocol.messages import Beat, Lease
 
 HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5

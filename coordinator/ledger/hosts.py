@@ -18,9 +18,11 @@ from coordinator.ledger.moves import JobRow, is_in
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, hosts, jobs, workers
-from schemas.keys import host_of
+from schemas.protocol.administration import AdminReply
+from schemas.protocol.keys import host_of
+from schemas.protocol.messages import Hello
+from schemas.protocol.status import HostStatus
 from schemas.terms import FailReason
-from schemas.wire import AdminReply, Hello, HostStatus
 
 STRIKES = 8
 """Strikes after which a host is barred; with the pauses between them this takes at least two minutes."""

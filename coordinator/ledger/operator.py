@@ -12,7 +12,7 @@ from sqlalchemy.engine import Connection
 from coordinator.ledger.moves import FREED, Transition
 from coordinator.ledger.states import Event, IllegalMove, JobState, next_state, sources
 from coordinator.ledger.tables import jobs
-from schemas.wire import AdminReply
+from schemas.protocol.administration import AdminReply
 
 _BATCH = 5000
 _AS_SEEN = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))

@@ -22,9 +22,9 @@ from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
 from schemas.dataset import BundleReceipt
-from schemas.keys import host_of
 from schemas.plan import Budget
-from schemas.wire import Done, Fail, Lease
+from schemas.protocol.keys import host_of
+from schemas.protocol.messages import Done, Fail, Lease
 
 Successor = Callable[[PlannedJob], PlannedJob]
 

@@ -26,8 +26,8 @@ from coordinator.ledger.tables import attempts, jobs
 from schemas.dataset import BundleReceipt, FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
+from schemas.protocol.messages import Done
 from schemas.terms import FailReason
-from schemas.wire import Done
 
 REPAIRER = "repair"
 """Value of the session id column for changes by a repair."""

@@ -23,17 +23,14 @@ from coordinator.ledger import claims, hosts, operator, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from schemas.base import Model
-from schemas.identity import is_host_name
 from schemas.job import Job
-from schemas.keys import Verb, sid_belongs_to
 from schemas.plan import Plan
-from schemas.scene import Target
-from schemas.wire import (
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.identity import is_host_name
+from schemas.protocol.keys import Verb, sid_belongs_to
+from schemas.protocol.messages import (
     MAX_MESSAGE_BYTES,
     Ack,
-    AdminAction,
-    AdminReply,
-    AdminRequest,
     Beat,
     BeatReply,
     Claim,
@@ -47,6 +44,7 @@ from schemas.wire import (
     Refusal,
     Trade,
 )
+from schemas.scene import Target
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10

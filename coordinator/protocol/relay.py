@@ -12,8 +12,9 @@ from pydantic import FailFast, Field
 from schemas.base import Bytes, Line, Model, Ordinal, Sha256, Text
 from schemas.dataset import EpisodeSummary
 from schemas.job import Job
+from schemas.protocol.administration import Hosts
+from schemas.protocol.messages import Detail, Lease, RouterId, SessionId, Version
 from schemas.scene import Target
-from schemas.wire import Detail, Hosts, Lease, RouterId, SessionId, Version
 
 MAX_FILES, MAX_LOST, MAX_ORDERS = 1000, 1000, 64
 """Maximum numbers of files per inventory, of lost episodes per reply and of orders per reply."""

@@ -39,9 +39,9 @@ from coordinator.protocol.relay import (
 )
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, file_name_of
-from schemas.keys import Verb
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack, Fail, Refusal, cut_detail
 from schemas.terms import FailReason
-from schemas.wire import Ack, Fail, Refusal, cut_detail
 
 Handler = Callable[[Connection, Any, str, Terms, datetime], Model]
 _OF_THE_JOB = (

@@ -25,10 +25,12 @@ from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, Joi
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
-from schemas.keys import Verb
+from schemas.protocol.administration import AdminAction, AdminRequest
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack, ClaimReply, Refusal
+from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
-from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 _HOST_SHARE = 8
 """Divisor of the total limits for the limits of one host, so that several busy hosts leave capacity for others."""

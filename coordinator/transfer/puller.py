@@ -23,11 +23,11 @@ from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
-from schemas.keys import Chunk, host_of
+from schemas.protocol.keys import Chunk, host_of
+from schemas.protocol.messages import Lease
 from schemas.scene import Target
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
-from schemas.wire import Lease
 
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""

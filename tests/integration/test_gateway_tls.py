@@ -22,9 +22,10 @@ from coordinator.settings import CoordinatorSettings
 from factory.keys import revoke
 from schemas.base import Model
 from schemas.errors import UsageError
-from schemas.identity import Role
-from schemas.keys import Verb, bundle_key, verb_key, verb_pattern
-from schemas.wire import Ack, AdminAction, AdminReply, AdminRequest, HelloReply
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.identity import Role
+from schemas.protocol.keys import Verb, bundle_key, verb_key, verb_pattern
+from schemas.protocol.messages import Ack, HelloReply
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until

@@ -34,8 +34,8 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.base import MAX_COUNT
 from schemas.dataset import EpisodeSummary, summary_of
-from schemas.keys import Verb
-from schemas.wire import Ack, Lease, Refusal
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until

@@ -10,8 +10,8 @@ from importlib.metadata import version
 
 import structlog
 
-from schemas.keys import Verb
-from schemas.wire import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, Trade
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, Trade
 from workers.client.host import Host
 from workers.client.spool import Spooled
 

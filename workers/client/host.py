@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from schemas.wire import Lease, LeaseProgress, Trade
+from schemas.protocol.messages import Lease, LeaseProgress, Trade
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings

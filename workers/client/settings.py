@@ -9,10 +9,10 @@ from pathlib import Path
 import platformdirs
 
 from schemas.errors import WorldError
-from schemas.identity import TlsFiles
+from schemas.protocol.identity import TlsFiles
+from schemas.protocol.messages import Trade
 from schemas.support.child import python_module
 from schemas.terms import RendererKind
-from schemas.wire import Trade
 
 _SPARE_BUNDLES = 8
 

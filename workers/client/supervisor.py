@@ -14,7 +14,7 @@ from enum import Enum
 import structlog
 
 from schemas.errors import WorldError
-from schemas.wire import HelloReply, Refusal, Trade
+from schemas.protocol.messages import HelloReply, Refusal, Trade
 from workers.client.heartbeat import Heartbeat, make_hello
 from workers.client.host import Backoff, Host, Phase, make_sid, tidy_host
 from workers.client.link import Link

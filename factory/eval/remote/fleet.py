@@ -37,7 +37,7 @@ from schemas.dataset import file_name_of
 from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
-from schemas.wire import EvalPayload
+from schemas.protocol.messages import EvalPayload
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)

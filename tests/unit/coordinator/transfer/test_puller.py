@@ -20,8 +20,8 @@ from coordinator.protocol.protocol import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.puller import Nearby, Pullers, nothing_nearby
 from schemas.errors import TransientError
-from schemas.keys import Chunk
-from schemas.wire import Lease
+from schemas.protocol.keys import Chunk
+from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for
 from tests.builders.wire_worker import until
 
