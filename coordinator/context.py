@@ -18,7 +18,7 @@ from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile, replace_unusable_ledger
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.checkpoint import is_checkpoint_owed
-from coordinator.transfer.puller import Judge
+from coordinator.transfer.contract import Judge
 from coordinator.validation.validator import Validator
 
 

@@ -11,7 +11,7 @@ from coordinator.expansion.evaluation import EvalJobs
 from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.puller import Judge, Nearby, nothing_nearby
+from coordinator.transfer.contract import Judge, Nearby, nothing_nearby
 from schemas.dataset_meta import GateOutcome
 from schemas.storage.object_path import ObjectPath
 

@@ -25,8 +25,9 @@ from coordinator.protocol.request_handler import RequestHandler
 from coordinator.protocol.router import Router
 from coordinator.status.health import HealthMonitor
 from coordinator.table_writer import TableWriter
+from coordinator.transfer.contract import Nearby
 from coordinator.transfer.local_ledger import LocalLedgerClient
-from coordinator.transfer.puller import Nearby, Pullers
+from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
 from schemas.protocol.status import Progress

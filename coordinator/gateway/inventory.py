@@ -17,7 +17,7 @@ import structlog
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.protocol.relay import MAX_FILES, MAX_LOST, Archived, Inventory, InventoryReply, Stray
-from coordinator.transfer.puller import Checker
+from coordinator.transfer.contract import Checker
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
 from schemas.job import Job

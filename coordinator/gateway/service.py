@@ -27,7 +27,8 @@ from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
 from coordinator.status.health import Snapshot
-from coordinator.transfer.puller import Checker, Pullers
+from coordinator.transfer.contract import Checker
+from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
 from schemas.protocol.keys import Chunk, Verb

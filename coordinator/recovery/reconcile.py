@@ -31,7 +31,7 @@ from coordinator.ledger.repair import current_job, record_whole
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import restore_failures, validated_files
-from coordinator.transfer.puller import Checker, Judge
+from coordinator.transfer.contract import Checker, Judge
 from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
 from schemas.storage.place import FilePlace, Place, at_hand

@@ -13,7 +13,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.gateway_episodes import recorded_files
 from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import validated_files
-from coordinator.transfer.puller import Checker
+from coordinator.transfer.contract import Checker
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import QUARANTINE
 from schemas.job import index_of_file
