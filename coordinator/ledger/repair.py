@@ -19,10 +19,10 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.moves import FREED, Transition
 from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, jobs
+from coordinator.ledger.transitions import FREED, Transition
 from schemas.dataset import BundleReceipt, FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
