@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
@@ -201,6 +202,7 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
 
 def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
     """The host delivers every other episode, so that it is not barred."""
+    counter.terms = replace(counter.terms, retry_after_s=1.0)
     begun, tries = counter.desk.now, 0
     while not tries or counter.counts()["failed"] == 0:
         reply = counter.claim("only")
