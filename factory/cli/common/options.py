@@ -16,6 +16,7 @@ from coordinator.expansion.file import shrink
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
+from schemas.rig.file import BUILTIN_RIGS
 from schemas.terms import ExpertName, Recording, RendererKind
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -37,6 +38,17 @@ def plan_argument(default: str | None) -> Callable[[Command], Command]:
 def _complete_plan(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
     names = [CompletionItem(name) for name in BUILTIN_PLANS if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
+
+
+def complete_rig(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Completes the names of built-in rigs, then files."""
+    names = [CompletionItem(name) for name in BUILTIN_RIGS if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
+
+
+def rig_option(text: str) -> Callable[[Command], Command]:
+    """Returns the option `--rig RIG`, a built-in rig or a TOML file."""
+    return click.option("--rig", metavar="RIG", shell_complete=complete_rig, help=text)
 
 
 plan_seed_option = click.option(
