@@ -103,7 +103,7 @@ class _FrameSource:
         feature = self._feature
         if self._reader is None or feature.camera is None:
             return getattr(self._episode, feature.output)(self._t)
-        return self._reader.images(feature.camera, self._t)[feature.output]
+        return self._reader.arrays(feature.camera, self._t)[feature.output]
 
 
 def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], layout: Layout) -> pa.Table:

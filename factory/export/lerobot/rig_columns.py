@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from factory.export.lerobot.layout import Layout
 from factory.export.rig.reader import SensorReader
 from schemas.rig import Lidar2d, Lidar3d
-from workers.sensors import ImuMeasurements, OdometryMeasurements
+from workers.sensors import ImuMeasurements
 
 
 def rig_columns(layout: Layout, reader: SensorReader, kept: Sequence[int]) -> dict[str, NDArray[np.float32]]:
@@ -36,16 +36,14 @@ def rig_columns(layout: Layout, reader: SensorReader, kept: Sequence[int]) -> di
 def _vectors(reader: SensorReader, name: str, kept: Sequence[int]) -> NDArray[np.float32]:
     """Returns (N, 6) angular velocity and specific force, or (N, 5) pose and twist of odometry."""
     motion = reader.motion[name]
-    match motion:
-        case ImuMeasurements():
-            parts = motion.angular_velocity, motion.specific_force
-        case OdometryMeasurements():
-            parts = motion.poses, motion.twists
-    measured: NDArray[np.float32] = np.concatenate(parts, axis=1).astype(np.float32)
-    return measured[np.asarray(kept) // reader.strides[name]]
+    if isinstance(motion, ImuMeasurements):
+        measured = np.concatenate((motion.angular_velocity, motion.specific_force), axis=1)
+    else:
+        measured = np.concatenate((motion.poses, motion.twists), axis=1).astype(np.float32)
+    return np.asarray(measured[np.asarray(kept) // reader.strides[name]])
 
 
 def _scans(reader: SensorReader, lidar: Lidar2d | Lidar3d, kept: Sequence[int]) -> NDArray[np.float32]:
     """Returns ranges (N, samples), or (N, lines, samples), metres; 0 without a return."""
-    ranges = np.stack([reader.scan(lidar, t).ranges for t in kept])
+    ranges = np.stack([reader.arrays(lidar, t)["ranges"] for t in kept])
     return ranges[:, 0] if isinstance(lidar, Lidar2d) else ranges

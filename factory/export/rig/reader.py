@@ -5,17 +5,17 @@ Every sensor measures at step 0, so that a latest measurement always exists. Enc
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.dataset.observation import CameraObservation
-from schemas.rig import Camera, CameraOutput, Lidar2d, Lidar3d, Rig
+from schemas.rig import Camera, Lidar2d, Lidar3d, Rig
 from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 
-Image = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+Array = NDArray[Any]
 Seen = CameraObservation | LidarScan
 Motion = ImuMeasurements | OdometryMeasurements
 
@@ -62,12 +62,21 @@ class SensorReader:
         assert isinstance(found, LidarScan)
         return found
 
-    def images(self, camera: Camera, t: int) -> dict[CameraOutput, Image]:
-        """Returns the latest images of a camera at or before step t, in the order of its outputs.
+    def arrays(self, sensor: Camera | Lidar2d | Lidar3d, t: int) -> dict[str, Array]:
+        """Returns the latest outputs of a camera, or `ranges` and `ids` of a lidar, at or before step t.
 
         The flow of the last image, which has no later one, is NaN.
         """
-        found = self.latest(camera.name, t)
-        assert isinstance(found, CameraObservation)
-        blank = np.full((camera.height, camera.width, 2), np.nan, np.float32)
-        return {output: blank if (image := getattr(found, output)) is None else image for output in camera.outputs}
+        found = self.latest(sensor.name, t)
+        if isinstance(found, LidarScan):
+            return {"ranges": found.ranges, "ids": found.ids}
+        assert isinstance(sensor, Camera)
+        blank = np.full((sensor.height, sensor.width, 2), np.nan, np.float32)
+        return {output: blank if (image := getattr(found, output)) is None else image for output in sensor.outputs}
+
+
+def arrays_of(motion: Motion) -> dict[str, Array]:
+    """Returns the measurements of an IMU or of odometry over an episode by name; each has N rows."""
+    if isinstance(motion, ImuMeasurements):
+        return {"angular_velocity": motion.angular_velocity, "specific_force": motion.specific_force}
+    return {"ticks": motion.ticks, "poses": motion.poses, "twists": motion.twists}
