@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("i
 
 def fields_of(types: Mapping[str, int]) -> list[tuple[str, int, int]]:
     """Returns name, offset in bytes and type number of each field of a point; `types` has the numbers of a profile."""
-    fields = POINT.fields or {}
+    fields: Mapping[str, Any] = POINT.fields or {}
     return [(name, fields[name][1], types[fields[name][0].str]) for name in POINT.names or ()]
 
 
