@@ -119,7 +119,7 @@ def ray_directions(lidar: Lidar2d | Lidar3d) -> Floats:
     azimuths = ray_azimuths(lidar)
     flat, up = cos(elevations)[:, None], sin(elevations)[:, None]
     x, y = flat * cos(azimuths), flat * sin(azimuths)
-    return np.stack((x, y, np.broadcast_to(up, x.shape)), axis=2)
+    return np.moveaxis(np.stack((x, y, np.broadcast_to(up, x.shape))), 0, 2)
 
 
 def ray_azimuths(lidar: Lidar2d | Lidar3d) -> Floats:
