@@ -139,10 +139,12 @@ def test_an_episode_without_a_rig_and_an_unknown_sensor_are_refused(recordings: 
         Dataset(recordings[Recording.STATES], rig=slow)
 
 
-def test_the_sheet_of_a_rig_has_a_row_for_each_camera(data: Dataset):
+def test_the_sheet_of_a_rig_has_a_row_for_each_camera_and_lidar(data: Dataset):
     with data[0].path.open("rb") as file:
         sheet = draw_rig_sheet(EpisodeBundle(file, data.root), RIG, columns=2)
-    assert sheet.size == (5 * 240, 3 * 20 + 160 + 240 + 120)
+    assert sheet.size == (6 * 240, 4 * 20 + 160 + 240 + 120 + 240)  # flow and normals of the first camera
+    scan = np.asarray(sheet)[-240:, :480].reshape(240, 2, 240, 3)
+    assert ((scan != 255).any(axis=(0, 2, 3))).all()
     assert len(np.unique(np.asarray(sheet.convert("L")))) > 20
 
 
@@ -156,6 +158,6 @@ def test_factory_show_draws_the_cameras_of_a_rig(recordings: dict[Recording, Pat
     out = tmp_path / "sheet.png"
     assert run.invoke(command, [root, "1", "--rig", "turtlebot4", "--columns", "2", "-o", str(out)]).exit_code == 0
     with Image.open(out) as sheet:
-        assert sheet.size == (4 * 240, 3 * (20 + 180))
+        assert sheet.size == (4 * 240, 3 * (20 + 180) + 20 + 240)
     with pytest.raises(UsageError, match=r"--rig draws a contact sheet: choose a file that ends in \.png"):
         run.invoke(command, [root, "1", "--rig", "paper", "-o", str(tmp_path / "film.mp4")])
