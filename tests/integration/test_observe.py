@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,7 +16,9 @@ from factory.dataset.reader import Dataset
 from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.errors import InvalidRig, UsageError
 from schemas.rig import (
+    Camera,
     CameraOutput,
+    DepthKind,
     EquirectangularCamera,
     FisheyeCamera,
     Imu,
@@ -27,6 +30,9 @@ from schemas.rig import (
 )
 from schemas.rig.noise import CameraNoise, ColourNoise, LidarNoise
 from schemas.terms import Recording
+from workers.geometry.camera import mounted_pose
+from workers.geometry.lens import pixel_centres, unproject
+from workers.geometry.pose import Pose
 
 pytestmark = pytest.mark.gl
 
@@ -89,6 +95,30 @@ def test_the_flow_leads_to_the_same_point_in_the_next_image(data: Dataset):
     there = places[inside].astype(int)
     assert inside.mean() > 0.5
     assert (second.ids[there[:, 1], there[:, 0]] == first.ids[inside]).mean() > 0.97
+
+
+@pytest.mark.parametrize("camera", [FRONT, EYE, AROUND], ids=["pinhole", "fisheye", "panorama"])
+def test_a_depth_image_warped_by_the_flow_has_the_distances_of_the_earlier_surfaces(
+    recordings: dict[Recording, Path], camera: Camera
+):
+    """OpenCV reads the later image where the flow leads; the surface there has the distance that geometry gives."""
+    outputs = (CameraOutput.DEPTH, CameraOutput.FLOW, CameraOutput.IDS)
+    size = {"width": 4 * camera.width, "height": 4 * camera.height}
+    lens = camera.model_copy(update={"rate_hz": 10.0, "outputs": outputs, "depth": DepthKind.RADIAL, **size})
+    episode = Dataset(recordings[Recording.STATES], rig=Rig(name="flow", sensors=(lens,)))[0]
+    first, later = (camera_of(episode.observe(t)[lens.name]) for t in (30, 36))
+    assert first.flow is not None
+    now, then = (mounted_pose(Pose.of(episode.poses[t]), MOUNT) for t in (30, 36))
+    points = now.eye + (unproject(lens, pixel_centres(lens)) * first.depth[..., None]) @ now.rotation.T
+    expected = np.linalg.norm(points - then.eye, axis=-1)
+    rows, columns = np.mgrid[: lens.height, : lens.width].astype(np.float32)
+    places = columns + first.flow[..., 0], rows + first.flow[..., 1]
+    warped, ids = (cv2.remap(image, *places, cv2.INTER_NEAREST) for image in (later.depth, later.ids))
+    seen = (first.depth > 0) & (ids == first.ids) & (warped > 0)
+    assert seen.mean() > 0.3
+    assert np.median(np.abs(warped - expected)[seen] / expected[seen]) < 0.005
+    assert (np.abs(warped - expected)[seen] < 0.05 * expected[seen]).mean() > 0.95
+    assert np.median(np.abs(first.depth - expected)[seen]) > 0.03  # the robot has moved
 
 
 def test_the_last_image_has_no_flow(data: Dataset):
