@@ -20,7 +20,7 @@ from schemas.rig import Camera, Rig, Sensor, WheelOdometry
 _RESERVED = ("world", "map", "odom", "base_link")
 
 
-class Link(NamedTuple):
+class FrameLink(NamedTuple):
     """Constant transform between two frames."""
 
     parent: str
@@ -36,15 +36,15 @@ def frame_of(sensor: Sensor) -> str:
     return f"{sensor.name}_optical_frame" if isinstance(sensor, Camera) else f"{sensor.name}_link"
 
 
-def links_of(rig: Rig, base: str) -> Iterator[Link]:
+def links_of(rig: Rig, base: str) -> Iterator[FrameLink]:
     """Yields the transforms from `base` to every frame of the rig, except those of odometry."""
     for sensor in rig.sensors:
         if isinstance(sensor, WheelOdometry):
             continue
         link = f"{sensor.name}_link"
-        yield Link(base, link, mount_row(sensor.mount))
+        yield FrameLink(base, link, mount_row(sensor.mount))
         if isinstance(sensor, Camera):
-            yield Link(link, frame_of(sensor), (0.0, 0.0, 0.0, *OPTICAL_QUATERNION))
+            yield FrameLink(link, frame_of(sensor), (0.0, 0.0, 0.0, *OPTICAL_QUATERNION))
 
 
 def planar_row(pose: NDArray[np.float64]) -> tuple[float, ...]:
@@ -53,11 +53,11 @@ def planar_row(pose: NDArray[np.float64]) -> tuple[float, ...]:
     return (x, y, 0.0, math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
 
 
-def odometry_links(rig: Rig, world: str, start: tuple[float, ...]) -> Iterator[Link]:
+def odometry_links(rig: Rig, world: str, start: tuple[float, ...]) -> Iterator[FrameLink]:
     """Yields the transform from the world to the frame of each odometry: the pose of base_link at the start."""
     for sensor in rig.sensors:
         if isinstance(sensor, WheelOdometry):
-            yield Link(world, frame_of(sensor), start)
+            yield FrameLink(world, frame_of(sensor), start)
 
 
 def require_different_frames(rig: Rig) -> None:
