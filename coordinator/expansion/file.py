@@ -49,11 +49,11 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
     task = data.setdefault("task", {})
     if isinstance(task, dict):
         task.setdefault("success", success)
-    rig = data.pop("rig", None)
-    if not isinstance(rig, str):
-        return parse_plan(data | ({} if rig is None else {"rig": rig}), str(path), base=path.parent)
-    file = rig if rig in BUILTIN_RIGS else str(path.parent / rig)
-    return with_rig(parse_plan(data, str(path), base=path.parent), load_rig(file, control_hz=None))
+    named = data.pop("rig") if isinstance(data.get("rig"), str) else None
+    plan = parse_plan(data, str(path), base=path.parent)
+    if named is None:
+        return with_rig(plan, plan.rig)
+    return with_rig(plan, load_rig(named if named in BUILTIN_RIGS else str(path.parent / named), control_hz=None))
 
 
 def _absent_message(reference: str, path: Path) -> str:

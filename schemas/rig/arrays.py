@@ -40,7 +40,7 @@ def measured_steps(sensor: Sensor, length: int, control_hz: int) -> range:
     return range(0, length, sensor.stride(control_hz))
 
 
-def arrays_at(sensor: Camera | Lidar2d | Lidar3d, t: int, length: int, control_hz: int) -> dict[str, ArraySpec]:
+def arrays_at(sensor: Sensor, t: int, length: int, control_hz: int) -> dict[str, ArraySpec]:
     """Returns the specs of the arrays that a camera or lidar gives at step t; the last image has no optical flow."""
     is_last = t + sensor.stride(control_hz) >= length
     specs = arrays_of(sensor)
