@@ -22,8 +22,8 @@ from schemas.storage.place import Place
 from schemas.terms import Recording
 
 DATASET_FORMAT = 2
-"""Newest version of the dataset directory: 2 has a rig in its plan, 1 has none. A reader opens its own version and older
-ones, and rejects newer ones."""
+"""Newest version of the dataset directory: 2 has a rig in its plan, 1 has none. A reader opens its own version and
+older ones, and rejects newer ones."""
 _FORMAT_WITHOUT_RIG = 1
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")

@@ -1,4 +1,4 @@
-"""Prepares a run that renders a states dataset, with a rig or without: its frames plan, scenes and failed attempts, and the recorded states.
+"""Prepares a run that renders a states dataset: frames plan, rig, scenes and failed attempts, and the recorded states.
 
 The run uses the ledger, workers and validation of any run. A worker that gets the recorded states of its job renders
 them; an episode without usable states is simulated, which gives the same content.

@@ -1,0 +1,59 @@
+"""A small rig with noise, and a dataset that stores its measurements."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+SMALL_RIG = """
+name = "small"
+
+[[sensors]]
+name = "front"
+model = "pinhole"
+rate_hz = 20
+width = 96
+height = 64
+fov_deg = 90
+outputs = ["rgb", "depth", "ids", "normals", "flow"]
+mount = { x_m = 0.2, z_m = 0.5 }
+noise = { colour = {}, depth = { model = "stereo" } }
+
+[[sensors]]
+name = "scan"
+model = "lidar2d"
+rate_hz = 10
+samples = 90
+range_min_m = 0.1
+range_max_m = 20
+mount = { x_m = 0.2, z_m = 0.5 }
+noise = {}
+
+[[sensors]]
+name = "imu"
+model = "imu"
+rate_hz = 30
+mount = { x_m = 0.2, z_m = 0.5 }
+noise = {}
+
+[[sensors]]
+name = "wheels"
+model = "odometry"
+noise = {}
+"""
+"""File of a rig with a sensor of each kind; its drives take seconds to render."""
+
+
+def write_rig(folder: Path) -> Path:
+    """Writes the rig to a folder and returns its path."""
+    path = folder / "small.toml"
+    path.write_text(SMALL_RIG)
+    return path
+
+
+def render_rigged(root: Path, states: Path) -> None:
+    """Renders a states dataset with the small rig into `root`, with one worker. Needs an EGL driver."""
+    rig = write_rig(root.parent)
+    words = ("render", states, "--rig", rig, "-o", root, "--workers", 1, "--renderer", "gl")
+    subprocess.run([sys.executable, "-m", "factory", *map(str, words)], check=True, capture_output=True)
