@@ -21,3 +21,7 @@ class ViewSettings(Model):
 
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors whose measurements are stored beside the recorded camera; null for none."""
+
+    def describe(self) -> str:
+        """Returns the settings in a few words."""
+        return "the recorded camera" if self.rig is None else f"rig {self.rig.name} ({self.rig.digest[:12]})"

@@ -35,8 +35,8 @@ from workers.client.stopping import stop_on_signals
 @place_argument
 @out_option
 @rig_option(
-    "Store the sensors of a rig, too: a built-in name or a TOML file; `paper` stores no further sensor. Repeatable: each "
-    "rig gets a dataset, --out/NAME. Default: the rig of the plan.",
+    "Sensors to store: a built-in rig or a TOML file; `paper` is the recorded camera, which is always stored. With "
+    "several, the dataset of each is OUT/NAME. Default: the plan's rig.",
     multiple=True,
 )
 @workers_option("Number of rendering processes")
