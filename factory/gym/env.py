@@ -51,8 +51,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     `instruction`, in the form given by the argument of that name; and, if `with_pose` is set, `pose`: x, y in metres
     and yaw in radians in the frame of the start pose.
 
-    With `rig`, the latest measurement of each of its sensors replaces `rgb` and `depth`, with the key `SENSOR/ARRAY`, such
-    as `front/rgb` or `scan/ranges` (docs/rigs.md#policies).
+    With `rig`, the latest measurement of each of its sensors replaces `rgb` and `depth`, with the key `SENSOR/ARRAY`,
+    such as `front/rgb` or `scan/ranges` (docs/rigs.md#policies).
 
     Actions: `(v, w)` in m/s and rad/s; with `actions="scaled"`, both divided by their limits, in [0, 1] x [-1, 1], the
     range that learning libraries expect; with `actions="tokens"`, two tokens 0..6. The reward is the decrease of the

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+
+from schemas.rig import Rig
 
 SMALL_RIG = """
 name = "small"
@@ -50,6 +53,15 @@ def write_rig(folder: Path) -> Path:
     path = folder / "small.toml"
     path.write_text(SMALL_RIG)
     return path
+
+
+def small_rig(*, has_noise: bool = True) -> Rig:
+    """Returns the rig without optical flow, so that it can be measured during a drive."""
+    data = tomllib.loads(SMALL_RIG)
+    data["sensors"][0]["outputs"].remove("flow")
+    for sensor in data["sensors"]:
+        sensor["noise"] = sensor["noise"] if has_noise else None
+    return Rig.model_validate(data)
 
 
 def render_rigged(root: Path, states: Path) -> None:

@@ -69,14 +69,16 @@ class RigSensors:
         self._latest: dict[str, tuple[int, dict[str, NDArray[Any]]]] = {}
 
     def measure(self) -> SensorArrays:
-        """Returns the latest measurement of each sensor; a sensor with a low rate keeps it until the next one."""
+        """Returns copies of the latest measurement of each sensor; a sensor with a low rate keeps it until the next."""
         hz, now = self._simulator.settings.task.control_hz, len(self._simulator.track) - 1
         for sensor in self._rig.sensors:
             stride = sensor.stride(hz)
             t = now // stride * stride
             if self._latest.get(sensor.name, (-1, {}))[0] != t:
                 self._latest[sensor.name] = t, self._measured(sensor, t, t // stride)
-        return {name: arrays for name, (_, arrays) in self._latest.items()}
+        return {
+            name: {key: array.copy() for key, array in arrays.items()} for name, (_, arrays) in self._latest.items()
+        }
 
     def _measured(self, sensor: Sensor, t: int, row: int) -> dict[str, NDArray[Any]]:
         track = self._simulator.trajectory()
