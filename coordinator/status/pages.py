@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from coordinator.meters import Meter
 from coordinator.status.health import Snapshot, StatusSource
 from coordinator.validation.sandbox import RLIMITS, SECCOMP
+from schemas.protocol.status import Progress
 from schemas.support.extras import missing_package
-from schemas.wire import Progress
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric

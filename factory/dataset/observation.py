@@ -14,9 +14,9 @@ from workers.sensors.observation import CameraObservation, Trajectory
 
 
 def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -> CameraObservation | LidarScan:
-    """Returns the images of a camera, or the scan of a lidar, at a step of an episode at which it measures.
+    """Returns the images of a camera, or the scan of a lidar, at step t of an episode.
 
-    They are read if the episode stores this sensor, otherwise rendered; the bytes are equal.
+    They are read if the episode stores them, otherwise rendered; the bytes are equal.
 
     Raises:
         InvalidBundle: a stored array is damaged.
@@ -24,14 +24,14 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
         UsageError: a package that the sensor needs is not installed.
         WorldError: this machine cannot render.
     """
-    if not is_stored(bundle, sensor):
+    if not is_stored(bundle, sensor) or t % sensor.stride(bundle.control_hz):
         return sensing.observe(sensor, t, trajectory_of(bundle), bundle)
     arrays = bundle.measurement(sensor, t)
     return LidarScan(**arrays) if isinstance(sensor, Lidar2d | Lidar3d) else CameraObservation(**arrays)
 
 
 def observe_camera(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraObservation:
-    """Returns the outputs of a camera at a step of an episode at which it measures; see `observe`."""
+    """Returns the outputs of a camera at step t of an episode; see `observe`."""
     return cast(CameraObservation, observe(bundle, camera, t))
 
 

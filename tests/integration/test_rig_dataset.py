@@ -13,6 +13,7 @@ from factory.cli.main import cli
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.runs.render import prepare_rendering
+from factory.runs.replay import replay_episode
 from factory.verify.dataset import verify
 from schemas.dataset_files import META_FILE
 from schemas.dataset_meta import DATASET_FORMAT, described_by
@@ -65,6 +66,11 @@ def test_a_dataset_with_a_rig_is_valid_and_has_the_frames_and_states_of_the_othe
         assert ours.meta.frame_digests == frames.meta.frame_digests
         assert ours.states_digest == frames.states_digest == states.states_digest
         assert ours.summary.content_digest != frames.summary.content_digest
+
+
+def test_a_simulation_of_the_job_measures_the_same(rigged: Path) -> None:
+    episode = Dataset(rigged)[0]
+    assert replay_episode(rigged, episode.path, "gl", lambda _step, _steps: None).is_identical
 
 
 def test_rig_and_its_digest_are_described(rigged: Path) -> None:

@@ -17,21 +17,10 @@ from coordinator.ledger.tables import hosts as hosts_table
 from coordinator.ledger.tables import jobs
 from coordinator.protocol.protocol import ParsedRequest, Terms, parse, serve
 from schemas.base import Model
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.messages import Ack, Beat, Claim, ClaimReply, Done, Fail, Hello, Lease
+from schemas.protocol.status import HostStatus
 from schemas.terms import FailReason
-from schemas.wire import (
-    Ack,
-    AdminAction,
-    AdminReply,
-    AdminRequest,
-    Beat,
-    Claim,
-    ClaimReply,
-    Done,
-    Fail,
-    Hello,
-    HostStatus,
-    Lease,
-)
 from tests.builders.ledger import TTL_S, Desk, room_plan
 
 HARM = [reason for reason in FailReason if reason.is_of_the_worker]
