@@ -1,8 +1,8 @@
 """Records the workers of a run, and failures of hosts: strikes, pauses and bars. Does not change jobs.
 
-A host with a strike gets one job at a time until it delivers an episode. A failure is attributed to the job only if it
-failed on as many hosts as its crash budget, on all available hosts, or for a long time on the only host. Until then it
-is attributed to the host.
+A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
+to the job only if it failed on as many hosts as its crash budget, on all available hosts, or for a long time on the
+only host. Until then it is attributed to the host.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def record_whole(
     row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
-    return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger moved meanwhile"
+    return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger changed during the repair"
 
 
 def record_failures(

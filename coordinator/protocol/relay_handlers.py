@@ -172,7 +172,7 @@ def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator
         if row is None:
             yield UnrecordedFile(index=index, why="the plan has no such episode")
         elif row.state not in OPEN_STATES:
-            yield UnrecordedFile(index=index, why=f"the ledger expects no file of it (its job is {row.state})")
+            yield UnrecordedFile(index=index, why=f"no file is expected for this episode (its job is {row.state})")
         else:
             job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
             target = terms.catalog[job.scene].info.target(job.target_id)
