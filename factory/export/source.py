@@ -30,8 +30,13 @@ _IDENTITY = (
 
 
 def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
-    """Opens a dataset whose description is that of a frames recording; raises the errors of `Dataset`."""
+    """Opens a dataset whose description is that of a frames recording; raises the errors of `Dataset`.
+
+    Without a rig, the recorded camera is exported, also of a dataset whose episodes store a rig.
+    """
     dataset = Dataset(root, rig)
+    if rig is None:
+        dataset.rig = None
     dataset.meta = described_as_frames(dataset.meta)
     return dataset
 

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import CameraObservation
 from factory.dataset.reader import Dataset
 from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.errors import InvalidRig, UsageError
@@ -33,6 +32,7 @@ from schemas.terms import Recording
 from workers.geometry.camera import mounted_pose
 from workers.geometry.lens import pixel_centres, unproject
 from workers.geometry.pose import Pose
+from workers.sensors import CameraObservation
 
 pytestmark = pytest.mark.gl
 

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.dataset.observation import CameraObservation
 from schemas.rig import Camera, Lidar2d, Lidar3d, Rig
-from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
+from workers.sensors import CameraObservation, ImuMeasurements, LidarScan, OdometryMeasurements
 
 Array = NDArray[Any]
 Seen = CameraObservation | LidarScan
