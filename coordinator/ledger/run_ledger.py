@@ -13,8 +13,8 @@ from coordinator.ledger.reading.reader import Connection, translate_damage
 from coordinator.ledger.seal import write_seal
 from coordinator.ledger.writer import Writer
 from schemas.errors import WorldError
+from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
-from schemas.wire import Progress
 
 RESTART_REMEDY = "start again: the ledger is rebuilt from the episodes"
 
