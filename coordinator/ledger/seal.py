@@ -35,9 +35,9 @@ def is_sealed(url: str) -> bool:
 
 def _whole_file(url: str) -> Iterator[Path]:
     """Yields the database file, if it exists and has no log with content."""
-    *others, file = sqlite_files(url) or [None]
-    if file is not None and not any(path.name.endswith("-wal") and path.stat().st_size for path in others if path):
-        yield file
+    files = sqlite_files(url)
+    if files and not any(path.name.endswith("-wal") and path.stat().st_size for path in files):
+        yield files[-1]
 
 
 def _digest(file: Path) -> str:

@@ -26,7 +26,7 @@ from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.render import PartialRenderer, Renderer
+from workers.render import Renderer, as_partial
 from workers.sim.frames import add_frames, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
@@ -117,8 +117,9 @@ def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> b
     bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
     if view.within_rad is not None and abs(bearing_rad) > view.within_rad:
         return False
-    if isinstance(renderer, PartialRenderer):
-        is_shown = target_in_view(renderer.render_instance(pose, own)[1].ids, own, least)
+    parts = as_partial(renderer)
+    if parts is not None:
+        is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
         is_wanted = is_shown or not view.shows_target
         if not (is_wanted and (view.rivals if is_shown else view.alike)):
             return is_wanted
