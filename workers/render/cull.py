@@ -55,7 +55,7 @@ class PartBounds:
         if not len(chosen):
             return np.empty((0, 3))
         centre, half = self.centre[chosen], self.half[chosen]
-        return np.where(_IS_HIGH, (centre + half).max(axis=0), (centre - half).min(axis=0))
+        return np.asarray(np.where(_IS_HIGH, (centre + half).max(axis=0), (centre - half).min(axis=0)))
 
     @functools.cached_property
     def facts(self) -> NDArray[np.float64]:
