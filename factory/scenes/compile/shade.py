@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.compile.colour import dominant_name, linear_of, srgb_of
+from schemas.appearance.colour_names import dominant_name, linear_of, srgb_of
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
