@@ -8,6 +8,7 @@ import numpy as np
 
 from factory.dataset.bundle import EpisodeBundle
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
+from workers.appearance import changed_camera
 from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 from workers.sensors import observation as sensing
 from workers.sensors.observation import CameraObservation, Trajectory
@@ -25,7 +26,9 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
         WorldError: this machine cannot render.
     """
     if not is_stored(bundle, sensor):
-        return sensing.observe(sensor, t, trajectory_of(bundle), bundle)
+        drawn, is_scan = bundle.appearance, isinstance(sensor, Lidar2d | Lidar3d)
+        seen = sensor if is_scan or drawn is None else changed_camera(sensor, drawn.camera)
+        return sensing.observe(seen, t, trajectory_of(bundle), bundle)
     arrays = bundle.measurement(sensor, t)
     return LidarScan(**arrays) if isinstance(sensor, Lidar2d | Lidar3d) else CameraObservation(**arrays)
 

@@ -13,8 +13,15 @@ from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml
 
 _FOLDER = Path(__file__).parent / "builtin"
-BUILTIN_APPEARANCES = ("varied", "light", "materials", "camera", "clutter")
+BUILTIN_APPEARANCES = ("varied", "full", "light", "materials", "camera", "clutter")
 """Names of the built-in appearances; each is a file in `schemas/appearance/builtin`."""
+NO_APPEARANCE = "none"
+"""Name that shows scenes as they were compiled."""
+
+
+def find_appearance(reference: str) -> Appearance | None:
+    """Returns an appearance as `load_appearance`, or `None` for `none`."""
+    return None if reference == NO_APPEARANCE else load_appearance(reference)
 
 
 def load_appearance(reference: str) -> Appearance:

@@ -5,7 +5,7 @@ Draws no values; `workers.appearance` does.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -36,7 +36,7 @@ WallSet = Literal["paint", "brick", "concrete", "panels", "tiles"]
 """Materials of walls."""
 FloorSet = Literal["wood", "tiles", "carpet", "concrete", "linoleum"]
 """Materials of floors."""
-ClutterKind = Literal["ball", "bottle", "box", "books", "cone", "bag"]
+ClutterKind = Literal["ball", "bottle", "box", "books", "cone"]
 """Kinds of small objects; none of them is a category of the task."""
 
 
@@ -98,7 +98,7 @@ class ClutterRanges(Model):
     """Number of objects; fewer are placed where no room is found."""
     size_m: Annotated[tuple[_Side, _Side], AfterValidator(_ordered)] = (0.08, 0.3)
     """Largest side of an object, metres."""
-    kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1)] = ("ball", "bottle", "box", "books", "cone", "bag")
+    kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1)] = ("ball", "bottle", "box", "books", "cone")
     """Kinds of the objects."""
     clearance_m: NonNegative = 0.15
     """Least distance from the footprint of the robot at every pose of the episode, metres."""
@@ -119,3 +119,13 @@ class Appearance(Model):
     """Ranges of the camera."""
     clutter: ClutterRanges | None = None
     """Ranges of the clutter."""
+
+    @property
+    def changes_scenes(self) -> bool:
+        """Whether each episode has its own scene: anything but the pose and lens of the camera is varied."""
+        exposes = self.camera is not None and self.camera.exposure_stops != (0.0, 0.0)
+        return exposes or any((self.light, self.materials, self.clutter))
+
+    def plain(self) -> dict[str, Any]:
+        """Returns the ranges as JSON values, without those that equal their default."""
+        return self.model_dump(mode="json", exclude_unset=False, exclude_defaults=True)

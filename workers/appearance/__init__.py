@@ -3,9 +3,11 @@
 from workers.appearance.cameras import changed_camera, recorded_camera
 from workers.appearance.draw import AppearanceScene, draw_appearance
 from workers.appearance.dress import clutter_instances, dress_scene
+from workers.appearance.shifted import ShiftedRenderer
 
 __all__ = [
     "AppearanceScene",
+    "ShiftedRenderer",
     "changed_camera",
     "clutter_instances",
     "draw_appearance",

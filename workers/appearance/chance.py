@@ -1,4 +1,4 @@
-"""Random numbers of the appearance, as a function of seed, episode and factor. Draws nothing from a global generator."""
+"""Random numbers of the appearance, as a function of seed, episode and factor."""
 
 from __future__ import annotations
 

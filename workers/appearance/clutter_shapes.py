@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from schemas.support.numpy_types import Floats
 
 _SIDES = 20
 _LIGHT = np.array((0.30, -0.22, 0.93))
-RADII = MappingProxyType({"ball": 0.5, "bottle": 0.17, "box": 0.62, "books": 0.66, "cone": 0.36, "bag": 0.42})
+RADII = MappingProxyType({"ball": 0.5, "bottle": 0.17, "box": 0.62, "books": 0.66, "cone": 0.36})
 """Radius of the circle on the floor that contains an object, by kind, share of its largest side."""
 SHADOW_RINGS = ((0.0, 0.92, 0.5), (0.92, 1.06, 0.62), (1.06, 1.22, 0.76), (1.22, 1.42, 0.89))
 """Inner and outer radius, in radii of the object, and the share of light, of the rings of its shadow."""
@@ -78,7 +79,7 @@ def _turned(profile: tuple[tuple[float, float], ...]) -> Floats:
     ring = np.array([(math.cos(angle), math.sin(angle)) for angle in angles])
     levels = [np.column_stack((ring * radius, np.full(_SIDES, height))) for radius, height in profile]
     found = []
-    for low, high in zip(levels, levels[1:], strict=False):
+    for low, high in pairwise(levels):
         for k in range(_SIDES):
             j = (k + 1) % _SIDES
             found += [(low[k], low[j], high[j]), (low[k], high[j], high[k])]
@@ -123,11 +124,4 @@ def _cone() -> Shape:
     return _joined(_shaded(plate, (0.4, 0.4, 0.4)), _shaded(lower), _shaded(band, (1.7, 1.7, 1.7)), _shaded(top))
 
 
-def _bag() -> Shape:
-    profile = ((0, 0), (0.33, 0), (0.38, 0.06), (0.37, 0.4), (0.3, 0.66), (0.16, 0.8), (0.0, 0.84))
-    body = _turned(profile) * (1.0, 0.62, 1.0)
-    handle = _box((0.2, 0.05, 0.16), 0.82)
-    return _joined(_shaded(body), _shaded(handle, (0.5, 0.5, 0.5)))
-
-
-_SHAPES = {"ball": _ball, "bottle": _bottle, "box": _carton, "books": _books, "cone": _cone, "bag": _bag}
+_SHAPES = {"ball": _ball, "bottle": _bottle, "box": _carton, "books": _books, "cone": _cone}

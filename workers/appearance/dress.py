@@ -11,12 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.appearance import ClutterObject, DrawnAppearance, SurfaceChange
 from schemas.appearance.light_groups import LightGroups
 from schemas.errors import WorldError
-from schemas.scene import MAX_INSTANCES, CompiledScene, Instance, SceneInfo
+from schemas.scene import MAX_INSTANCES, MAX_TEXTURES, CompiledScene, Instance, SceneInfo
 from schemas.support.numpy_types import Floats
 from workers.appearance.clutter_shapes import RADII, SHADOW_RINGS, shape_of
 from workers.appearance.floor import FloorTriangle, FloorUnder
@@ -124,11 +123,14 @@ def _repaint(scene: CompiledScene, changes: tuple[SurfaceChange, ...]) -> Compil
             number = chosen[np.argmax(layer_of[chosen])]
             layers[part] = layer_of[number]
             uvs[first : first + count] = planar_uvs(scene.positions[first : first + count], float(tile_of[number]))
-    return replace(scene, colours=colours, uvs=uvs, part_texture=layers, textures=_with_patterns(scene, patterns))
-
-
-def _with_patterns(scene: CompiledScene, patterns: list[str]) -> NDArray[np.uint8]:
-    return np.concatenate((scene.textures, *(draw_pattern(name)[None] for name in patterns)))
+    textures = np.concatenate((scene.textures, *(draw_pattern(name)[None] for name in patterns)))
+    if len(textures) > MAX_TEXTURES:
+        raise WorldError(
+            f"scene {scene.info.name} has {len(scene.textures)} of {MAX_TEXTURES} textures, so that {len(patterns)} of "
+            "walls and floors cannot be added: set materials.walls and materials.floors to []"
+        )
+    info = scene.info.model_copy(update={"texture_count": len(textures)})
+    return replace(scene, info=info, colours=colours, uvs=uvs, part_texture=layers, textures=textures)
 
 
 def _with_clutter(scene: CompiledScene, clutter: tuple[ClutterObject, ...]) -> CompiledScene:

@@ -76,7 +76,8 @@ def gain_of(light: LampLight, neutral_k: float) -> Rgb:
 def _planckian(kelvin: float) -> Rgb:
     """Returns linear sRGB of luminance 1 of a black body, limited to the gamut.
 
-    Source: B. Kim et al., "Design of advanced color temperature control system for HDTV applications", JKPS 41(6), 2002.
+    Source: B. Kim et al., "Design of advanced color temperature control system for HDTV applications", Journal of the
+    Korean Physical Society 41(6), 2002.
     """
     t = 1e3 / min(max(kelvin, 1667.0), 25_000.0)
     x = ((-0.2661239 * t - 0.2343589) * t + 0.8776956) * t + 0.179910

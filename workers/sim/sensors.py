@@ -9,11 +9,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from schemas.appearance import CameraChange
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.encoding.measurements import measurements_of
 from schemas.job import Job
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from schemas.support.extras import require_package
+from workers.appearance import changed_camera
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer
 from workers.sensors.lidar import RayCaster
@@ -49,6 +51,7 @@ def add_measurements(
     job: Job,
     arrays: EpisodeArrays,
     on_measurement: Callable[[], None],
+    change: CameraChange | None = None,
 ) -> None:
     """Measures and stores all sensors of a job's rig; does nothing without a rig.
 
@@ -58,6 +61,7 @@ def add_measurements(
         job: gives rig, control rate and seed.
         arrays: arrays of the episode.
         on_measurement: called after each measurement.
+        change: change of the cameras.
 
     Raises:
         UsageError: the renderer has no normals, which a camera needs, or embreex is not installed, which a lidar needs.
@@ -74,6 +78,7 @@ def add_measurements(
                 found = measure(sensor, track)
             else:
                 assert t is not None, "only a sensor of motion has no step"
-                found = observe(sensor, t, track, scene)
+                is_scan = isinstance(sensor, Lidar2d | Lidar3d)
+                found = observe(sensor if is_scan else changed_camera(sensor, change), t, track, scene)
             writer.add_measurement(sensor, t, arrays_in(found))
             on_measurement()
