@@ -8,7 +8,7 @@ import numpy as np
 
 from factory.dataset.bundle import EpisodeBundle
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
-from workers.appearance import changed_camera
+from workers.appearance import changed_sensor
 from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 from workers.sensors import observation as sensing
 from workers.sensors.observation import CameraObservation, Trajectory
@@ -26,9 +26,8 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
         WorldError: this machine cannot render.
     """
     if not is_stored(bundle, sensor):
-        drawn, is_scan = bundle.appearance, isinstance(sensor, Lidar2d | Lidar3d)
-        seen = sensor if is_scan or drawn is None else changed_camera(sensor, drawn.camera)
-        return sensing.observe(seen, t, trajectory_of(bundle), bundle)
+        change = None if bundle.appearance is None else bundle.appearance.camera
+        return sensing.observe(changed_sensor(sensor, change), t, trajectory_of(bundle), bundle)
     arrays = bundle.measurement(sensor, t)
     return LidarScan(**arrays) if isinstance(sensor, Lidar2d | Lidar3d) else CameraObservation(**arrays)
 

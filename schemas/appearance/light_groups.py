@@ -87,6 +87,6 @@ def decode_light_groups(file: BinaryIO) -> LightGroups:
         raise InvalidBundle("light groups refused", [f"format {info.format}, this software reads {LIGHT_FORMAT}"])
     shape = (len(info.groups) + 1, None, None)
     shares = decode_npy_zst("shares", reader.read("shares.npy.zst"), np.uint8, shape, _MAX_BYTES)
-    if shares.size and (shares.sum(axis=0, dtype=np.uint32) != 255).any():  # type: ignore[call-overload]
+    if shares.size and (shares.sum(axis=0, dtype=np.uint32) != 255).any():
         raise InvalidBundle("light groups refused", ["the shares of a texel do not add up to 255"])
     return LightGroups(info, np.asarray(shares, np.uint8))

@@ -9,9 +9,10 @@ from pydantic import ValidationError
 from schemas.appearance import CameraChange, CameraRanges
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
-from schemas.rig import Camera, FisheyeCamera, Mount, PinholeCamera
+from schemas.rig import Camera, FisheyeCamera, Lidar2d, Lidar3d, Mount, PinholeCamera
 from workers.appearance.chance import Chance
 
+Scan = Lidar2d | Lidar3d
 _LEAST_HEIGHT_M = 0.02
 
 
@@ -54,6 +55,11 @@ def changed_camera(camera: Camera, change: CameraChange | None) -> Camera:
             f"camera {camera.name!r} with a focal length of {change.focal:g} times its own: {found}. "
             "Give a smaller range camera.focal in the appearance"
         ) from error
+
+
+def changed_sensor(sensor: Camera | Scan, change: CameraChange | None) -> Camera | Scan:
+    """Returns a camera as `changed_camera`, and a lidar as it is."""
+    return sensor if isinstance(sensor, Lidar2d | Lidar3d) else changed_camera(sensor, change)
 
 
 def _lens(camera: Camera, focal: float) -> dict[str, float]:

@@ -74,9 +74,9 @@ def _relight(scene: CompiledScene, light: LightGroups | None, drawn: DrawnAppear
         raise WorldError(f"{found} of scene {scene.info.name}, the appearance has {len(drawn.light.lamps)}")
     red, green, blue = gain_of(drawn.light.sky, SKY_K)
     info = _with_sky(scene.info, (red * 2**stops, green * 2**stops, blue * 2**stops))
-    if not scene.light_map.size:
-        return replace(scene, info=info)
-    return replace(scene, info=info, light_map=mix_light(scene.light_map, light.shares, drawn.light, stops))
+    lit = _with_light_map(scene)
+    shares = light.shares if scene.light_map.size else np.full((1, 1, 1), _FULL, np.uint8)
+    return replace(lit, info=info, light_map=mix_light(lit.light_map, shares, drawn.light, stops))
 
 
 def _with_sky(info: SceneInfo, gain: Rgb) -> SceneInfo:

@@ -15,7 +15,7 @@ from schemas.encoding.measurements import measurements_of
 from schemas.job import Job
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from schemas.support.extras import require_package
-from workers.appearance import changed_camera
+from workers.appearance import changed_sensor
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer
 from workers.sensors.lidar import RayCaster
@@ -78,7 +78,6 @@ def add_measurements(
                 found = measure(sensor, track)
             else:
                 assert t is not None, "only a sensor of motion has no step"
-                is_scan = isinstance(sensor, Lidar2d | Lidar3d)
-                found = observe(sensor if is_scan else changed_camera(sensor, change), t, track, scene)
+                found = observe(changed_sensor(sensor, change), t, track, scene)
             writer.add_measurement(sensor, t, arrays_in(found))
             on_measurement()
