@@ -77,7 +77,7 @@ def test_clutter_is_visible_in_colour_depth_and_ids_and_hides_nothing_of_the_tar
 def render(states: Path, out: Path, workers: int) -> Dataset:
     arguments = ["render", str(states), "--appearance", "full", "-o", str(out)]
     options = ["--workers", str(workers), "--renderer", "gl", "--json"]
-    assert cli([*arguments, *options]) == 0
+    assert cli.main([*arguments, *options], standalone_mode=False) == 0
     return Dataset(out)
 
 
@@ -126,7 +126,7 @@ def test_sensors_of_a_rig_see_the_appearance(recordings: Recordings) -> None:
 
 
 def test_stored_frames_have_no_other_appearance(recordings: Recordings) -> None:
-    with pytest.raises(UsageError, match="stores frames, which are rendered already: give a dataset of .*states"):
+    with pytest.raises(UsageError, match=r"stores frames, which are rendered already: give a dataset of .*states"):
         Dataset(recordings[Recording.FRAMES], appearance="varied")
 
 

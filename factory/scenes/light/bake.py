@@ -119,6 +119,7 @@ def texel_maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Float
 
 
 def texel_mask(shape: tuple[int, int], texels: Texels, chosen: Bools) -> Bools:
+    """Writes values (N,) of the texels into a mask (H, W), false elsewhere."""
     mask = np.zeros(shape, bool)
     mask[texels.cell] = chosen
     return mask

@@ -137,5 +137,5 @@ def test_a_change_moves_camera_and_focal_length() -> None:
 
 def test_a_focal_length_that_the_lens_does_not_permit_is_refused() -> None:
     wide = PinholeCamera(name="wide", model="pinhole", width=640, height=640, fov_deg=165)
-    with pytest.raises(UsageError, match="smaller range camera.focal"):
+    with pytest.raises(UsageError, match=r"smaller range camera\.focal"):
         changed_camera(wide, CameraChange(focal=0.5))
