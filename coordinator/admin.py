@@ -17,8 +17,8 @@ from coordinator.ledger.reading.reader import open_ledger, require_sound, transl
 from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
-from schemas.identity import TlsFiles
-from schemas.wire import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.identity import TlsFiles
 
 
 def administer(

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from schemas.base import Model, NonNegative, Positive
-from schemas.keys import MAX_CHUNK_BYTES
+from schemas.protocol.keys import MAX_CHUNK_BYTES
 from schemas.storage.shards import MAX_SHARD_EPISODES
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from coordinator.expansion.draw import PlannedJob
-from schemas.wire import EvalPayload
+from schemas.protocol.messages import EvalPayload
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from coordinator.protocol.ask import read_reply
 from coordinator.protocol.node import ZenohNode
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
-from schemas.keys import Verb, verb_key
+from schemas.protocol.keys import Verb, verb_key
 from schemas.support.log_limit import Repeated
 
 _ANY_RUN = "*"
@@ -70,7 +70,7 @@ class CoreLink:
         self._away.succeed()
         return read_reply(found[0], kind, "the coordinator")
 
-    def insist(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
+    def request_until_reply(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
         """Repeats a request until the core replies.
 
         Raises:

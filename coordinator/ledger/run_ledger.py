@@ -12,8 +12,8 @@ from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.reading.reader import Connection, translate_damage
 from coordinator.ledger.writer import Writer
 from schemas.errors import WorldError
+from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
-from schemas.wire import Progress
 
 RESTART_REMEDY = "start again: the ledger is rebuilt from the episodes"
 

@@ -10,8 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from schemas.identity import Role
-from schemas.keys import EVALUATION_RUNS, Verb, alive_pattern, bundle_key, scene_pattern, verb_key, verb_pattern
+from schemas.protocol.identity import Role
+from schemas.protocol.keys import (
+    EVALUATION_RUNS,
+    Verb,
+    alive_pattern,
+    bundle_key,
+    scene_pattern,
+    verb_key,
+    verb_pattern,
+)
 
 _ANY_RUN, _ANY_HOST, _ANY_SID = "*", "*", "*"
 _VERBS: Mapping[Role, Sequence[Verb]] = {

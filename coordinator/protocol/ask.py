@@ -12,9 +12,11 @@ from coordinator.protocol.zenoh_config import client_config
 from coordinator.settings import CoordinatorSettings
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
-from schemas.identity import TlsFiles
-from schemas.keys import Verb, any_hello_key
-from schemas.wire import Ack, AdminReply, AdminRequest, Ping, Progress, Refusal
+from schemas.protocol.administration import AdminReply, AdminRequest
+from schemas.protocol.identity import TlsFiles
+from schemas.protocol.keys import Verb, any_hello_key
+from schemas.protocol.messages import Ack, Ping, Refusal
+from schemas.protocol.status import Progress
 
 OPERATOR = "operator"
 """Default name of a requester."""

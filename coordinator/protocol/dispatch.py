@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 
 from coordinator.protocol.protocol import Pull
-from schemas.keys import host_of
+from schemas.protocol.keys import host_of
 
 _OF_ONE_HOST = 4
 """Maximum number of orders of one host per reply to a gateway."""

@@ -17,10 +17,10 @@ import zenoh
 
 from coordinator.protocol.ask import query
 from schemas.errors import TransientError, WorldError
-from schemas.identity import Role
-from schemas.keys import Chunk, bundle_selector
+from schemas.protocol.identity import Role
+from schemas.protocol.keys import Chunk, bundle_selector
+from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
-from schemas.wire import Lease
 
 Admitted = Mapping[str, Role]
 Configure = Callable[[Sequence[str], Admitted], zenoh.Config]

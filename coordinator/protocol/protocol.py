@@ -23,17 +23,14 @@ from coordinator.ledger import claims, hosts, operator, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from schemas.base import Model
-from schemas.identity import is_host_name
 from schemas.job import Job
-from schemas.keys import Verb, sid_belongs_to
 from schemas.plan import Plan
-from schemas.scene import Target
-from schemas.wire import (
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.identity import is_host_name
+from schemas.protocol.keys import Verb, sid_belongs_to
+from schemas.protocol.messages import (
     MAX_MESSAGE_BYTES,
     Ack,
-    AdminAction,
-    AdminReply,
-    AdminRequest,
     Beat,
     BeatReply,
     Claim,
@@ -45,8 +42,9 @@ from schemas.wire import (
     Lease,
     Ping,
     Refusal,
-    Trade,
+    RunKind,
 )
+from schemas.scene import Target
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -220,7 +218,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"together have {hosts.SESSIONS}: stop some workers, or wait some minutes"
             )
         )
-    trade = Trade.COLLECTION if terms.evaluation is None else Trade.EVALUATION
+    trade = RunKind.COLLECTION if terms.evaluation is None else RunKind.EVALUATION
     return ProtocolAnswer(
         HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade)
     )

@@ -21,14 +21,16 @@ from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
-from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
+from coordinator.protocol.relay import Archived, InventoryReply, Join, JoinReply, OrdersRequest
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
-from schemas.keys import Verb
+from schemas.protocol.administration import AdminAction, AdminRequest
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack, ClaimReply, Refusal
+from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
-from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 _HOST_SHARE = 8
 """Divisor of the total limits for the limits of one host, so that several busy hosts leave capacity for others."""
@@ -155,7 +157,7 @@ class RequestHandler(Closing):
             self._log(log.info, "refused", inquiry, reason=request.error)
             inquiry.answer(request)
             return
-        if isinstance(request.message, Duty):
+        if isinstance(request.message, OrdersRequest):
             duty = request.message
             inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most, duty.busy)))
             return

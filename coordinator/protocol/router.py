@@ -18,7 +18,7 @@ from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
 from schemas.base import Model
-from schemas.keys import (
+from schemas.protocol.keys import (
     Chunk,
     Verb,
     alive_pattern,
@@ -29,8 +29,8 @@ from schemas.keys import (
     verb_key,
     verb_pattern,
 )
+from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
-from schemas.wire import Lease
 
 MAX_KEY_CHARS = 400
 """Maximum length of a request key, characters; the keys of this software have at most 300."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from schemas.errors import UsageError
-from schemas.identity import Role, TlsFiles, parse_admitted, tls_files
+from schemas.protocol.identity import Role, TlsFiles, parse_admitted, tls_files
 
 _WORLD_BITS = 0o007
 _AT_GATEWAY = frozenset({Role.WORKER, Role.COORDINATOR})

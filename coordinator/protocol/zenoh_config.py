@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import zenoh
 
 from coordinator.protocol.access import access_control
-from schemas.identity import Role, TlsFiles
+from schemas.protocol.identity import Role, TlsFiles
 
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000

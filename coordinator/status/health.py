@@ -12,7 +12,7 @@ from typing import Protocol
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from schemas.errors import FactoryError
-from schemas.wire import Progress
+from schemas.protocol.status import Progress
 
 _COMMIT_S = 5.0
 _FRESH_S = 1.0

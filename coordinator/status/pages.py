@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from coordinator.meters import Meter
 from coordinator.status.health import Snapshot, StatusSource
 from coordinator.validation.sandbox import RLIMITS, SECCOMP
+from schemas.protocol.status import Progress
 from schemas.support.extras import missing_package
-from schemas.wire import Progress
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -176,7 +176,7 @@ class Pages:
         if self._source.is_alive():
             return plain_page(HTTPStatus.OK, "ok")
         return plain_page(
-            HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it"
+            HTTPStatus.SERVICE_UNAVAILABLE, "the main thread of the coordinator has ended; restart the coordinator"
         )
 
     def _readiness(self) -> Page:

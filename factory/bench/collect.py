@@ -19,8 +19,8 @@ from factory.bench.model import CollectPace, Spread
 from factory.runs.local import LocalRun, run_locally
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.protocol.status import Progress
 from schemas.terms import RendererKind
-from schemas.wire import Progress
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from schemas.bundle import BundleReader
 from schemas.dataset import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
-from schemas.wire import Done, Lease
+from schemas.protocol.messages import Done, Lease
 
 _TTL_S = 600.0
 _SID = "bench-1"

@@ -22,8 +22,8 @@ from coordinator.protocol.ask import query
 from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError
-from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
-from schemas.wire import Beat, BeatReply, Claim, Done, Hello, Lease
+from schemas.protocol.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.protocol.messages import Beat, BeatReply, Claim, Done, Hello, Lease
 
 _LINK_LEASE_S = 60.0
 _ASK_S = 30.0

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, NamedTuple
 
 from schemas.errors import WorldError
-from schemas.identity import Role
+from schemas.protocol.identity import Role
 from schemas.support.extras import require_package
 
 if TYPE_CHECKING:

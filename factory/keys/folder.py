@@ -14,7 +14,15 @@ from typing import NamedTuple
 
 from factory.keys.authority import Certificate, create_authority_certificate, expiry_of, issue
 from schemas.errors import UsageError
-from schemas.identity import ADMITTED_FILE, CA_FILE, Role, parse_admitted, require_host_name, spell_admitted, tls_files
+from schemas.protocol.identity import (
+    ADMITTED_FILE,
+    CA_FILE,
+    Role,
+    parse_admitted,
+    require_host_name,
+    spell_admitted,
+    tls_files,
+)
 from schemas.storage.disk import translated
 
 _CA_KEY_FILE, _ROLE_FILE = "ca.key", "role.txt"

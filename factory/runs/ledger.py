@@ -16,10 +16,10 @@ from schemas.dataset_files import LEDGER_FILE, META_FILE, is_dataset
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
+from schemas.protocol.status import Progress
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import Place
 from schemas.storage.shard_index import shard_places
-from schemas.wire import Progress
 
 
 def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Connection]:

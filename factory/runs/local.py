@@ -26,13 +26,13 @@ from factory.runs.catalog import write_target_lists
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.protocol.status import Progress
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from schemas.support.child import child_environment, python_module
 from schemas.support.closing import Closing
 from schemas.terms import RendererKind
-from schemas.wire import Progress
 from workers.client.spool import find_bundle, folder_of
 from workers.experts import require_expert
 from workers.sim.sensors import require_packages

@@ -31,11 +31,11 @@ from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
+from schemas.protocol.messages import MAX_STATES_CHARS
 from schemas.rig.file import load_rig
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
-from schemas.wire import MAX_STATES_CHARS
 from workers.geometry.pose import Pose
 from workers.render.choose import open_apart
 from workers.render.differing import differing_frame

@@ -17,8 +17,8 @@ from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset import summary_of
+from schemas.protocol.messages import Done
 from schemas.terms import FailReason, Recording
-from schemas.wire import Done
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
 

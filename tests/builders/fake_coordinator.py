@@ -18,9 +18,8 @@ import zenoh
 
 from schemas.base import Model
 from schemas.job import Job
-from schemas.keys import Chunk, Verb, bundle_selector, parse_chunk, scene_pattern, verb_key, verb_pattern
-from schemas.terms import FailReason
-from schemas.wire import (
+from schemas.protocol.keys import Chunk, Verb, bundle_selector, parse_chunk, scene_pattern, verb_key, verb_pattern
+from schemas.protocol.messages import (
     Ack,
     Beat,
     BeatReply,
@@ -33,6 +32,7 @@ from schemas.wire import (
     Lease,
     Refusal,
 )
+from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.ports import free_endpoint
 

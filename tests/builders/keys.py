@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from factory.keys import admit, create_authority
-from schemas.identity import Role, TlsFiles, tls_files
+from schemas.protocol.identity import Role, TlsFiles, tls_files
 
 
 def make_authority(

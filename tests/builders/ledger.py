@@ -24,9 +24,9 @@ from coordinator.ledger.tables import jobs
 from schemas.dataset import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
+from schemas.protocol.messages import Done, Fail, Lease
 from schemas.scene import Instance, SceneInfo, Target
 from schemas.terms import FailReason, Recording, Split, Tier
-from schemas.wire import Done, Fail, Lease
 from tests.builders.bundle import GOAL_M, TARGET_ID, job_for, parts_for, short_task
 
 TTL_S = 10.0

@@ -10,8 +10,8 @@ from sqlalchemy import select, update
 from coordinator.ledger import operator, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.tables import episodes, jobs
+from schemas.protocol.messages import Lease
 from schemas.terms import FailReason
-from schemas.wire import Lease
 from tests.builders.ledger import TTL_S, Desk
 
 __all__ = ["change_at_random", "scatter"]

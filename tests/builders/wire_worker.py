@@ -12,12 +12,10 @@ import zenoh
 
 from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
-from schemas.identity import TlsFiles
 from schemas.job import Job
-from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
-from schemas.support.closing import Closing
-from schemas.terms import FailReason
-from schemas.wire import (
+from schemas.protocol.identity import TlsFiles
+from schemas.protocol.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.protocol.messages import (
     Ack,
     Beat,
     BeatReply,
@@ -31,6 +29,8 @@ from schemas.wire import (
     LeaseProgress,
     Refusal,
 )
+from schemas.support.closing import Closing
+from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
 
 M = TypeVar("M", bound=Model)

@@ -20,9 +20,8 @@ import zenoh
 from schemas.base import Model
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.job import Job
-from schemas.keys import Verb
-from schemas.terms import FailReason
-from schemas.wire import (
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import (
     MAX_MESSAGE_BYTES,
     Ack,
     Beat,
@@ -37,6 +36,7 @@ from schemas.wire import (
     LeaseProgress,
     Refusal,
 )
+from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
 from tests.builders.wire_worker import WireWorker
 from tests.chaos.cluster import ChaosCluster

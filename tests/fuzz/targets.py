@@ -25,7 +25,7 @@ from factory.verify.dataset import verify
 from schemas.dataset_files import EPISODES, SHARDS_FILE
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
-from schemas.keys import Verb
+from schemas.protocol.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.packed_path import PackedPath

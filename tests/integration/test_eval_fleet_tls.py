@@ -24,8 +24,9 @@ from factory.dataset.reader import Dataset
 from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.keys import revoke
 from schemas.errors import TransientError
-from schemas.keys import Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
-from schemas.wire import AdminAction, AdminReply, AdminRequest, Claim, ClaimReply, Done
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.keys import Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
+from schemas.protocol.messages import Claim, ClaimReply, Done
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan

@@ -22,7 +22,7 @@ from coordinator.protocol.relay import (
     MAX_FILES,
     MAX_LOST,
     Archived,
-    Hold,
+    ExtendLease,
     Inventory,
     InventoryReply,
     Join,
@@ -34,8 +34,8 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.base import MAX_COUNT
 from schemas.dataset import EpisodeSummary, summary_of
-from schemas.keys import Verb
-from schemas.wire import Ack, Lease, Refusal
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
@@ -77,7 +77,7 @@ def attack(peer: WireWorker, number: int) -> list[Any]:
     foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
     messages = (
         (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
-        (Verb.HOLD, Hold(lease=STRANGE, seconds=600.0), Ack),
+        (Verb.HOLD, ExtendLease(lease=STRANGE, seconds=600.0), Ack),
         (Verb.REFUSED, Refused(sid="good.1", lease=STRANGE, detail="x" * 2000), Ack),
         (Verb.ARCHIVED, told_of(foreign.model_copy(update={"run": "other"})), Ack),
         (Verb.ARCHIVED, told_of(foreign.model_copy(update={"plan_digest": "2" * 64}), STRANGE), Ack),

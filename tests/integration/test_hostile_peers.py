@@ -23,9 +23,10 @@ from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.dataset import summary_of
-from schemas.keys import Verb, verb_key
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.keys import Verb, verb_key
+from schemas.protocol.messages import Ack, Beat, BeatReply, Hello, HelloReply, Refusal
 from schemas.terms import FailReason
-from schemas.wire import Ack, AdminAction, AdminReply, AdminRequest, Beat, BeatReply, Hello, HelloReply, Refusal
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until

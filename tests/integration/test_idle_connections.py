@@ -13,7 +13,7 @@ import zenoh
 
 from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.zenoh_config import client_config, router_config
-from schemas.identity import Role, TlsFiles
+from schemas.protocol.identity import Role, TlsFiles
 from tests.builders.keys import files_of, make_authority
 
 IDLE = 1500

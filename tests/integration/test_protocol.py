@@ -16,19 +16,10 @@ from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
-from schemas.keys import Chunk, Verb, scene_selector
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.keys import Chunk, Verb, scene_selector
+from schemas.protocol.messages import Beat, BeatReply, Claim, ClaimReply, HelloReply, Refusal
 from schemas.terms import FailReason
-from schemas.wire import (
-    AdminAction,
-    AdminReply,
-    AdminRequest,
-    Beat,
-    BeatReply,
-    Claim,
-    ClaimReply,
-    HelloReply,
-    Refusal,
-)
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 

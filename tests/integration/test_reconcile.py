@@ -19,9 +19,9 @@ from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile
 from coordinator.validation.validator import Validator
 from schemas.errors import TransientError
+from schemas.protocol.messages import Lease
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children
-from schemas.wire import Lease
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk
 

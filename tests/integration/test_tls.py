@@ -23,9 +23,10 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.keys import admit, revoke
 from schemas.errors import TransientError, WorldError
-from schemas.identity import Role, TlsFiles
-from schemas.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
-from schemas.wire import AdminAction, AdminReply, AdminRequest, Claim, ClaimReply, HelloReply
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.identity import Role, TlsFiles
+from schemas.protocol.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
+from schemas.protocol.messages import Claim, ClaimReply, HelloReply
 from tests.builders.bundle import parts_for
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan

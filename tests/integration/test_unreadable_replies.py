@@ -5,8 +5,8 @@ from __future__ import annotations
 import zenoh
 from structlog.testing import capture_logs
 
-from schemas.keys import Verb, verb_key
-from schemas.wire import Hello
+from schemas.protocol.keys import Verb, verb_key
+from schemas.protocol.messages import Hello
 from tests.builders.fake_coordinator import RUN, FakeCoordinator
 from workers.client.link import Link
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import WorldError
-from schemas.keys import Verb
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
 from schemas.terms import FailReason
-from schemas.wire import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
 from tests.builders.fake_coordinator import RUN, FakeCoordinator, jobs_saying
 from tests.builders.fake_simulation import bundle_for
 from tests.builders.ports import free_endpoint

@@ -91,9 +91,9 @@ def _planks(rows: Ints, columns: Ints) -> Floats:
 def _brick(rows: Ints, columns: Ints) -> Floats:
     course = rows // 32
     along = (columns + course % 2 * 64) % _N
-    tone = 0.8 + 0.17 * _hash(course, along // 128, 13) + 0.07 * _clouds(rows, columns, (2, 4, 16), 14)
+    tone = 0.84 + 0.1 * _hash(course, along // 128, 13) + 0.07 * _clouds(rows, columns, (2, 4, 16), 14)
     is_joint = (rows % 32 < 4) | (along % 128 < 4)
-    return np.where(is_joint, 0.93 + 0.04 * _clouds(rows, columns, (2, 4), 15), tone)
+    return np.where(is_joint, 0.6 + 0.04 * _clouds(rows, columns, (2, 4), 15), tone)
 
 
 PATTERNS: MappingProxyType[str, Callable[[Ints, Ints], Floats]] = MappingProxyType(

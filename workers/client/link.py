@@ -19,8 +19,8 @@ import zenoh
 from pydantic import ValidationError
 
 from schemas.base import Model
-from schemas.identity import TlsFiles
-from schemas.keys import (
+from schemas.protocol.identity import TlsFiles
+from schemas.protocol.keys import (
     BundleChunk,
     Chunk,
     Verb,
@@ -31,9 +31,9 @@ from schemas.keys import (
     scene_selector,
     verb_key,
 )
+from schemas.protocol.messages import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
-from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
 R = TypeVar("R", bound=Model)
 ReadChunk = Callable[[BundleChunk], bytes]

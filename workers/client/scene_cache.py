@@ -16,7 +16,7 @@ from pathlib import Path
 import structlog
 
 from schemas.errors import WorldError
-from schemas.keys import MAX_CHUNK_BYTES, Chunk
+from schemas.protocol.keys import MAX_CHUNK_BYTES, Chunk
 from workers.client.host_lock import exclusive_lock
 
 Fetch = Callable[[Chunk], bytes]

@@ -14,10 +14,10 @@ import structlog
 
 from schemas.errors import FactoryError, LeaseLost, WorldError
 from schemas.job import Job
-from schemas.keys import Chunk, Verb
+from schemas.protocol.keys import Chunk, Verb
+from schemas.protocol.messages import Ack, Claim, ClaimReply, Done, Fail, Lease
 from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
-from schemas.wire import Ack, Claim, ClaimReply, Done, Fail, Lease
 from workers.client.host import Backoff, Host
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation

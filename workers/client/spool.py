@@ -20,9 +20,9 @@ from pydantic import Field, ValidationError
 
 from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
+from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
-from schemas.wire import Lease
 
 _MAX_SIBLINGS = 256
 _FOLDER_MODE, _FILE_MODE = 0o700, 0o600

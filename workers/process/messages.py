@@ -10,8 +10,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from schemas.base import Bytes, Count, Line, Model, NonNegative, Sha256
 from schemas.job import Job
+from schemas.protocol.messages import MAX_DETAIL_CHARS, Detail, States
 from schemas.terms import FailReason
-from schemas.wire import MAX_DETAIL_CHARS, Detail, States
 
 
 class SimulationOrder(Model):

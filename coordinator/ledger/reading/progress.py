@@ -17,7 +17,7 @@ from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
 from coordinator.ledger.tallies import attempt_counts, job_counts
-from schemas.wire import Progress, WorkerStatus
+from schemas.protocol.status import Progress, WorkerStatus
 
 _RATE_WINDOW_S = 600.0
 

@@ -9,9 +9,9 @@ import pyarrow.compute as pc
 
 from factory.cli.common.output import print_table, print_text
 from factory.dataset.reader import Dataset
+from schemas.protocol.status import Progress
 from schemas.storage.place import Place
 from schemas.terms import FailReason
-from schemas.wire import Progress
 
 _WORDS = {str(FailReason.RELEASED): "returned"}
 """Names of outcomes in the summary, where they differ from the outcome's value."""

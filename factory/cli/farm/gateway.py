@@ -16,7 +16,7 @@ from factory.cli.common.options import connect_option, listen_option, tls_option
 from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
 from factory.support.logs import configure_logs
 from schemas.errors import TransientError, UsageError
-from schemas.identity import require_host_name
+from schemas.protocol.identity import require_host_name
 from schemas.storage.disk import require_room
 from workers.client.host import tidy_host
 from workers.client.stopping import stop_on_signals

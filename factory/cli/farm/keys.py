@@ -13,7 +13,7 @@ from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import count_option
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.keys import HostKeys, admit, create_authority, list_hosts, revoke
-from schemas.identity import Role
+from schemas.protocol.identity import Role
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 _folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))

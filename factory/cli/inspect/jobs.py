@@ -24,10 +24,10 @@ from factory.dataset.site import Site
 from factory.runs.ledger import read_ledger
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
-from schemas.identity import require_host_name
 from schemas.job import episode_id
+from schemas.protocol.administration import MAX_INDICES, AdminAction, AdminReply, AdminRequest
+from schemas.protocol.identity import require_host_name
 from schemas.terms import Split, Tier
-from schemas.wire import MAX_INDICES, AdminAction, AdminReply, AdminRequest
 
 
 @click.group("jobs", cls=CommandGroup)

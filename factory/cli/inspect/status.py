@@ -20,8 +20,8 @@ from factory.dataset.site import Site
 from factory.runs.ledger import progress_of
 from factory.support.listen import require_endpoints
 from schemas.errors import TransientError, UsageError
+from schemas.protocol.status import HostStatus, Progress, WorkerStatus
 from schemas.terms import BUILTIN_CATEGORIES
-from schemas.wire import HostStatus, Progress, WorkerStatus
 
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0

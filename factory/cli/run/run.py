@@ -28,9 +28,9 @@ from factory.runs.local import LocalRun, run_locally
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.plan import Plan
+from schemas.protocol.status import Progress
 from schemas.support.extras import require_package
 from schemas.terms import RendererKind
-from schemas.wire import Progress
 from workers.client.stopping import stop_on_signals
 from workers.experts import require_expert
 

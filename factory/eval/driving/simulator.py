@@ -28,7 +28,7 @@ from workers.sim.sensors import LoadedSurroundings
 from workers.sim.spawn import is_spawn_stable
 
 
-class NoFirmStand(WorldError):
+class UnstableStart(WorldError):
     """The robot is not stable at the start pose of a spec."""
 
 
@@ -55,7 +55,7 @@ class Simulator(Closing):
             loaded: Scene of the spec.
 
         Raises:
-            NoFirmStand: The robot is not stable at the start pose.
+            UnstableStart: The robot is not stable at the start pose.
             WorldError: The scene does not have the target.
         """
         self.close()
@@ -66,7 +66,7 @@ class Simulator(Closing):
         x, y, yaw = spec.spawn_pose
         if not is_spawn_stable(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
-            raise NoFirmStand(
+            raise UnstableStart(
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
         pose = np.array(((x, y, 0.0, 1.0, 0.0, 0.0, 0.0),))

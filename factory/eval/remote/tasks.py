@@ -15,9 +15,9 @@ from factory.eval.specs.campaign import Campaign, tasks_for
 from factory.eval.specs.from_dataset import Places
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
-from schemas.keys import EVALUATION_PREFIX
 from schemas.plan import Budget, Plan, canonical_json
-from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
+from schemas.protocol.keys import EVALUATION_PREFIX
+from schemas.protocol.messages import MAX_ATTACHMENT_BYTES, Attachment
 
 Attached = Mapping[str, tuple[Attachment, Path]]
 """Policy name -> attachment and path of its file."""

@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 from sqlalchemy.engine import Connection
 
-from coordinator.chores import LeaseLimit
+from coordinator.housekeeping import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.reading.audit import find_damage
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.protocol.protocol import Terms
-from schemas.wire import Beat, HostStatus, Lease, LeaseProgress
+from schemas.protocol.messages import Beat, Lease, LeaseProgress
+from schemas.protocol.status import HostStatus
 from tests.builders.ledger import TTL_S, Desk, room_plan
 
 LIMIT_S = 200.0

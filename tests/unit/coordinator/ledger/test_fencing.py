@@ -16,8 +16,8 @@ from coordinator.ledger import claims, operator, outcomes
 from coordinator.ledger.claims import HELD_STATES, lease_of
 from coordinator.ledger.states import TRANSITIONS, Event, JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
+from schemas.protocol.messages import Beat, Lease, LeaseProgress
 from schemas.terms import FailReason
-from schemas.wire import Beat, Lease, LeaseProgress
 from tests.builders.ledger import TTL_S, Desk, room_plan
 
 ANY_GRANT = st.sampled_from([0, 0, 0, 1, 2, 3, 5, 8])

@@ -27,8 +27,8 @@ from coordinator.ledger.reading.records import (
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
 from schemas.errors import UsageError, WorldError
+from schemas.protocol.messages import Beat, Hello, Lease, LeaseProgress
 from schemas.terms import FailReason
-from schemas.wire import Beat, Hello, Lease, LeaseProgress
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan, summary_for
 
 WORLD = [reason for reason in FailReason if reason.is_task_failure]

@@ -15,7 +15,7 @@ from coordinator.protocol.tls import Guard, read_credentials
 from factory.keys import admit, create_authority, list_hosts, revoke
 from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
 from schemas.errors import UsageError
-from schemas.identity import Role, parse_admitted, spell_admitted, tls_files
+from schemas.protocol.identity import Role, parse_admitted, spell_admitted, tls_files
 from tests.builders.keys import make_authority
 
 NOW = datetime.now(UTC)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import WorldError
-from schemas.keys import MAX_CHUNK_BYTES, Chunk
+from schemas.protocol.keys import MAX_CHUNK_BYTES, Chunk
 from workers.client.scene_cache import SceneCache
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import WorldError
-from schemas.wire import Lease
+from schemas.protocol.messages import Lease
 from workers.client.spool import Spool, find_bundle
 
 BUNDLE = b"0123456789" * 100

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from schemas.keys import sid_belongs_to
-from schemas.wire import Hello, Lease
+from schemas.protocol.keys import sid_belongs_to
+from schemas.protocol.messages import Hello, Lease
 from workers.client.host import Backoff, LeaseBook, Phase, make_sid, tidy_host
 from workers.client.settings import WorkerSettings
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from schemas.protocol.messages import MAX_DETAIL_CHARS
 from schemas.terms import FailReason
-from schemas.wire import MAX_DETAIL_CHARS
 from tests.builders.bundle import job_for
 from workers.process.messages import (
     SimulationOrder,

@@ -12,7 +12,7 @@ from factory.cli.common.output import stdout
 from factory.cli.inspect.status import draw_progress, watch_progress
 from factory.cli.run.run import RunBar
 from schemas.errors import TransientError
-from schemas.wire import Progress, WorkerStatus
+from schemas.protocol.status import Progress, WorkerStatus
 
 
 def progress(archived: int) -> Progress:

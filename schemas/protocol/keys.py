@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import NamedTuple
 
-from schemas.wire import MAX_MESSAGE_BYTES, PROTOCOL, Lease
+from schemas.protocol.messages import MAX_MESSAGE_BYTES, PROTOCOL, Lease
 
 MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
 """Largest part of a file in one reply, bytes."""

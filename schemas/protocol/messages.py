@@ -6,7 +6,6 @@ After a timeout or an empty reply the outcome is unknown, and the caller repeats
 
 from __future__ import annotations
 
-from datetime import datetime
 from enum import StrEnum
 from typing import Annotated
 
@@ -14,7 +13,6 @@ from pydantic import FailFast, Field
 
 from schemas.base import Bytes, Count, Line, Model, NonNegative, Ordinal, Positive, RowId, Sha256, Text
 from schemas.job import Job
-from schemas.plan import MAX_EPISODES
 from schemas.terms import FailReason
 
 PROTOCOL = 1
@@ -30,12 +28,6 @@ MAX_LEASES = 256
 several heartbeats."""
 MAX_DETAIL_CHARS = 2000
 """Largest length of the explanation of a failure or refusal, characters."""
-MAX_INDICES = 100_000
-"""Largest number of episodes in one admin request."""
-MAX_HOSTS = 10_000
-"""Largest number of hosts in one admin request."""
-_MAX_SESSIONS = 100_000
-_MAX_GROUPS = 1000
 MAX_ATTACHMENT_BYTES = 1 << 30
 """Largest size of an attachment, bytes."""
 
@@ -74,7 +66,7 @@ class Lease(Model):
 Leases = Annotated[tuple[Lease, ...], Field(max_length=MAX_LEASES), FailFast()]
 
 
-class Trade(StrEnum):
+class RunKind(StrEnum):
     """Type of the jobs of a run; it selects the program that executes them."""
 
     COLLECTION = "collection"  # an expert drives, and successful episodes are archived
@@ -103,7 +95,7 @@ class HelloReply(Model):
     """Version of minivla-factory on the coordinator."""
     lease_ttl_s: Positive
     """Time after which a lease without heartbeat expires, seconds."""
-    trade: Trade = Trade.COLLECTION
+    trade: RunKind = RunKind.COLLECTION
     """Type of the jobs of the run."""
 
 
@@ -236,129 +228,3 @@ class Refusal(Model):
 
     error: Text
     """Reason of the refusal."""
-
-
-Hosts = Annotated[tuple[HostName, ...], Field(max_length=MAX_HOSTS), FailFast()]
-
-
-class AdminAction(StrEnum):
-    """Action of an operator on a run."""
-
-    RETRY = "retry"  # returns failed or cancelled episodes to the queue
-    CANCEL = "cancel"  # cancels episodes that have not ended
-    DRAIN = "drain"  # lets every worker finish its current jobs and exit
-    RELEASE = "release"  # assigns jobs to barred hosts again
-
-
-class AdminRequest(Model):
-    """Request of an operator; a repetition has no further effect."""
-
-    action: AdminAction
-    """Action to execute."""
-    indices: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_INDICES), FailFast()] = ()
-    """Episodes to change, by number; empty selects all episodes that the action applies to."""
-    hosts: Hosts = ()
-    """Hosts to change; empty selects all hosts that the action applies to."""
-
-
-class AdminReply(Model):
-    """Result of an admin request."""
-
-    changed: Annotated[tuple[Count, ...], Field(max_length=MAX_EPISODES)]
-    """Episodes that changed their state."""
-    refused: Annotated[dict[Count, Line], Field(max_length=MAX_INDICES)] = Field(default_factory=dict)
-    """Requested episodes that the action does not apply to, with the reason."""
-    hosts: Hosts = ()
-    """Hosts that changed their state."""
-    refused_hosts: Annotated[dict[HostName, Line], Field(max_length=MAX_HOSTS)] = Field(default_factory=dict)
-    """Requested hosts that the action does not apply to, with the reason."""
-
-
-class WorkerStatus(Model):
-    """State of a worker in the ledger."""
-
-    sid: Line
-    """Session id of the worker."""
-    host: Line
-    """Name of its host."""
-    slots: Count
-    """Number of simulations that it runs at a time."""
-    leased: Count
-    """Number of jobs that it holds."""
-    archived: Count
-    """Number of archived episodes that it has made."""
-    last_beat: datetime
-    """Time of its last heartbeat, UTC."""
-    alive: bool
-    """Whether its last heartbeat is younger than the lease time."""
-
-
-class HostStatus(Model):
-    """State in the ledger of a host whose attempts were refused or crashed."""
-
-    host: Line
-    """Name of the host."""
-    strikes: Count
-    """Number of counted failures minus successes."""
-    resumes_at: datetime
-    """Time until which it gets no job, UTC."""
-    barred_at: datetime | None
-    """Time since which it gets no job until an operator releases it, UTC; `None` if it is not barred."""
-    reason: Text
-    """Last counted failure."""
-
-
-Counts = Annotated[dict[Line, Count], Field(max_length=_MAX_GROUPS)]
-Groups = Annotated[dict[Line, Counts], Field(max_length=_MAX_GROUPS)]
-
-
-class Progress(Model):
-    """Progress of a run, computed from the ledger."""
-
-    run: Line
-    """Name of the run."""
-    planned: Count
-    """Number of episodes in the plan."""
-    jobs: Counts
-    """Number of episodes by the state of their current draw; the sum is `planned`."""
-    by_scene: Groups
-    """Number of episodes by scene and state."""
-    by_tier: Groups
-    """Number of episodes by tier and state."""
-    by_split: Groups
-    """Number of episodes by split and state."""
-    redrawn: Count
-    """Number of draws that were replaced after too many failed attempts."""
-    attempts: Counts
-    """Number of attempts by outcome: `success` or the fail reason."""
-    workers: Annotated[tuple[WorkerStatus, ...], Field(max_length=_MAX_SESSIONS)]
-    """Workers of the run."""
-    hosts: Annotated[tuple[HostStatus, ...], Field(max_length=_MAX_SESSIONS)] = ()
-    """Hosts that pause or are barred."""
-    by_gateway: Counts = Field(default_factory=dict)
-    """Number of archived episodes that a gateway stores, by its name; the core stores all others."""
-    shards: Count = 0
-    """Number of shards of the dataset; 0 if no episode is packed."""
-    episodes_per_hour: NonNegative | None
-    """Rate of archived episodes over the last ten minutes of archiving, 1/h; `None` before the second episode."""
-    eta_s: NonNegative | None
-    """Time to the end at that rate, seconds; `None` if unknown, 0 if finished."""
-    finished: bool
-    """Whether no job can change its state without a `retry`."""
-    sandbox: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
-    """Sandbox mechanisms of the coordinator's validation processes, e.g. `seccomp`; empty before the first bundle."""
-
-    @property
-    def missing(self) -> int:
-        """Number of planned episodes that are not archived."""
-        return self.planned - self.jobs.get("archived", 0)
-
-    @property
-    def failures(self) -> dict[str, int]:
-        """Number of failed attempts by reason; a job that its worker returned without a failure is not counted."""
-        return {name: count for name, count in self.attempts.items() if name not in {"success", FailReason.RELEASED}}
-
-    @property
-    def given_back(self) -> int:
-        """Number of interrupted attempts, e.g. by Ctrl-C; their jobs are pending again with an unchanged budget."""
-        return self.attempts.get(FailReason.RELEASED, 0)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from schemas.errors import UsageError
-from schemas.wire import HOST_PATTERN
+from schemas.protocol.messages import HOST_PATTERN
 
 CA_FILE, CERTIFICATE_FILE, KEY_FILE, NAME_FILE = "ca.pem", "host.pem", "host.key", "name.txt"
 ADMITTED_FILE = "hosts.txt"

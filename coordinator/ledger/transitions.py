@@ -16,7 +16,7 @@ from sqlalchemy.engine import Connection
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState, sources, target
 from coordinator.ledger.tables import attempts, events, jobs
-from schemas.wire import Lease
+from schemas.protocol.messages import Lease
 
 JobRow = Any
 """Row of `jobs` with the columns of `JOB`."""
