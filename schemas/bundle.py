@@ -14,19 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
-from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
+from schemas.encoding.container import MAX_CONTAINER_BYTES, ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
-from schemas.encoding.measurements import SENSORS, Arrays, MeasurementWriter, members_of_rig, read_measurement
 from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst, is_npy_of
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import MAX_FRAMES, EpisodeMeta, parse_meta
 from schemas.errors import InvalidBundle
+from schemas.measurements import SENSORS, Arrays, MeasurementWriter, members_of_rig, read_measurement
 from schemas.rig import Rig, Sensor
 from schemas.rig.arrays import MAX_MEASURED_IMAGES
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
-MAX_BUNDLE_BYTES = 2 << 30
+MAX_BUNDLE_BYTES = MAX_CONTAINER_BYTES
+"""Largest size of a bundle, bytes; frames alone take less than 0.5 GB."""
 _META = "meta.json"
 _RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)
 _IMAGE_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX)

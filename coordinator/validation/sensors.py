@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from coordinator.validation.frames import MAX_FINDINGS
 from schemas.bundle import BundleReader
-from schemas.encoding.measurements import MeasurementDigest, measurements_of
 from schemas.episode import FORMAT_WITHOUT_RIG, format_of
 from schemas.errors import InvalidBundle
+from schemas.measurements import MeasurementDigest, measurements_of
 from schemas.rig import Sensor
 
 _IDS = "ids"

@@ -15,9 +15,9 @@ from workers.sensors.observation import CameraObservation, Trajectory
 
 
 def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -> CameraObservation | LidarScan:
-    """Returns the images of a camera, or the scan of a lidar, at a step of an episode at which it measures.
+    """Returns the images of a camera, or the scan of a lidar, at step t of an episode.
 
-    They are read if the episode stores this sensor, otherwise rendered; the bytes are equal.
+    They are read if the episode stores them, otherwise rendered; the bytes are equal.
 
     Raises:
         InvalidBundle: a stored array is damaged.
@@ -25,7 +25,7 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
         UsageError: a package that the sensor needs is not installed.
         WorldError: this machine cannot render.
     """
-    if not is_stored(bundle, sensor):
+    if not is_stored(bundle, sensor) or t % sensor.stride(bundle.control_hz):
         change = None if bundle.appearance is None else bundle.appearance.camera
         return sensing.observe(changed_sensor(sensor, change), t, trajectory_of(bundle), bundle)
     arrays = bundle.measurement(sensor, t)
@@ -33,7 +33,7 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
 
 
 def observe_camera(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraObservation:
-    """Returns the outputs of a camera at a step of an episode at which it measures; see `observe`."""
+    """Returns the outputs of a camera at step t of an episode; see `observe`."""
     return cast(CameraObservation, observe(bundle, camera, t))
 
 

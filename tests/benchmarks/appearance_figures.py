@@ -35,7 +35,9 @@ _VIEWS = {"office": (18, -0.7), "hospital": (23, 3.0), "full_warehouse": (60, 2.
 def main(folder: Path) -> None:
     """Writes the figures."""
     folder.mkdir(parents=True, exist_ok=True)
-    rows: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in ("light", "materials", "camera", "clutter", "full")}
+    rows: dict[str, list[NDArray[np.uint8]]] = {
+        name: [] for name in ("light", "materials", "camera", "clutter", "full")
+    }
     with open_renderer("gl", _SIZE) as renderer:
         for scene, (spawn, yaw) in _VIEWS.items():
             place = _place(scene)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX, ArraySpec
-from schemas.encoding.measurements import Arrays, measurements_of
 from schemas.episode import EpisodeMeta, Provenance, Rollout, format_of
 from schemas.fingerprint import Fingerprint
 from schemas.instruction.language import instruction
 from schemas.job import Job
 from schemas.measure import measure_track
+from schemas.measurements import Arrays, measurements_of
 from schemas.scene import Instance
 from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
 from schemas.tokens import tokens_of

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from factory.cli.main import cli
+from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.runs.render import prepare_rendering
+from factory.runs.replay import replay_episode
 from factory.verify.dataset import verify
+from factory.verify.difference import RenderDifference
+from factory.verify.rendering import compare_rendered
 from schemas.dataset_files import META_FILE
 from schemas.dataset_meta import DATASET_FORMAT, described_by
+from schemas.encoding.container import ContainerWriter
 from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import InvalidRig, UsageError
 from schemas.rig.file import load_rig
@@ -65,6 +72,23 @@ def test_a_dataset_with_a_rig_is_valid_and_has_the_frames_and_states_of_the_othe
         assert ours.meta.frame_digests == frames.meta.frame_digests
         assert ours.states_digest == frames.states_digest == states.states_digest
         assert ours.summary.content_digest != frames.summary.content_digest
+
+
+def test_a_simulation_of_the_job_measures_the_same(rigged: Path) -> None:
+    episode = Dataset(rigged)[0]
+    assert replay_episode(rigged, episode.path, "gl", lambda _step, _steps: None).is_identical
+
+
+def test_rendering_again_finds_a_sensor_that_measured_something_else(rigged: Path) -> None:
+    episode = Dataset(rigged)[0]
+    with episode.path.open("rb") as file:
+        assert compare_rendered(EpisodeBundle(file, rigged), RenderDifference()) == []
+    moved = io.BytesIO()
+    with zipfile.ZipFile(episode.path) as found, ContainerWriter(moved) as out:
+        for name in found.namelist():
+            out.add(name, found.read(name.replace("ranges/000000", "ranges/000006")))
+    findings = compare_rendered(EpisodeBundle(moved, rigged), RenderDifference())
+    assert findings == ["sensor scan differs at step 0 when it is measured again"]
 
 
 def test_rig_and_its_digest_are_described(rigged: Path) -> None:

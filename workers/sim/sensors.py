@@ -10,9 +10,11 @@ from collections.abc import Callable
 import numpy as np
 
 from schemas.appearance import CameraChange
-from schemas.bundle import BundleWriter, EpisodeArrays
+from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
 from schemas.encoding.measurements import measurements_of
+from schemas.errors import WorldError
 from schemas.job import Job
+from schemas.measurements import measurements_of
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from schemas.support.extras import require_package
 from workers.appearance import changed_sensor
@@ -65,6 +67,7 @@ def add_measurements(
 
     Raises:
         UsageError: the renderer has no normals, which a camera needs, or embreex is not installed, which a lidar needs.
+        WorldError: the bundle would exceed its largest size.
     """
     if job.view.rig is None:
         return
@@ -79,5 +82,12 @@ def add_measurements(
             else:
                 assert t is not None, "only a sensor of motion has no step"
                 found = observe(changed_sensor(sensor, change), t, track, scene)
-            writer.add_measurement(sensor, t, arrays_in(found))
+            try:
+                writer.add_measurement(sensor, t, arrays_in(found))
+            except ValueError as error:
+                raise WorldError(
+                    f"{job.episode_id}: the rig {job.view.rig.name!r} does not fit into a bundle of "
+                    f"{MAX_BUNDLE_BYTES / 1e9:.1f} GB: reduce sensors, outputs, rates or resolutions, or keep states "
+                    "and read the rig from them"
+                ) from error
             on_measurement()

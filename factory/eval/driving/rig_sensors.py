@@ -18,7 +18,7 @@ from schemas.errors import UsageError
 from schemas.rig import CameraOutput, Imu, PinholeCamera, Rig, Sensor, WheelOdometry
 from schemas.rig.arrays import arrays_of
 from schemas.rig.file import paper_rig, require_rates
-from workers.sensors.observation import arrays_in, measure, observe
+from workers.sensors.observation import Trajectory, arrays_in, measure, observe
 from workers.sim.sensors import require_packages
 
 SensorArrays = dict[str, dict[str, NDArray[Any]]]
@@ -70,19 +70,19 @@ class RigSensors:
 
     def measure(self) -> SensorArrays:
         """Returns copies of the latest measurement of each sensor; a sensor with a low rate keeps it until the next."""
-        hz, now = self._simulator.settings.task.control_hz, len(self._simulator.track) - 1
+        track = self._simulator.trajectory()
         for sensor in self._rig.sensors:
-            stride = sensor.stride(hz)
-            t = now // stride * stride
+            stride = sensor.stride(track.control_hz)
+            t = (len(track.poses) - 1) // stride * stride
             if self._latest.get(sensor.name, (-1, {}))[0] != t:
-                self._latest[sensor.name] = t, self._measured(sensor, t, t // stride)
+                self._latest[sensor.name] = t, self._measured(sensor, t, track)
         return {
             name: {key: array.copy() for key, array in arrays.items()} for name, (_, arrays) in self._latest.items()
         }
 
-    def _measured(self, sensor: Sensor, t: int, row: int) -> dict[str, NDArray[Any]]:
-        track = self._simulator.trajectory()
+    def _measured(self, sensor: Sensor, t: int, track: Trajectory) -> dict[str, NDArray[Any]]:
         if isinstance(sensor, Imu | WheelOdometry):
+            row = t // sensor.stride(track.control_hz)
             return {name: array[row] for name, array in arrays_in(measure(sensor, track)).items()}
         found = observe(sensor, t, track, self._simulator.surroundings)
         return {name: array for name, array in arrays_in(found).items() if name != _IDS}

@@ -117,11 +117,10 @@ class Simulator(Closing):
 
     def trajectory(self) -> Trajectory:
         """Returns the states of the steps so far, from which the sensors of a rig are measured."""
-        track, hz = self.track, self.settings.task.control_hz
+        track = self.track
         twists = np.zeros((len(track), 2))
         twists[: self.steps] = self.arrays().actions_continuous
-        job = self.spec.job(self.settings)
-        return Trajectory(track, twists, hz, job.root_seed, job.index)
+        return Trajectory(track, twists, self.settings.task.control_hz, self.spec.seed, episode=1)
 
     @property
     def surroundings(self) -> LoadedSurroundings:

@@ -12,8 +12,8 @@ from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerWriter
-from schemas.encoding.measurements import Arrays
 from schemas.episode import FORMAT_WITHOUT_RIG
+from schemas.measurements import Arrays
 from schemas.rig import Lidar2d, Mount, Rig
 from schemas.view import ViewSettings
 from tests.builders.bundle import BundleParts, empty_arrays, job_for, parts_for
