@@ -11,7 +11,6 @@ import numpy as np
 
 from schemas.appearance import CameraChange
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
-from schemas.encoding.measurements import measurements_of
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.measurements import measurements_of
