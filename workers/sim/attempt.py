@@ -27,6 +27,7 @@ from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.render import Renderer, as_partial
+from workers.sim.appearance import show_appearance
 from workers.sim.frames import add_frames, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
@@ -153,19 +154,23 @@ def _drive_and_seal(
     poses = done.arrays.poses
     if done.end_reason is not EndReason.SUCCESS:
         return AttemptFailure(FailReason(done.end_reason), done.end, len(poses))
-    writer = BundleWriter(attempt.out, stage.lap)
+    writer, shown = BundleWriter(attempt.out, stage.lap), None
     if job.record is Recording.STATES:
         add_sampled_digests(writer, stage.renderer, job, poses)
     else:
         tell = partial(attempt.on_step, len(poses))
-        visible = add_frames(writer, stage.renderer, job, poses, target.instance_id, lambda _frames: tell())
+        shown = show_appearance(job, job.view.appearance, place, stage.renderer, poses)
+        visible = add_frames(writer, shown.renderer, job, poses, target.instance_id, lambda _frames: tell())
         done = replace(done, steps_visible=visible)
-        add_measurements(writer, LoadedSurroundings(place, stage.renderer), job, done.arrays, tell)
+        scene = LoadedSurroundings(shown.place, stage.renderer)
+        add_measurements(writer, scene, job, done.arrays, tell, shown.change)
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
+    if shown is not None:
+        meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
     sealed = writer.finish(done.arrays, meta)
     stage.lap("bundle")
     return Success(sealed)
