@@ -45,7 +45,7 @@ class CommandEntry(NamedTuple):
 VERBS = MappingProxyType(
     {
         "run": CommandEntry("run.run", _MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
-        "render": CommandEntry("run.render", _MAKE, "Render a states dataset into a dataset that stores frames."),
+        "render": CommandEntry("run.render", _MAKE, "Render the frames and sensors of a states dataset."),
         "plan": CommandEntry("run.plan", _MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
         "scene": CommandEntry("scene.command", _MAKE, "Build, import, inspect and render scenes."),
         "rig": CommandEntry("rig.command", _MAKE, "List, show and check sensor rigs."),
