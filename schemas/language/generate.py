@@ -313,3 +313,19 @@ def indefinite_expressions(search: Search) -> list[Expression]:
             if masks.sure[search.number] and masks.sure.sum() > 1 and (masks.sure == masks.possible).all():
                 found.append(_expression(head, chosen, definite=False))
     return found
+
+
+def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
+    """Returns the expression with one more part that surely holds for the target: a colour or a relation."""
+    found: list[Expression] = []
+    if expression.ordinal is not None:
+        return found  # another part would change what is counted
+    for head in search.heads():
+        if head.kind == expression.kind and head.colour is not None and expression.colour is None:
+            found.append(expression.model_copy(update={"colour": head.colour}))
+    if len(expression.clauses) < 2:
+        named = {clause.relation for clause in expression.clauses}
+        for part in search.parts():
+            if part.clause.relation not in named:
+                found.append(expression.model_copy(update={"clauses": (part.clause, *expression.clauses)}))
+    return found

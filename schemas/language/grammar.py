@@ -153,7 +153,9 @@ class Grammar(Model):
             "colour": "" if expression.colour is None else _nth(self.colours[expression.colour], choice.get("colour", 0)),
         }
         ending = self._ending(named, gender, "nom" if case == "bare" else case)
-        words = {name: text.replace("~", ending) for name, text in parts.items()}
+        words = {name: self._agreeing(text, gender).replace("~", ending) for name, text in parts.items()}
+        if self.head_last and words["ordinal"]:
+            words["article"] = ""
         if expression.ordinal is not None:
             words["side"] = _nth(self.sides[_side(expression)], choice.get("side", 0)).replace("~", ending)
         clauses = [self._clause(clause, gender, choice, number) for number, clause in enumerate(expression.clauses)]
@@ -163,7 +165,7 @@ class Grammar(Model):
 
     def _clause(self, clause: Clause, gender: str, choice: Mapping[str, int], number: int) -> str:
         text = _nth(self.relations[clause.relation], choice.get("relation", 0) + number)
-        text = _GENDER.sub(lambda found: found[1].split("|")[self._gender(gender)], text)
+        text = self._agreeing(text, gender)
 
         def fill(slot: re.Match[str]) -> str:
             if slot[1] == "room":
@@ -191,8 +193,10 @@ class Grammar(Model):
         known = (f"{article}_{gender}_{case}", f"{article}_{gender}", f"{article}_{case}", gender, article)
         return next((self.endings[key] for key in known if key in self.endings), gender if not self.genders else "")
 
-    def _gender(self, gender: str) -> int:
-        return self.genders.index(gender) if gender in self.genders else 0
+    def _agreeing(self, text: str, gender: str) -> str:
+        """Returns a text with the alternative of each `<a|b|c>` that agrees with a gender."""
+        place = self.genders.index(gender) if gender in self.genders else 0
+        return _GENDER.sub(lambda found: found[1].split("|")[place], text)
 
 
 def _side(expression: Expression) -> str:

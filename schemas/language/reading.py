@@ -193,18 +193,23 @@ class Reader:
 
     def _add(self, table: dict[str, object], words: Iterable[str], meaning: object) -> None:
         for word in filter(None, words):
-            for mark in self._marks if "~" in word else ("",):
-                table.setdefault(self.normal(word.replace("~", mark)), meaning)
+            for form in _forms(word):
+                for mark in self._marks if "~" in form else ("",):
+                    table.setdefault(self.normal(form.replace("~", mark)), meaning)
 
     def _clause_patterns(self, source: Grammar) -> Iterator[tuple[Relation, tuple[str, ...]]]:
         for relation, texts in source.relations.items():
             for text in texts:
-                found = _GENDERED.search(text)
-                for chosen in found[1].split("|") if found else [""]:
-                    whole = _GENDERED.sub(chosen, text)
+                for whole in _forms(text):
                     pieces = SLOT.split(whole)  # literal, slot, case, literal, ...
                     parts = [piece for number, piece in enumerate(pieces) if number % 3 != 2]
                     yield relation, tuple(self.normal(part).strip() for part in parts if part.strip())
+
+
+def _forms(text: str) -> list[str]:
+    """Returns a text with each alternative of `<a|b|c>`."""
+    found = _GENDERED.search(text)
+    return [_GENDERED.sub(chosen, text) for chosen in found[1].split("|")] if found else [text]
 
 
 _GROUPS = ("article", "ordinal", "size", "colour", "noun", "side")

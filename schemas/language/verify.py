@@ -14,7 +14,7 @@ from schemas.language import thresholds as limit
 from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation, Side, Size
 from schemas.language.graph import UNKNOWN, SceneGraph
 from schemas.language.measure import Footprints, Truth, beside, down, up
-from schemas.language.reading import Reading, reader
+from schemas.language.reading import Reader, Reading
 from schemas.language.view import View
 
 
@@ -59,7 +59,7 @@ class Verifier:
         self.graph = graph
         self._prints = Footprints(graph)
 
-    def check(self, sentence: str, language: str, view: View | None, number: int) -> str:
+    def check(self, sentence: str, language: Reader, view: View | None, number: int) -> str:
         """Returns why a sentence does not fit the object that it should; empty if it does.
 
         A definite expression fits the object and no other one. An indefinite one fits it and other objects, without
@@ -67,18 +67,18 @@ class Verifier:
 
         Args:
             sentence: the instruction.
-            language: code of its language.
+            language: reader of its language.
             view: view at the start; `None` if none is known, which rejects relations to the view.
             number: number of the object in the scene graph.
         """
-        readings = reader(language).read(sentence)
+        readings = language.read(sentence)
         if not readings:
             return "the sentence is not one of the grammar"
         return next(filter(None, (self._fault(reading, view, number) for reading in readings)), "")
 
-    def is_false_premise(self, sentence: str, language: str, view: View | None) -> bool:
+    def is_false_premise(self, sentence: str, language: Reader, view: View | None) -> bool:
         """Returns whether every reading of a sentence names an object that does not exist in the scene."""
-        verdicts = [self.evaluate(reading.expression, view) for reading in reader(language).read(sentence)]
+        verdicts = [self.evaluate(reading.expression, view) for reading in language.read(sentence)]
         return bool(verdicts) and not any(verdict.possible or verdict.fault for verdict in verdicts)
 
     def _fault(self, reading: Reading, view: View | None, number: int) -> str:
