@@ -21,7 +21,7 @@ from schemas.language.grammar import Pattern
 from schemas.language.graph import UNKNOWN, SceneGraph
 from schemas.language.verify import Verifier
 from schemas.language.view import View
-from schemas.terms import COLOUR_NAMES
+from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
@@ -209,12 +209,9 @@ class Composer:
         """Yields an instruction that names an object of the target's kind in a colour that does not exist, or another kind."""
         code = _weighted(self.spec.languages, rng)
         tongue, each = self._tongues[code], scene.graph.objects[number]
-        absent = [
-            Expression(kind=each.kind, colour=colour)
-            for colour in COLOUR_NAMES
-            if each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain and each.kind in tongue.grammar.nouns
-        ]
-        absent += [Expression(kind=kind) for kind in tongue.grammar.nouns]
+        is_coloured = each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain
+        absent = [Expression(kind=kind) for kind in CATEGORIES if kind in tongue.grammar.nouns]
+        absent += [Expression(kind=each.kind, colour=colour) for colour in COLOUR_NAMES if is_coloured]
         for place in rng.permutation(len(absent))[:_TRIES].tolist():
             pattern, text = self._say(code, held_out, absent[place], rng)
             if scene.verifier.is_false_premise(text, tongue.reader, view):

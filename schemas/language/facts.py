@@ -122,7 +122,8 @@ class SceneFacts:
     @cached_property
     def close(self) -> Masks:
         """(N, N) pairs that are close enough for left, right, in front and behind."""
-        return _below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
+        found = _below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
+        return Masks(found.sure & self._is_level, found.possible & self._is_level)
 
     @cached_property
     def distinct(self) -> Bools:
@@ -135,8 +136,11 @@ class SceneFacts:
         found = _below(self.gap, limit.NEXT_TO_M).both(self._rooms)
         stacked = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
         level = ~(stacked | stacked.T)
-        same_level = np.abs(self._base[:, None] - self._base) < 1.0
-        return Masks(found.sure & self.distinct & level & same_level, found.possible & self.distinct)
+        return Masks(found.sure & self.distinct & level & self._is_level, found.possible & self.distinct)
+
+    @cached_property
+    def _is_level(self) -> Bools:
+        return np.asarray(np.abs(self._base[:, None] - self._base) < limit.LEVEL_M)
 
     @cached_property
     def _base(self) -> Floats:

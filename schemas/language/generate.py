@@ -20,8 +20,8 @@ from schemas.language.facts import Described, Masks, SceneFacts, ViewFacts
 from schemas.language.graph import UNKNOWN
 from schemas.support.numpy_types import Floats
 
-_WITHOUT_ORDINAL = frozenset({Family.VIEW, Family.EGO})
-"""Families that are not combined with an ordinal: "the second chair from the left on your right" is hard to read."""
+_WITH_ORDINAL = frozenset({Family.ROOM})
+"""Families of relations that are combined with an ordinal: "the second chair from the left next to a table" is ambiguous."""
 _NEARBY_M = 6.0
 _MOST_SELECTED = 4
 """Number of relations that are combined with a superlative."""
@@ -149,7 +149,7 @@ class Search:
     def selectors(self, head: Head, parts: Sequence[Part], among: Masks) -> Iterator[Expression]:
         """Yields the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
         base = _expression(head, parts)
-        if not among.sure[self.number] or int(among.possible.sum()) < 2:
+        if not among.sure[self.number] or int(among.sure.sum()) < 2:
             return
         others = np.flatnonzero(among.possible)
         others = others[others != self.number]
@@ -203,7 +203,7 @@ class Search:
         assert self.view is not None
         view = self.view.view
         seen = np.flatnonzero(among.possible & view.possible)
-        if self.number not in seen or len(seen) < 2:
+        if self.number not in seen or int((among.sure & view.sure).sum()) < 2:
             return
         for side, sign in ((Side.LEFT, -1.0), (Side.RIGHT, 1.0)):
             order = seen[np.argsort(sign * view.bearing[seen], kind="stable")]
@@ -292,7 +292,7 @@ def _selected(search: Search, head: Head, part: Part) -> Iterator[Expression]:
     """
     without = {_selector(one) for one in search.selectors(head, (), head.masks)}
     for one in search.selectors(head, (part,), head.masks.both(part.masks)):
-        is_readable = one.ordinal is None or FAMILY[part.clause.relation] not in _WITHOUT_ORDINAL
+        is_readable = one.ordinal is None or FAMILY[part.clause.relation] in _WITH_ORDINAL
         if is_readable and _selector(one) not in without:
             yield one
 

@@ -19,6 +19,7 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 
 UNKNOWN = "unknown"
 """Colour of an object without a dominant or recorded colour."""
+_LOW_M, _TALL_M = 0.6, 1.6
 _BETWEEN_ROOMS = frozenset({"door", "gate", "window"})
 
 
@@ -63,7 +64,7 @@ class SceneGraph:
     room_grid: Grid
     """Number of the room of each cell."""
     sight_grid: Grid
-    """0 free, 1 occupied in the height of the robot, 2 occupied and blocking the line of sight."""
+    """0 free, 1 occupied by an object, 2 wall."""
     floor_m: float
     """Height of the floor, metres."""
     kinds: Kinds
@@ -117,7 +118,7 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     table, info = kinds(), scene.info
     raw = _objects(scene, table)
     occupancy = Grid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
-    boxes = np.array([(each.low[:2], each.high[:2]) for each in raw if each.kind not in _BETWEEN_ROOMS])
+    boxes = np.array([(each.low[:2], each.high[:2]) for each in raw if _stands_tall(each, info.floor_height_m)])
     walls = find_walls(occupancy, boxes.reshape(-1, 2, 2))
     room_grid, rooms = divide_rooms(walls, _building(scene))
     centres = np.array([(each.low[:2] + each.high[:2]) / 2 for each in raw]).reshape(-1, 2)
@@ -141,7 +142,14 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
         for number, each in enumerate(raw)
     )
     types = tuple(_room_type(room, objects, table) for room in rooms)
-    return SceneGraph(objects, rooms, types, room_grid, occupancy, info.floor_height_m, table)
+    sight = np.where(walls.values, 2, occupancy.values > 0).astype(np.uint8)
+    return SceneGraph(objects, rooms, types, room_grid, occupancy._replace(values=sight), info.floor_height_m, table)
+
+
+def _stands_tall(each: _Raw, floor_m: float) -> bool:
+    """Returns whether an object may hide what is behind it on the grid, as a wall does."""
+    is_tall = float(each.low[2]) - floor_m < _LOW_M and float(each.high[2]) - floor_m > _TALL_M
+    return is_tall and each.kind not in _BETWEEN_ROOMS
 
 
 def _building(scene: CompiledScene) -> Bools:

@@ -11,7 +11,6 @@ from schemas.language.graph import SceneGraph
 from schemas.language.thresholds import Band
 
 _SIDE_SAMPLES = 5
-_LEVEL_M = 1.0
 
 
 class Truth(IntEnum):
@@ -108,9 +107,12 @@ class Footprints:
 
     def is_stacked(self, one: int, two: int) -> bool:
         """Returns whether one object may be on or under the other, or they are at different heights."""
-        apart = abs(self._objects[one].base_m - self._objects[two].base_m) >= _LEVEL_M
         pairs = ((one, two), (two, one))
-        return apart or any(self.rests_on(*pair) or self.is_under(*pair) for pair in pairs)
+        return self.is_apart(one, two) or any(self.rests_on(*pair) or self.is_under(*pair) for pair in pairs)
+
+    def is_apart(self, one: int, two: int) -> bool:
+        """Returns whether the lower sides of two objects have very different heights, such as a chair and a sign."""
+        return abs(self._objects[one].base_m - self._objects[two].base_m) >= limit.LEVEL_M
 
     def is_supported(self, number: int) -> bool:
         """Returns whether an object may rest on another one."""

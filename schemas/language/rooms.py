@@ -71,7 +71,7 @@ def find_walls(occupancy: Grid, boxes: Floats) -> Grid:
     walls = occupancy.values == _HIDING
     half = occupancy.resolution_m / 2
     for low, high in boxes:
-        (row0, row1), (column0, column1) = occupancy.cells(np.stack((low + half, high - half)))
+        (row0, row1), (column0, column1) = occupancy.cells(np.stack((low - half, high + half)))
         walls[row0 : row1 + 1, column0 : column1 + 1] = False
     labels, _ = scipy.ndimage.label(walls, np.ones((3, 3)))
     least = _SMALLEST_WALL_M / occupancy.resolution_m
@@ -152,9 +152,11 @@ def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> Floats:
 
 
 def corner_gaps(gaps: Floats) -> Floats:
-    """Returns (N,) for each object the smallest d such that walls in two perpendicular directions are within d, metres.
+    """Returns (N,) for each object the gap to a wall perpendicular to its nearest wall, metres.
 
     Args:
         gaps: (N, 12) gaps of `wall_gaps`.
     """
-    return np.asarray(np.maximum(gaps, np.roll(gaps, -(_DIRECTIONS // 4), axis=1)).min(axis=1))
+    rows, nearest, quarter = np.arange(len(gaps)), gaps.argmin(axis=1), _DIRECTIONS // 4
+    sides = np.minimum(gaps[rows, (nearest + quarter) % _DIRECTIONS], gaps[rows, nearest - quarter])
+    return np.asarray(np.maximum(sides, gaps.min(axis=1, initial=_FAR_M)))

@@ -221,6 +221,8 @@ class Verifier:
         assert view is not None
         if not view.possible[other]:
             return Truth.NO
+        if self._prints.is_apart(number, other):
+            return Truth.NO
         shown = Truth.YES if view.sure[number] and view.sure[other] else Truth.MAYBE
         angle = self._prints.direction(number, other, (view.x, view.y))
         turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
@@ -234,7 +236,12 @@ class Verifier:
         return Truth.NO if len(rooms) > 1 else self._prints.between(number, first, second)
 
     def _selected(self, truths: dict[int, Truth], expression: Expression, view: View | None) -> dict[int, Truth]:
-        """Returns the objects that a superlative or an ordinal selects; all of them if there is none."""
+        """Returns the objects that a superlative or an ordinal selects; all of them if there is none.
+
+        A superlative presupposes that there surely are several objects.
+        """
+        if expression.selectors and sum(truth is Truth.YES for truth in truths.values()) < 2:
+            return dict.fromkeys(truths, Truth.MAYBE)
         if expression.ordinal is not None:
             assert view is not None
             return self._counted(truths, expression.ordinal.number, expression.ordinal.side, view)
@@ -279,7 +286,8 @@ class Verifier:
         angles = [float(view.bearing[number]) for number in counted]
         is_apart = all(abs(one - two) >= limit.BEARING_GAP_RAD for one, two in zip(angles, angles[1:], strict=False))
         is_sure = all(truths[number] is Truth.YES and view.sure[number] for number in order[:place])
-        if is_apart and is_sure and len(order) > 1:
+        several = sum(truths[number] is Truth.YES and bool(view.sure[number]) for number in order) > 1
+        if is_apart and is_sure and several:
             return {order[place - 1]: Truth.YES}
         return dict.fromkeys(order, Truth.MAYBE)
 
@@ -302,10 +310,7 @@ def _extreme(
     ratio: float = limit.DISTANCE_RATIO,
     gap: float = limit.DISTANCE_GAP_M,
 ) -> dict[int, Truth]:
-    """Returns the object with the extreme value if it is clear; otherwise all objects that may have it.
-
-    A superlative of one object presupposes that there are several.
-    """
+    """Returns the object with the extreme value if it is clear; otherwise all objects that may have it."""
     best = max(truths, key=lambda number: way * values[number], default=None)
     if best is None:
         return {}
@@ -314,6 +319,6 @@ def _extreme(
         is_clear = all(value >= max(values[best] * ratio, values[best] + gap) for value in rest)
     else:
         is_clear = all(values[best] >= max(value * ratio, value + gap) for value in rest)
-    if rest and is_clear and truths[best] is Truth.YES:
+    if is_clear and truths[best] is Truth.YES:
         return {best: Truth.YES}
     return dict.fromkeys(truths, Truth.MAYBE)

@@ -1,7 +1,7 @@
 """Computes what the robot sees of a scene graph from its start pose, on the grid. Renders nothing.
 
 An object is surely visible if it is in the image and most lines of sight to it are free; it is surely not visible if it is
-outside of the image, or every line of sight is blocked. Low obstacles make it borderline.
+outside of the image, or a wall blocks every line of sight. Other obstacles make it borderline.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FREE_SHARE = 0.5
 _BEFORE_M = 0.12
 """Length before the object at which a line of sight ends, metres: the object itself does not block it."""
 _STEP_CELLS = 1.5
-_POINTS = np.array([(0.0, 0.0), (-0.8, -0.8), (0.8, -0.8), (0.8, 0.8), (-0.8, 0.8)])
+_POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Points of a footprint, the centre first, in half extents."""
 
 
@@ -72,6 +72,9 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
     bearing = np.remainder(np.arctan2(offset[..., 1], offset[..., 0]) - yaw + math.pi, 2 * math.pi) - math.pi
     half = math.radians(camera.fov_deg) / 2
     inside, maybe = np.abs(bearing) <= half - EDGE_RAD, np.abs(bearing) <= half + EDGE_RAD
+    maybe[:, 0] |= (bearing.min(axis=1) < 0) & (bearing.max(axis=1) > 0) & (np.ptp(bearing, axis=1) < math.pi)
+    middle = (graph.low[:, 2] + graph.high[:, 2]) / 2 - graph.floor_m - camera.z_m
+    inside &= (np.abs(middle) <= distance[:, 0] * math.tan(half - EDGE_RAD))[:, None]
     far = distance[:, 0] > _FAR_M
     sure, possible = np.zeros(len(points), bool), far & maybe.any(axis=1)
     near = np.flatnonzero(maybe.any(axis=1) & ~far)
