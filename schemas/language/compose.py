@@ -5,10 +5,12 @@ Opens no file; chance is an argument.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import accumulate
 
 import numpy as np
 
@@ -78,11 +80,11 @@ class SceneLanguage:
     def __post_init__(self) -> None:
         self.facts = SceneFacts(self.graph)
         self.verifier = Verifier(self.graph)
+        self._of_kind = Counter(each.kind for each in self.graph.objects)
 
     def distractors(self, number: int) -> int:
         """Returns the number of other objects of an object's kind."""
-        kind = self.graph.objects[number].kind
-        return sum(each.kind == kind for each in self.graph.objects) - 1
+        return self._of_kind[self.graph.objects[number].kind] - 1
 
 
 class Composer:
@@ -185,7 +187,7 @@ class Composer:
         if fault:
             scene.rejected[fault] += 1
             return None
-        fits = len(scene.verifier.evaluate(expression, view).possible)
+        fits = 1 if expression.definite else len(scene.verifier.evaluate(expression, view).possible)
         return self._instruction(
             InstructionKind.GOAL, text, code, pattern, expression, features_of(expression, kind), is_minimal, fits,
             scene.distractors(number),
@@ -259,8 +261,10 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _index(weights: Sequence[float], rng: np.random.Generator) -> int:
-    edges = np.cumsum(weights)
-    return int(np.searchsorted(edges, rng.random() * edges[-1], side="right").clip(0, len(weights) - 1))
+    if len(weights) == 1:
+        return 0
+    edges = list(accumulate(weights))
+    return min(bisect_right(edges, rng.random() * edges[-1]), len(weights) - 1)
 
 
 def _weighted(shares: Mapping[str, float], rng: np.random.Generator) -> str:

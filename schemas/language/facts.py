@@ -106,6 +106,16 @@ class SceneFacts:
         return np.asarray((self.graph.low + self.graph.high)[:, :2] / 2)
 
     @cached_property
+    def volume(self) -> Floats:
+        """(N,) volumes of the bounding boxes, cubic metres."""
+        return np.asarray((self.graph.high - self.graph.low).prod(axis=1))
+
+    @cached_property
+    def height(self) -> Floats:
+        """(N,) heights, metres."""
+        return np.asarray((self.graph.high - self.graph.low)[:, 2])
+
+    @cached_property
     def gap(self) -> Floats:
         """(N, N) gap between bounding rectangles, metres."""
         low, high = self.graph.low[:, None, :2], self.graph.high[:, None, :2]
@@ -240,6 +250,13 @@ class ViewFacts:
             bad[rows] = possible & (np.abs(across) < along * _BAD_TAN)
             found[name] = Masks(good, bad)
         return found
+
+    @cached_property
+    def distance(self) -> Floats:
+        """(N,) distances from the start to the bounding rectangles, metres."""
+        graph, eye = self.scene.graph, np.array((self.view.x, self.view.y))
+        apart = np.maximum(0, np.maximum(graph.low[:, :2] - eye, eye - graph.high[:, :2]))
+        return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
 
     @cached_property
     def ego(self) -> dict[Relation, Masks]:

@@ -146,8 +146,21 @@ class Search:
                 clause = Clause(relation=Relation.BETWEEN, landmarks=(one.landmark, two.landmark))
                 yield Part(clause, facts.between(first, second))
 
-    def selectors(self, head: Head, parts: Sequence[Part], among: Masks) -> Iterator[Expression]:
-        """Yields the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
+    def selectors(self, head: Head, parts: tuple[Part, ...] = ()) -> list[Expression]:
+        """Returns the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
+        key = head.kind, head.colour, tuple(part.clause for part in parts)
+        if key not in self._selected:
+            among = head.masks
+            for part in parts:
+                among = among.both(part.masks)
+            self._selected[key] = list(self._selectors(head, parts, among))
+        return self._selected[key]
+
+    @cached_property
+    def _selected(self) -> dict[object, list[Expression]]:
+        return {}
+
+    def _selectors(self, head: Head, parts: Sequence[Part], among: Masks) -> Iterator[Expression]:
         base = _expression(head, parts)
         if not among.sure[self.number] or int(among.sure.sum()) < 2:
             return
@@ -156,16 +169,15 @@ class Search:
         if Family.SIZE in self.families:
             yield from (base.model_copy(update={"size": size}) for size in self._sizes(others.tolist()))
         if Family.NEAREST in self.families:
-            for clause in self._nearest(others.tolist(), parts):
+            for clause in self._nearest(others.tolist()):
                 yield base.model_copy(update={"clauses": (*base.clauses, clause)})
         if Family.ORDINAL in self.families and self.view is not None:
             yield from (base.model_copy(update={"ordinal": ordinal}) for ordinal in self._ordinals(among))
 
     def _sizes(self, others: list[int]) -> Iterator[Size]:
-        extent = self.facts.graph.high - self.facts.graph.low
         for values, ratio, most, least in (
-            (extent.prod(axis=1), limit.VOLUME_RATIO, Size.LARGEST, Size.SMALLEST),
-            (extent[:, 2], limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
+            (self.facts.volume, limit.VOLUME_RATIO, Size.LARGEST, Size.SMALLEST),
+            (self.facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
         ):
             own, rest = values[self.number], values[others]
             if own >= ratio * rest.max():
@@ -173,23 +185,18 @@ class Search:
             if own * ratio <= rest.min():
                 yield least
 
-    def _nearest(self, others: list[int], parts: Sequence[Part]) -> Iterator[Clause]:
+    def _nearest(self, others: list[int]) -> Iterator[Clause]:
         facts, graph = self.facts, self.facts.graph
         if self.view is not None and self.view.view.sure[self.number]:
-            eye = np.array((self.view.view.x, self.view.view.y))
-            apart = np.maximum(0, np.maximum(graph.low[:, :2] - eye, eye - graph.high[:, :2]))
-            if _is_least(np.hypot(apart[:, 0], apart[:, 1]), self.number, others):
+            if _is_least(self.view.distance, self.number, others):
                 yield Clause(relation=Relation.NEAREST_YOU)
         room = graph.objects[self.number].room
-        here = {Relation.THIS_ROOM, Relation.IN_ROOM}
-        is_in_room = any(part.clause.relation in here for part in parts)
         for each in self._definite_nearby if room else ():
             gaps = facts.gap[each.sure[0]]
-            if each.sure[0] in others:
-                continue
-            if _is_least(gaps, self.number, others):
+            rest = [number for number in others if number != each.sure[0]]
+            if rest and _is_least(gaps, self.number, rest):
                 yield Clause(relation=Relation.NEAREST_TO, landmarks=(each.landmark,))
-            if is_in_room and _is_least(-gaps, self.number, others):
+            if rest and _is_least(-gaps, self.number, rest):
                 yield Clause(relation=Relation.FARTHEST_FROM, landmarks=(each.landmark,))
 
     @cached_property
@@ -267,8 +274,9 @@ def _with_head(search: Search, head: Head, parts: list[tuple[Part, int]], own: i
         if bare != own:
             yield _expression(head, ())
         return
-    alone = {_selector(one) for one in search.selectors(head._replace(colour=None), (), search.facts.described(head.kind, None))} if bare >= 0 else set()
-    yield from (one for one in search.selectors(head, (), head.masks) if _selector(one) not in alone)
+    plain = head._replace(colour=None, masks=search.facts.described(head.kind, None))
+    without = {_selector(one) for one in search.selectors(plain)} if bare >= 0 else set()
+    yield from (one for one in search.selectors(head) if _selector(one) not in without and _is_readable(one))
     useful = []
     for part, bits in parts:
         if bare >= 0 and bare & bits == own:
@@ -290,11 +298,19 @@ def _selected(search: Search, head: Head, part: Part) -> Iterator[Expression]:
 
     Without the relation, the same superlative does not select the target.
     """
-    without = {_selector(one) for one in search.selectors(head, (), head.masks)}
-    for one in search.selectors(head, (part,), head.masks.both(part.masks)):
-        is_readable = one.ordinal is None or FAMILY[part.clause.relation] in _WITH_ORDINAL
-        if is_readable and _selector(one) not in without:
+    without = {_selector(one) for one in search.selectors(head)}
+    for one in search.selectors(head, (part,)):
+        if _is_readable(one) and _selector(one) not in without:
             yield one
+
+
+def _is_readable(expression: Expression) -> bool:
+    """Returns whether a reader knows among which objects an expression counts, or looks for the farthest one."""
+    families = {FAMILY[clause.relation] for clause in expression.clauses}
+    if expression.ordinal is not None:
+        return families <= _WITH_ORDINAL
+    is_farthest = any(clause.relation is Relation.FARTHEST_FROM for clause in expression.clauses)
+    return not is_farthest or Family.ROOM in families
 
 
 def _selector(expression: Expression) -> object:
@@ -318,8 +334,8 @@ def indefinite_expressions(search: Search) -> list[Expression]:
 def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
     """Returns the expression with one more part that surely holds for the target: a colour or a relation."""
     found: list[Expression] = []
-    if expression.ordinal is not None:
-        return found  # another part would change what is counted
+    if expression.selectors:
+        return found  # another part would change the objects among which it selects
     for head in search.heads():
         if head.kind == expression.kind and head.colour is not None and expression.colour is None:
             found.append(expression.model_copy(update={"colour": head.colour}))

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.language.kinds import Kinds, kinds
-from schemas.language.rooms import Grid, Room, corner_gaps, divide_rooms, find_walls, nearest_room, wall_gaps
-from schemas.scene import CompiledScene
+from schemas.language.rooms import Grid, Room, divide_rooms, find_walls, nearest_room, wall_gaps
+from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
 
 UNKNOWN = "unknown"
@@ -118,12 +118,11 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     table, info = kinds(), scene.info
     raw = _objects(scene, table)
     occupancy = Grid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
-    boxes = np.array([(each.low[:2], each.high[:2]) for each in raw if _stands_tall(each, info.floor_height_m)])
+    boxes = np.array([_covered(each, info) for each in raw if each.kind not in _BETWEEN_ROOMS])
     walls = find_walls(occupancy, boxes.reshape(-1, 2, 2))
     room_grid, rooms = divide_rooms(walls, _building(scene))
     centres = np.array([(each.low[:2] + each.high[:2]) / 2 for each in raw]).reshape(-1, 2)
-    gaps = wall_gaps(walls, centres, [each.outline for each in raw]).reshape(len(raw), -1)
-    corners = corner_gaps(gaps) if raw else np.zeros(0)
+    gaps, corners = wall_gaps(walls, centres, [each.outline for each in raw])
     labels = nearest_room(room_grid, centres)
     objects = tuple(
         SceneObject(
@@ -135,7 +134,7 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
             outline_m=tuple((float(x), float(y)) for x, y in each.outline),
             target_id=each.target_id,
             room=0 if each.kind in _BETWEEN_ROOMS else int(labels[number]),
-            wall_gap_m=float(gaps[number].min()),
+            wall_gap_m=float(gaps[number]),
             corner_gap_m=float(corners[number]),
             base_m=float(each.low[2]) - info.floor_height_m,
         )
@@ -146,10 +145,14 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     return SceneGraph(objects, rooms, types, room_grid, occupancy._replace(values=sight), info.floor_height_m, table)
 
 
-def _stands_tall(each: _Raw, floor_m: float) -> bool:
-    """Returns whether an object may hide what is behind it on the grid, as a wall does."""
-    is_tall = float(each.low[2]) - floor_m < _LOW_M and float(each.high[2]) - floor_m > _TALL_M
-    return is_tall and each.kind not in _BETWEEN_ROOMS
+def _covered(each: _Raw, info: SceneInfo) -> Floats:
+    """Returns the rectangle of cells that an object covers, lower and upper corner; of a low or hung object those inside.
+
+    A tall object that stands on the floor has cells that look like a wall at its edges, too.
+    """
+    is_tall = each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M
+    margin = info.grid_resolution_m / 2 * (1 if is_tall else -1)
+    return np.stack((each.low[:2] - margin, each.high[:2] + margin))
 
 
 def _building(scene: CompiledScene) -> Bools:

@@ -70,10 +70,16 @@ class Kinds(Model):
 
     def borderline_of(self, word: str) -> frozenset[str]:
         """Returns the kinds that are borderline cases of a kind or superclass, because they look alike."""
-        inside = self.kinds_of(word)
-        alike = {other for kind in inside for other in self.of(kind).like}
-        alike |= {kind for kind, own in self.kinds.items() if inside.intersection(own.like)}
-        return frozenset(alike - inside)
+        if word not in self._alike:
+            inside = self.kinds_of(word)
+            alike = {other for kind in inside for other in self.of(kind).like}
+            alike |= {kind for kind, own in self.kinds.items() if inside.intersection(own.like)}
+            self._alike[word] = frozenset(alike - inside)
+        return self._alike[word]
+
+    @cached_property
+    def _alike(self) -> dict[str, frozenset[str]]:
+        return {}
 
     @cached_property
     def _prims(self) -> tuple[tuple[frozenset[str], str], ...]:

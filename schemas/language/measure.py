@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Iterable
 from enum import IntEnum
 
 from schemas.language import thresholds as limit
@@ -70,6 +71,18 @@ class Footprints:
         if _contains(outline, where):
             return 0.0
         return min(_to_segment(where, a, b) for a, b in zip(outline, outline[1:] + outline[:1], strict=True))
+
+    def ranges_from(self, point: tuple[float, float], numbers: Iterable[int]) -> dict[int, float]:
+        """Returns the distances from a point to footprints, metres; exact for those that may be the nearest.
+
+        The others have a smaller value than their distance, which is still clearly larger than that of the nearest.
+        """
+        where = complex(*point)
+        apart = {number: abs(self._centres[number] - where) for number in numbers}
+        nearest = min((distance + self._radii[number] for number, distance in apart.items()), default=0.0)
+        clear = nearest * limit.DISTANCE_RATIO + limit.DISTANCE_GAP_M
+        least = {number: distance - self._radii[number] for number, distance in apart.items()}
+        return {number: self.range_from(point, number) if low <= clear else low for number, low in least.items()}
 
     def direction(self, number: int, other: int, eye: tuple[float, float]) -> float:
         """Returns the direction from a landmark to an object against the line of sight to the landmark, radians.

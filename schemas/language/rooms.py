@@ -69,9 +69,8 @@ def find_walls(occupancy: Grid, boxes: Floats) -> Grid:
         boxes: (N, 2, 2) lower and upper corner x, y of each object, metres.
     """
     walls = occupancy.values == _HIDING
-    half = occupancy.resolution_m / 2
-    for low, high in boxes:
-        (row0, row1), (column0, column1) = occupancy.cells(np.stack((low - half, high + half)))
+    for box in boxes:
+        (row0, row1), (column0, column1) = occupancy.cells(box)
         walls[row0 : row1 + 1, column0 : column1 + 1] = False
     labels, _ = scipy.ndimage.label(walls, np.ones((3, 3)))
     least = _SMALLEST_WALL_M / occupancy.resolution_m
@@ -131,8 +130,10 @@ def nearest_room(rooms: Grid, points: Floats, within_m: float = 0.6) -> Ints:
     return np.where(distance[row, column] * rooms.resolution_m <= within_m, found, 0)
 
 
-def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> Floats:
-    """Returns (N, 12) gaps between objects and walls in directions 0, 30, ... 330 degrees, metres; at most 4 m.
+def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
+    """Returns (N,) gaps between objects and their nearest wall, and gaps to a wall perpendicular to it, metres; at most 4.
+
+    Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees.
 
     Args:
         walls: grid of walls.
@@ -148,15 +149,8 @@ def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> Floats:
         along = reach.reshape(-1, _DIRECTIONS)[:, direction, None] + steps
         hit = walls.at(centres[:, None, :] + along[..., None] * way).astype(bool)
         gaps[:, direction] = np.where(hit.any(axis=1), steps[hit.argmax(axis=1)], _FAR_M)
-    return gaps
-
-
-def corner_gaps(gaps: Floats) -> Floats:
-    """Returns (N,) for each object the gap to a wall perpendicular to its nearest wall, metres.
-
-    Args:
-        gaps: (N, 12) gaps of `wall_gaps`.
-    """
-    rows, nearest, quarter = np.arange(len(gaps)), gaps.argmin(axis=1), _DIRECTIONS // 4
-    sides = np.minimum(gaps[rows, (nearest + quarter) % _DIRECTIONS], gaps[rows, nearest - quarter])
-    return np.asarray(np.maximum(sides, gaps.min(axis=1, initial=_FAR_M)))
+    # the distance of the centre is smallest along the normal of the wall; the gap of a corner of the outline may not be
+    rows, normal, quarter = np.arange(len(gaps)), (gaps + reach.reshape(gaps.shape)).argmin(axis=1), _DIRECTIONS // 4
+    own = gaps[rows, normal]
+    sides = np.minimum(gaps[rows, (normal + quarter) % _DIRECTIONS], gaps[rows, normal - quarter])
+    return np.asarray(own), np.asarray(np.maximum(sides, own))

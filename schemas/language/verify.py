@@ -58,6 +58,7 @@ class Verifier:
     def __init__(self, graph: SceneGraph) -> None:
         self.graph = graph
         self._prints = Footprints(graph)
+        self._fitting: dict[tuple[str, str | None], dict[int, Truth]] = {}
 
     def check(self, sentence: str, language: Reader, view: View | None, number: int) -> str:
         """Returns why a sentence does not fit the object that it should; empty if it does.
@@ -110,6 +111,8 @@ class Verifier:
 
     def _described(self, kind: str, colour: str | None) -> dict[int, Truth]:
         """Returns the objects of a kind and colour, without those that it surely does not fit."""
+        if (kind, colour) in self._fitting:
+            return self._fitting[kind, colour]
         table, found = self.graph.kinds, {}
         inside, alike = table.kinds_of(kind), table.borderline_of(kind)
         for number, each in enumerate(self.graph.objects):
@@ -118,6 +121,7 @@ class Verifier:
                 truth = min(truth, Truth.MAYBE if each.colour == UNKNOWN else Truth.NO)
             if truth is not Truth.NO:
                 found[number] = truth
+        self._fitting[kind, colour] = found
         return found
 
     def _landmarks(self, landmark: Landmark) -> dict[int, Truth]:
@@ -253,8 +257,7 @@ class Verifier:
         if clause.relation is Relation.NEAREST_YOU:
             assert view is not None
             known = {number: truth if view.sure[number] else Truth.MAYBE for number, truth in truths.items()}
-            ranges = {number: self._prints.range_from((view.x, view.y), number) for number in truths}
-            return _extreme(known, ranges, Selected.LEAST)
+            return _extreme(known, self._prints.ranges_from((view.x, view.y), truths), Selected.LEAST)
         (others,) = (self._landmarks(landmark) for landmark in clause.landmarks)
         other = next(iter(others), None)
         if other is None:
