@@ -87,7 +87,9 @@ def make_part(task: PartTask) -> PartResult:
     """
     scene, composer = prepared_scene(task.package), Composer(task.spec)
     scene.rejected.clear()
-    rows = [row for start in task.starts for row in rows_of(start, instructions_of(start, scene, composer, task.camera))]
+    rows = [
+        row for start in task.starts for row in rows_of(start, instructions_of(start, scene, composer, task.camera))
+    ]
     with replacing(task.file, durable=True) as part:
         pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), part, compression="zstd", write_page_checksum=True)
     return PartResult(len(task.starts), Counter(scene.rejected))
@@ -103,9 +105,7 @@ def prepared_scene(package: ScenePackage) -> SceneLanguage:
     return SceneLanguage(build_graph(decode_scene(io.BytesIO(package.read()))))
 
 
-def instructions_of(
-    start: Start, scene: SceneLanguage, composer: Composer, camera: CameraConfig
-) -> list[Instruction]:
+def instructions_of(start: Start, scene: SceneLanguage, composer: Composer, camera: CameraConfig) -> list[Instruction]:
     """Returns the new instructions of an episode; they depend on its index and the language file only."""
     seed = np.random.SeedSequence((composer.spec.seed, start.index), spawn_key=(_STREAM,))
     view = look(scene.graph, start.pose, camera)

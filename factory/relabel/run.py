@@ -133,7 +133,9 @@ def relabel(
         if stop.is_set() or not all(file.is_file() for file in files):
             done = sum(pq.read_metadata(file).num_rows > 0 for file in files if file.is_file())
             return RelabelReport(out=str(out), finished=False, episodes=min(done * _PART_EPISODES, len(dataset)))
-        table = pa.concat_tables([pq.read_table(file) for file in files]).sort_by([("index", "ascending"), ("number", "ascending")])
+        table = pa.concat_tables([pq.read_table(file) for file in files]).sort_by(
+            [("index", "ascending"), ("number", "ascending")]
+        )
         assemble(dataset, table, spec, output)
         output.drop_work()
     return _report(out, len(dataset), table, rejected)

@@ -105,7 +105,9 @@ def verify(
     report.rendered = len(drawn)
     rows = RowCheck(dataset, report)
     frames_of = _reference_episodes(reference, dataset, drawn)
-    checks = _plan_checks(rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None)
+    checks = _plan_checks(
+        rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None
+    )
     for done, result in enumerate(_run_checks(checks, processes), 1):
         report.findings += result.findings
         report.difference.merge(result.difference)

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from schemas.language.view import View
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
+_FEW = 4
+"""Number of features of a short search."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
 _SYNONYMS = 6
 
@@ -87,6 +90,13 @@ class SceneLanguage:
         return self._of_kind[self.graph.objects[number].kind] - 1
 
 
+class _Options(NamedTuple):
+    """Expressions for a target by their features, with the search that found them."""
+
+    search: Search
+    groups: Mapping[frozenset[Family], list[Expression]]
+
+
 class Composer:
     """Writer of instructions by a language file.
 
@@ -112,11 +122,22 @@ class Composer:
             if not tongue.grammar.names(kind)
         ]
 
-    def search(self, scene: SceneLanguage, view: View | None, number: int, tongue: Tongue) -> Search:
-        """Returns the parts of expressions for a target in a language."""
-        seen = None if view is None else ViewFacts(scene.facts, view)
-        source = tongue.grammar
-        return Search(scene.facts, seen, number, self.spec.families, source.nouns, source.rooms)
+    def _search(
+        self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
+    ) -> Search:
+        source = self._tongues[code].grammar
+        return Search(scene.facts, seen, number, families, source.nouns, source.rooms)
+
+    def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
+        """Returns a few features by their weights, which makes a short search; all of them after some turns."""
+        every = self.spec.families
+        if len(every) <= _FEW or turn >= _TRIES // 2:
+            return every
+        shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
+        drawn: set[Family] = set()
+        while len(drawn) < _FEW:
+            drawn.add(Family(_weighted(shares, rng)))
+        return frozenset(drawn)
 
     def write(
         self, scene: SceneLanguage, view: View | None, number: int, held_out: bool, rng: np.random.Generator
@@ -133,15 +154,16 @@ class Composer:
         if scene.distractors(number) < self.spec.same_category:
             return []
         found: dict[str, Instruction] = {}
-        searches = {code: self.search(scene, view, number, tongue) for code, tongue in self._tongues.items()}
-        options: dict[str, dict[frozenset[Family], list[Expression]]] = {}
-        for _ in range(_TRIES + self.spec.per_episode):
+        seen = None if view is None else ViewFacts(scene.facts, view)
+        options: dict[tuple[str, frozenset[Family]], _Options] = {}
+        for turn in range(_TRIES + self.spec.per_episode):
             if len(found) == self.spec.per_episode:
                 break
-            code = _weighted(self.spec.languages, rng)
-            if code not in options:
-                options[code] = self._grouped(scene, searches[code], number, rng)
-            one = self._one(scene, view, number, held_out, code, options[code], searches[code], rng)
+            code, families = _weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
+            if (code, families) not in options:
+                search = self._search(scene, seen, number, code, families)
+                options[code, families] = _Options(search, self._grouped(search, number, rng))
+            one = self._one(scene, view, number, held_out, code, options[code, families], rng)
             if one is not None:
                 found.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
@@ -149,11 +171,11 @@ class Composer:
         return list(found.values())
 
     def _grouped(
-        self, scene: SceneLanguage, search: Search, number: int, rng: np.random.Generator
+        self, search: Search, number: int, rng: np.random.Generator
     ) -> dict[frozenset[Family], list[Expression]]:
         """Returns the possible expressions by their features."""
         is_one = self.spec.fit == "one"
-        kind = scene.graph.objects[number].kind
+        kind = search.facts.graph.objects[number].kind
         groups: dict[frozenset[Family], list[Expression]] = defaultdict(list)
         for expression in minimal_expressions(search, rng) if is_one else indefinite_expressions(search):
             groups[features_of(expression, kind)].append(expression)
@@ -166,11 +188,11 @@ class Composer:
         number: int,
         held_out: bool,
         code: str,
-        groups: Mapping[frozenset[Family], list[Expression]],
-        search: Search,
+        options: _Options,
         rng: np.random.Generator,
     ) -> Instruction | None:
         """Returns one instruction, or `None` if no expression exists or the verifier rejects the drawn one."""
+        groups = options.groups
         if not groups:
             return None
         kind = scene.graph.objects[number].kind
@@ -179,7 +201,7 @@ class Composer:
         group = groups[names[_index(weights, rng)]]
         expression, is_minimal = group[int(rng.integers(len(group)))], True
         if self.spec.redundant and rng.random() < self.spec.redundant:
-            longer = redundant_expressions(search, expression)
+            longer = redundant_expressions(options.search, expression)
             if longer:
                 expression, is_minimal = longer[int(rng.integers(len(longer)))], False
         pattern, text = self._say(code, held_out, expression, rng)
@@ -193,9 +215,7 @@ class Composer:
             scene.distractors(number),
         )  # fmt: skip
 
-    def _say(
-        self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator
-    ) -> tuple[Pattern, str]:
+    def _say(self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator) -> tuple[Pattern, str]:
         """Draws a pattern and words, and returns the pattern and the sentence."""
         registers = self._patterns[code, held_out]
         shares = {name: self.spec.registers[name] for name in registers}

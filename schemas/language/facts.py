@@ -19,7 +19,6 @@ from schemas.language.thresholds import Band
 from schemas.language.view import View
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-
 _GOOD_TAN, _BAD_TAN = (math.tan(angle) for angle in limit.DIRECTION_RAD)
 
 
@@ -168,7 +167,9 @@ class SceneFacts:
         on = inside.both(_below(rest, limit.TOUCH_M))
         top = high[:, 2] - high[:, None, 2]
         grounded = (low[:, 2] - self.graph.floor_m) < limit.TOUCH_M.good
-        under = Masks(inside.sure & (top < 0.02) & grounded, inside.possible & (top < 0.3) & (low[:, 2] < high[:, None, 2]))
+        under = Masks(
+            inside.sure & (top < 0.02) & grounded, inside.possible & (top < 0.3) & (low[:, 2] < high[:, None, 2])
+        )
         clear = self.distinct
         return {
             Relation.ON: Masks(on.sure & clear, on.possible & clear),

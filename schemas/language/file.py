@@ -80,6 +80,11 @@ class LanguageSpec(Model):
         return self
 
     @property
+    def needs_view(self) -> bool:
+        """Whether expressions may depend on the start pose."""
+        return bool(self.families - {Family.COLOUR, Family.SUPERCLASS, Family.SIZE, Family.SUPPORT, Family.WALL})
+
+    @property
     def families(self) -> frozenset[Family]:
         """Features that may be used."""
         return frozenset(family for family in Family if self.features.get(family, 1.0) > 0)
@@ -103,7 +108,9 @@ def _require_words(source: Grammar, kind: str, words: tuple[str, ...]) -> None:
         if not noun.strip() or any(unicodedata.category(character).startswith("C") for character in noun):
             raise ValueError(f"{source.code}.{kind}: {whole!r} is empty or has characters that are not text")
         if source.genders and mark not in source.genders:
-            raise ValueError(f"{source.code}.{kind}: {whole!r} needs a gender, one of {', '.join(source.genders)}: NOUN:GENDER")
+            raise ValueError(
+                f"{source.code}.{kind}: {whole!r} needs a gender, one of {', '.join(source.genders)}: NOUN:GENDER"
+            )
         if taken.get(noun.lower(), kind) != kind:
             raise ValueError(f"{source.code}.{kind}: {noun!r} is the noun of {taken[noun.lower()]!r}")
 

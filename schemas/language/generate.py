@@ -15,7 +15,18 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import FAMILY, SUPERLATIVES, Clause, Expression, Family, Landmark, Ordinal, Relation, Side, Size
+from schemas.language.expression import (
+    FAMILY,
+    SUPERLATIVES,
+    Clause,
+    Expression,
+    Family,
+    Landmark,
+    Ordinal,
+    Relation,
+    Side,
+    Size,
+)
 from schemas.language.facts import Described, Masks, SceneFacts, ViewFacts
 from schemas.language.graph import UNKNOWN
 from schemas.support.numpy_types import Floats
@@ -138,7 +149,9 @@ class Search:
 
     def _between(self) -> Iterator[Part]:
         facts, room = self.facts, self.facts.graph.objects[self.number].room
-        near = np.flatnonzero((facts.gap[self.number] < limit.BETWEEN_SPAN_M.good / 1.5) & (facts.graph.room_of == room))
+        near = np.flatnonzero(
+            (facts.gap[self.number] < limit.BETWEEN_SPAN_M.good / 1.5) & (facts.graph.room_of == room)
+        )
         landmarks = [each for each in self._descriptions(near.tolist()) if each.landmark.definite]
         for one, two in combinations(landmarks, 2):
             first, second = int(one.sure[0]), int(two.sure[0])

@@ -103,7 +103,9 @@ class Grammar(Model):
         """All sentence patterns without alternatives, numbered within each register."""
         found = []
         for register, own in self.patterns.items():
-            texts = [(text, held_out) for held_out, group in ((False, own.seen), (True, own.held_out)) for text in group]
+            texts = [
+                (text, held_out) for held_out, group in ((False, own.seen), (True, own.held_out)) for text in group
+            ]
             whole = dict.fromkeys((one, held_out) for text, held_out in texts for one in alternatives(text))
             for number, (text, held_out) in enumerate(whole, 1):
                 slot = SLOT.search(text)
@@ -150,7 +152,9 @@ class Grammar(Model):
             "article": "" if case == "bare" else self._article(article, gender, case, choice.get("article", 0)),
             "ordinal": "" if expression.ordinal is None else self.ordinals[str(expression.ordinal.number)],
             "size": "" if expression.size is None else _nth(self.sizes[expression.size], choice.get("size", 0)),
-            "colour": "" if expression.colour is None else _nth(self.colours[expression.colour], choice.get("colour", 0)),
+            "colour": ""
+            if expression.colour is None
+            else _nth(self.colours[expression.colour], choice.get("colour", 0)),
         }
         ending = self._ending(named, gender, "nom" if case == "bare" else case)
         words = {name: self._agreeing(text, gender).replace("~", ending) for name, text in parts.items()}

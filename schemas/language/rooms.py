@@ -142,7 +142,9 @@ def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> tuple[Flo
     """
     angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
     ways = np.column_stack((np.cos(angle), np.sin(angle)))
-    reach = np.array([((outline - centre) @ ways.T).max(axis=0) for centre, outline in zip(centres, outlines, strict=True)])
+    reach = np.array(
+        [((outline - centre) @ ways.T).max(axis=0) for centre, outline in zip(centres, outlines, strict=True)]
+    )
     steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
     gaps = np.full((len(centres), _DIRECTIONS), _FAR_M)
     for direction, way in enumerate(ways):

@@ -301,7 +301,14 @@ def _needs_view(expression: Expression) -> bool:
 
 
 _OF_VIEW = {
-    *(Relation.LEFT_OF, Relation.RIGHT_OF, Relation.IN_FRONT_OF, Relation.BEHIND, Relation.YOUR_LEFT, Relation.YOUR_RIGHT),
+    *(
+        Relation.LEFT_OF,
+        Relation.RIGHT_OF,
+        Relation.IN_FRONT_OF,
+        Relation.BEHIND,
+        Relation.YOUR_LEFT,
+        Relation.YOUR_RIGHT,
+    ),
     *(Relation.AHEAD, Relation.THIS_ROOM, Relation.NEAREST_YOU),
 }
 

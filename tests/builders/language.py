@@ -11,7 +11,18 @@ import numpy as np
 
 from schemas.config import CameraConfig
 from schemas.language.compose import SceneLanguage
-from schemas.language.expression import FROM_VIEW, OF_VIEWER, SUPERLATIVES, Clause, Expression, Family, Landmark, Ordinal, Relation, Size
+from schemas.language.expression import (
+    FROM_VIEW,
+    OF_VIEWER,
+    SUPERLATIVES,
+    Clause,
+    Expression,
+    Family,
+    Landmark,
+    Ordinal,
+    Relation,
+    Size,
+)
 from schemas.language.facts import Masks, ViewFacts
 from schemas.language.generate import Part, Search, _selector
 from schemas.language.graph import build_graph
@@ -53,7 +64,10 @@ def furnished_scene() -> CompiledScene:
     divider = (Box((-0.1, -3.0, 0.0), (0.1, -0.9, 2.5)), Box((-0.1, 0.3, 0.0), (0.1, 3.0, 2.5)))
     boxes = [_standing(kind, x, y) for kind, x, y, _ in _FURNITURE]
     boxes.append(Box((-3.2, 2.4, 0.74), (-2.7, 2.6, 1.14), category="monitor"))  # on the brown table
-    lamp, extinguisher = Box((-5.9, -2.9, 0.0), (-5.6, -2.6, 1.6)), Box((3.0, -2.98, 0.9), (3.2, -2.8, 1.4), category="fire_extinguisher")
+    lamp, extinguisher = (
+        Box((-5.9, -2.9, 0.0), (-5.6, -2.6, 1.6)),
+        Box((3.0, -2.98, 0.9), (3.2, -2.8, 1.4), category="fire_extinguisher"),
+    )
     scene = build_scene((*walls, *divider, *boxes, extinguisher, lamp), name="two_rooms")
     return _with_words(scene, lamp_id=len(walls) + len(divider) + len(boxes) + 2)
 

@@ -40,7 +40,9 @@ def command(root: Path, out: Path, reference: str, workers: int | None, as_json:
     with stop_on_signals() as (stop, _), one_bar("episodes") as tell:
         report = relabel(root, out, spec, os.cpu_count() or 1 if workers is None else workers, tell, stop)
     if not report.finished:
-        click.echo(f"interrupted after about {report.episodes} episodes; run the same command again to continue", err=True)
+        click.echo(
+            f"interrupted after about {report.episodes} episodes; run the same command again to continue", err=True
+        )
         return 130
     print_result(report, as_json, _print)
     return 0

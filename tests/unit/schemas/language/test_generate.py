@@ -27,10 +27,15 @@ def expressions_of(count: int) -> list[tuple[int, int, Expression]]:
 
 def shorter(expression: Expression) -> list[Expression]:
     """Returns the expression without each of its parts in turn."""
-    found = [expression.model_copy(update={name: None}) for name in ("colour", "size", "ordinal") if getattr(expression, name)]
+    found = [
+        expression.model_copy(update={name: None})
+        for name in ("colour", "size", "ordinal")
+        if getattr(expression, name)
+    ]
     clauses = expression.clauses
     return found + [
-        expression.model_copy(update={"clauses": clauses[:place] + clauses[place + 1 :]}) for place in range(len(clauses))
+        expression.model_copy(update={"clauses": clauses[:place] + clauses[place + 1 :]})
+        for place in range(len(clauses))
     ]
 
 
@@ -68,7 +73,9 @@ def test_a_redundant_expression_has_one_more_part_and_still_fits():
         for place, number, expression in expressions_of(2)
         for longer in redundant_expressions(search_of(VIEWS[place], number), expression)[:2]
     ]
-    verdicts = [two_rooms().verifier.evaluate(longer, VIEWS[place]).fits_only(number) for place, number, longer in found]
+    verdicts = [
+        two_rooms().verifier.evaluate(longer, VIEWS[place]).fits_only(number) for place, number, longer in found
+    ]
     assert len(found) > 50
     assert all(verdicts)
 
@@ -77,7 +84,11 @@ def test_a_redundant_expression_has_one_more_part_and_still_fits():
 def test_instructions_of_every_language_are_verified_and_repeatable(code):
     composer = Composer(LanguageSpec(languages={code: 1.0}, per_episode=2, redundant=0.3, false_premises=1.0))
     written = [
-        [one for number in TARGETS for one in composer.write(two_rooms(), VIEWS[0], number, False, np.random.default_rng(number))]
+        [
+            one
+            for number in TARGETS
+            for one in composer.write(two_rooms(), VIEWS[0], number, False, np.random.default_rng(number))
+        ]
         for _ in range(2)
     ]
     assert written[0] == written[1]
@@ -91,7 +102,9 @@ def test_instructions_of_every_language_are_verified_and_repeatable(code):
 def test_held_out_patterns_are_written_only_on_request():
     composer = Composer(LanguageSpec())
     for held_out in (False, True):
-        found = [composer.write(two_rooms(), VIEWS[0], number, held_out, np.random.default_rng(number)) for number in TARGETS]
+        found = [
+            composer.write(two_rooms(), VIEWS[0], number, held_out, np.random.default_rng(number)) for number in TARGETS
+        ]
         assert {one.held_out for each in found for one in each} == {held_out}
 
 
@@ -106,5 +119,8 @@ def test_features_with_weight_zero_do_not_occur_and_any_fits_several_objects():
 
 def test_targets_with_too_few_objects_of_their_category_get_no_instruction():
     composer = Composer(LanguageSpec(same_category=3))
-    found = {two_rooms().graph.objects[n].kind: composer.write(two_rooms(), VIEWS[0], n, False, np.random.default_rng(n)) for n in TARGETS}
+    found = {
+        two_rooms().graph.objects[n].kind: composer.write(two_rooms(), VIEWS[0], n, False, np.random.default_rng(n))
+        for n in TARGETS
+    }
     assert found["sofa"] == found["monitor"] == []

@@ -51,7 +51,9 @@ EXPRESSIONS = (
             clauses=(
                 Clause(
                     relation=relation,
-                    landmarks=(Landmark(kind="plant", colour="green"), Landmark(kind="shelf", definite=False))[: ARITY[relation]],
+                    landmarks=(Landmark(kind="plant", colour="green"), Landmark(kind="shelf", definite=False))[
+                        : ARITY[relation]
+                    ],
                     room="kitchen" if relation is Relation.IN_ROOM else None,
                 ),
             ),
@@ -80,13 +82,29 @@ def test_every_sentence_is_read_with_the_meaning_that_it_was_written_for(code):
         ("en", "go to an orange crate", None),  # without the full stop it is no sentence of the grammar
         ("en", "Go to an orange crate.", Expression(kind="crate", colour="orange", definite=False)),
         ("en", "Could you drive to the couch next to a grey bin?", None),  # `bin` is not a word of the grammar
-        ("en", "Please head over to the second chair from the left.", Expression(kind="chair", ordinal=Ordinal(number=2, side="left"))),
+        (
+            "en",
+            "Please head over to the second chair from the left.",
+            Expression(kind="chair", ordinal=Ordinal(number=2, side="left")),
+        ),
         ("en", "Drive to the plant beside the table and stop.", Expression(kind="plant", clauses=(near("table"),))),
         ("de", "Fahr zum roten Stuhl.", Expression(kind="chair", colour="red")),
-        ("de", "Kannst du zur Pflanze neben dem weißen Tisch fahren?", Expression(kind="plant", clauses=(near("table", colour="white"),))),
-        ("de", "Bitte geh zum zweiten Stuhl von links.", Expression(kind="chair", ordinal=Ordinal(number=2, side="left"))),
+        (
+            "de",
+            "Kannst du zur Pflanze neben dem weißen Tisch fahren?",
+            Expression(kind="plant", clauses=(near("table", colour="white"),)),
+        ),
+        (
+            "de",
+            "Bitte geh zum zweiten Stuhl von links.",
+            Expression(kind="chair", ordinal=Ordinal(number=2, side="left")),
+        ),
         ("es", "Ve al sofá rojo.", Expression(kind="sofa", colour="red")),
-        ("es", "Por favor, ve a la tercera silla desde la derecha.", Expression(kind="chair", ordinal=Ordinal(number=3, side="right"))),
+        (
+            "es",
+            "Por favor, ve a la tercera silla desde la derecha.",
+            Expression(kind="chair", ordinal=Ordinal(number=3, side="right")),
+        ),
         ("zh", "请去那把红色的椅子。", Expression(kind="chair", colour="red")),
         ("zh", "去在桌子旁边的那盆植物。", Expression(kind="plant", clauses=(near("table"),))),
         ("en", "Go to the \ud800 chair.", None),

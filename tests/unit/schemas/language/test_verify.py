@@ -67,7 +67,9 @@ def test_an_indefinite_sentence_fits_every_object_of_its_set():
 def test_left_and_right_are_those_of_the_viewer():
     east, west = (-5.5, 1.0, 0.0), (-0.6, 0.9, 3.14159)
     text = "Go to the blue chair to the {} of a table as seen from here."
-    assert check(text.format("left"), BLUE_WEST, (-5.0, -2.0, 0.0)) != check(text.format("right"), BLUE_WEST, (-5.0, -2.0, 0.0))
+    assert check(text.format("left"), BLUE_WEST, (-5.0, -2.0, 0.0)) != check(
+        text.format("right"), BLUE_WEST, (-5.0, -2.0, 0.0)
+    )
     assert check("Go to the table on your left.", (-3.0, 2.5), east) == ""
     assert check("Go to the table on your right.", (-3.0, 2.5), west) == ""
 
@@ -80,7 +82,14 @@ def test_a_relation_to_the_view_needs_a_view():
 
 def test_a_false_premise_names_an_object_that_does_not_exist():
     scene, view = two_rooms(), look(two_rooms().graph, START, CAMERA)
-    texts = ("Go to the piano.", "Go to the green sofa.", "Go to the sofa.", "Go to the black monitor.", "Go to the stool.", "Go to.")
+    texts = (
+        "Go to the piano.",
+        "Go to the green sofa.",
+        "Go to the sofa.",
+        "Go to the black monitor.",
+        "Go to the stool.",
+        "Go to.",
+    )
     found = [scene.verifier.is_false_premise(text, reader("en"), view) for text in texts]
     # the monitor has no known colour, and a stool may be taken for a chair
     assert found == [True, True, False, False, False, False]
