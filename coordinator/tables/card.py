@@ -121,8 +121,8 @@ _TEMPLATES = (
     "Instructions come from {} English templates; `phrase_is_unique` says whether the words fit one object only."
 )
 _RELABELLED = (
-    "Instructions were written by `factory relabel` after the drives; `instructions.parquet` has all of them, with their "
-    "meaning.\n  A verifier found that each fits its target only. The episodes' `meta.json` has the recorded instruction."
+    "Instructions were written by `factory relabel` after the drives; `instructions.parquet` has all of them\n"
+    "  with their meaning. A verifier accepted each of them. `meta.json` of an episode has the recorded instruction."
 )
 _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,

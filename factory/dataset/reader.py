@@ -102,7 +102,7 @@ class Dataset:
 
     @cached_property
     def instructions(self) -> pa.Table:
-        """Table with one row for each instruction of these episodes, of a dataset of `factory relabel` (docs/language.md).
+        """Table with one row for each instruction of these episodes, written by `factory relabel` (docs/language.md).
 
         Raises:
             UsageError: The dataset has its recorded instructions only.

@@ -71,14 +71,18 @@ def _write_metadata(source: Path, instructions: pa.Table, output: Output) -> Non
     """Writes the metadata of the source with the first instruction of each episode."""
     first = instructions.filter(pc.equal(instructions["number"], 1))
     ids = pa.array(first["episode_id"].to_pylist())
-    with pq.ParquetFile(source / METADATA_FILE) as file, output.replacing(METADATA_FILE) as part:
-        with part.open("wb") as raw, RowGroupWriter(raw, file.schema_arrow) as writer:
-            for number in range(file.num_row_groups):
-                rows = file.read_row_group(number)
-                places = pc.index_in(rows["episode_id"], value_set=ids)
-                for name in _NEW_COLUMNS:
-                    rows = rows.set_column(rows.schema.get_field_index(name), name, first[name].take(places))
-                writer.add(rows)
+    with (
+        pq.ParquetFile(source / METADATA_FILE) as file,
+        output.replacing(METADATA_FILE) as part,
+        part.open("wb") as raw,
+        RowGroupWriter(raw, file.schema_arrow) as writer,
+    ):
+        for number in range(file.num_row_groups):
+            rows = file.read_row_group(number)
+            places = pc.index_in(rows["episode_id"], value_set=ids)
+            for name in _NEW_COLUMNS:
+                rows = rows.set_column(rows.schema.get_field_index(name), name, first[name].take(places))
+            writer.add(rows)
 
 
 def _write_description(dataset: Dataset, instructions: pa.Table, spec: LanguageSpec, output: Output) -> None:

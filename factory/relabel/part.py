@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,7 +42,8 @@ SCHEMA = pa.schema(
 """Columns of `instructions.parquet` (docs/language.md#files)."""
 
 
-class Start(NamedTuple):
+@dataclass(frozen=True)
+class Start:
     """Values of an episode from which instructions follow."""
 
     episode_id: str

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
@@ -74,11 +74,11 @@ class RelabelReport(Model):
     """Number of distinct sentence patterns."""
     minimal: int = 0
     """Number of instructions from which no part can be dropped."""
-    languages: dict[str, int] = {}
+    languages: dict[str, int] = Field(default_factory=dict)
     """Number of instructions by language."""
-    features: dict[str, int] = {}
+    features: dict[str, int] = Field(default_factory=dict)
     """Number of instructions by features; an instruction may have several."""
-    rejected: dict[str, int] = {}
+    rejected: dict[str, int] = Field(default_factory=dict)
     """Number of sentences that the verifier rejected, by reason, in this call."""
 
 
@@ -128,8 +128,9 @@ def relabel(
     stop = stop or threading.Event()
     with Output(out) as output:
         output.write_text(RELABEL_FILE, order.model_dump_json(indent=1) + "\n")
-        rejected = _write_parts(dataset, jobs, spec, output, workers, on_progress, stop)
-        files = [_part_file(output, number) for number, _ in enumerate(_tasks(dataset, jobs, spec, output))]
+        tasks = list(_tasks(dataset, jobs, spec, output))
+        files = [task.file for task in tasks]
+        rejected = _write_parts(tasks, workers, on_progress, stop)
         if stop.is_set() or not all(file.is_file() for file in files):
             done = sum(pq.read_metadata(file).num_rows > 0 for file in files if file.is_file())
             return RelabelReport(out=str(out), finished=False, episodes=min(done * _PART_EPISODES, len(dataset)))
@@ -187,7 +188,7 @@ def _jobs(dataset: Dataset) -> Iterator[_Job]:
 
 
 def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec) -> None:
-    """Raises `InvalidLanguage` if a language lacks the noun of a target, or no target of a scene gets an instruction."""
+    """Raises `InvalidLanguage` if a language lacks a noun, or no target of a scene gets an instruction."""
     composer, camera = Composer(spec), dataset.meta.plan.camera
     faults = composer.missing_nouns([start.category for job in jobs for start in job.starts])
     every = Composer(spec.model_copy(update={"features": dict.fromkeys(Family, 1.0), "same_category": 0}))
@@ -228,24 +229,16 @@ def _part_file(output: Output, number: int) -> Path:
     return output.piece_folder(f"part-{number:06d}.parquet")
 
 
-def _write_parts(
-    dataset: Dataset,
-    jobs: Sequence[_Job],
-    spec: LanguageSpec,
-    output: Output,
-    workers: int,
-    on_progress: Progress,
-    stop: threading.Event,
-) -> Counter[str]:
+def _write_parts(tasks: Sequence[PartTask], workers: int, on_progress: Progress, stop: threading.Event) -> Counter[str]:
     """Writes the parts that are missing; returns the rejected sentences by reason."""
-    tasks = list(_tasks(dataset, jobs, spec, output))
     left = [task for task in tasks if not task.file.is_file()]
-    done = sum(len(task.starts) for task in tasks) - sum(len(task.starts) for task in left)
+    total = sum(len(task.starts) for task in tasks)
+    done = total - sum(len(task.starts) for task in left)
     rejected: Counter[str] = Counter()
     for result in run_tasks(make_part, left, workers, stop):
         done += result.episodes
         rejected += result.rejected
-        on_progress(done, len(dataset))
+        on_progress(done, total)
     return rejected
 
 

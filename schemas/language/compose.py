@@ -1,4 +1,4 @@
-"""Writes verified instructions for one target: draws expressions, patterns and words, and keeps what the verifier accepts.
+"""Writes verified instructions for one target: draws expressions, patterns and words; keeps what the verifier accepts.
 
 Opens no file; chance is an argument.
 """
@@ -11,21 +11,27 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import accumulate
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from schemas.base import Count, Line, Model, Name
 from schemas.language.expression import Expression, Family
-from schemas.language.facts import SceneFacts, ViewFacts
 from schemas.language.file import LanguageSpec, Tongue
-from schemas.language.generate import Search, indefinite_expressions, minimal_expressions, redundant_expressions
+from schemas.language.generator.facts import SceneFacts, ViewFacts
+from schemas.language.generator.minimal import (
+    indefinite_expressions,
+    minimal_expressions,
+    redundant_expressions,
+)
+from schemas.language.generator.search import Search
 from schemas.language.grammar import Pattern
 from schemas.language.graph import UNKNOWN, SceneGraph
-from schemas.language.verify import Verifier
+from schemas.language.verifier.verify import Verifier
 from schemas.language.view import View
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
+Option = TypeVar("Option", bound=str)
 _TRIES = 8
 _FEW = 4
 """Number of features of a short search."""
@@ -136,7 +142,7 @@ class Composer:
         shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
         drawn: set[Family] = set()
         while len(drawn) < _FEW:
-            drawn.add(Family(_weighted(shares, rng)))
+            drawn.add(_weighted(shares, rng))
         return frozenset(drawn)
 
     def write(
@@ -228,7 +234,7 @@ class Composer:
     def _false_premise(
         self, scene: SceneLanguage, view: View | None, number: int, held_out: bool, rng: np.random.Generator
     ) -> Iterator[Instruction]:
-        """Yields an instruction that names an object of the target's kind in a colour that does not exist, or another kind."""
+        """Yields an instruction that names a kind, or the target's kind in a colour, that does not exist."""
         code = _weighted(self.spec.languages, rng)
         tongue, each = self._tongues[code], scene.graph.objects[number]
         is_coloured = each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain
@@ -287,6 +293,6 @@ def _index(weights: Sequence[float], rng: np.random.Generator) -> int:
     return min(bisect_right(edges, rng.random() * edges[-1]), len(weights) - 1)
 
 
-def _weighted(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+def _weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
     names = list(shares)
     return names[_index([shares[name] for name in names], rng)]

@@ -27,25 +27,25 @@ Weights = dict[str, NonNegative]
 class LanguageSpec(Model):
     """Content of a language file; every key is optional."""
 
-    languages: Weights = {"en": 1.0}
+    languages: Weights = Field(default_factory=lambda: {"en": 1.0})
     """Share of each language: en, de, es, zh."""
     registers: Weights = Field(default_factory=lambda: dict.fromkeys(REGISTERS, 1.0))
     """Share of each register: imperative, polite, question, terse, spoken."""
-    features: Weights = {}
+    features: Weights = Field(default_factory=dict)
     """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
     per_episode: Annotated[int, Field(ge=1, le=16)] = 1
     """Number of instructions for each episode."""
     redundant: Fraction = 0.0
     """Share of expressions with one more part than they need."""
     fit: Literal["one", "any"] = "one"
-    """`one`: an instruction fits the target only. `any`: it says "a" and fits several objects, the target among them."""
+    """`one`: an instruction fits the target only. `any`: it says "a" and fits several objects with the target."""
     same_category: Count = 0
     """Smallest number of other objects of the target's category in the scene."""
     false_premises: Fraction = 0.0
     """Share of episodes with one more instruction, which names an object that does not exist."""
     seed: Count = 0
     """Random seed."""
-    nouns: dict[str, dict[Name, tuple[str, ...]]] = {}
+    nouns: dict[str, dict[Name, tuple[str, ...]]] = Field(default_factory=dict)
     """Nouns of further kinds by language; in German and Spanish `noun:gender`, in Chinese `noun:measure word`."""
 
     @field_validator("languages")

@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache, cached_property
 from typing import NamedTuple
 
+from pydantic import Field
+
 from schemas.base import Model, Name
 from schemas.errors import UsageError
 from schemas.language.expression import Clause, Expression, Landmark, Relation, Size
@@ -79,7 +81,7 @@ class Grammar(Model):
     """Regular expressions and their replacements, which undo `say`."""
     articles: dict[str, tuple[str, ...]]
     """Articles; a key has the parts `the`, `a` or `landmark`, then gender and case where they matter."""
-    endings: dict[str, str] = {}
+    endings: dict[str, str] = Field(default_factory=dict)
     """Endings of adjectives by article, gender and case."""
     ordinals: dict[str, str]
     """Ordinal numbers."""

@@ -141,12 +141,12 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
         for number, each in enumerate(raw)
     )
     types = tuple(_room_type(room, objects, table) for room in rooms)
-    sight = np.where(walls.values, 2, occupancy.values > 0).astype(np.uint8)
+    sight = np.where(walls.values, 2, scene.occupancy > 0).astype(np.uint8)
     return SceneGraph(objects, rooms, types, room_grid, occupancy._replace(values=sight), info.floor_height_m, table)
 
 
 def _covered(each: _Raw, info: SceneInfo) -> Floats:
-    """Returns the rectangle of cells that an object covers, lower and upper corner; of a low or hung object those inside.
+    """Returns the lower and upper corner of the cells that an object covers; of a low or hung object those inside.
 
     A tall object that stands on the floor has cells that look like a wall at its edges, too.
     """

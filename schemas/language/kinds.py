@@ -1,4 +1,4 @@
-"""Kinds of objects: superclasses, kinds that look alike, and landmarks by the name of their prim. Reads `kinds.toml` once."""
+"""Kinds of objects: superclasses, kinds that look alike, and landmarks by the name of their prim."""
 
 from __future__ import annotations
 

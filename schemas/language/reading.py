@@ -1,6 +1,6 @@
 """Reads a sentence back: returns every meaning that a grammar gives it. Written without the code that writes sentences.
 
-Reading uses the words of `data/<code>.toml`. It accepts wrong endings and articles, because they do not change a meaning.
+Reading uses the words of `data/<code>.toml`. It accepts wrong endings, because they do not change a meaning.
 """
 
 from __future__ import annotations
@@ -130,6 +130,7 @@ class Reader:
             room: str | None = None
             end: int | None = at
             for part in parts:
+                assert end is not None
                 end = self._blank(text, end)
                 if part == "room":
                     named = self._groups["room"].match(text, end)

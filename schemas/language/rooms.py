@@ -1,8 +1,8 @@
 """Divides the floor of a scene into rooms, and measures the distance of objects to walls. Pure functions of the grid.
 
-Openings between two collinear walls are closed. Rooms are the components of the floor farther than half a door from every
-wall, grown back to the walls: morphological segmentation (Bormann et al., Room Segmentation: Survey, Implementation, and
-Analysis, ICRA 2016).
+Openings between two collinear walls are closed. Rooms are the components of the floor farther than half a door from
+every wall, grown back to the walls: morphological segmentation (Bormann et al., Room Segmentation: Survey,
+Implementation, and Analysis, ICRA 2016).
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ def divide_rooms(walls: Grid, inside: Bools) -> tuple[Grid, tuple[Room, ...]]:
     markers[~free] = -1
     grown = scipy.ndimage.watershed_ift(cost, markers) if count else np.zeros_like(markers)
     grown = np.where(free & (grown > 0), grown, 0)
-    rooms, labels = [], np.zeros_like(grown)
+    rooms: list[Room] = []
+    labels = np.zeros_like(grown)
     for number, part in enumerate(scipy.ndimage.find_objects(grown), 1):
         cells = grown[part] == number if part is not None else np.zeros(0)
         area = float(cells.sum()) * walls.resolution_m**2
@@ -131,7 +132,7 @@ def nearest_room(rooms: Grid, points: Floats, within_m: float = 0.6) -> Ints:
 
 
 def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
-    """Returns (N,) gaps between objects and their nearest wall, and gaps to a wall perpendicular to it, metres; at most 4.
+    """Returns (N,) gaps of objects to their nearest wall, and to a wall perpendicular to it, metres; at most 4.
 
     Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees.
 

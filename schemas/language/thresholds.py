@@ -1,7 +1,7 @@
-"""Thresholds of relations: where a relation surely holds, and from where on it surely does not. Sources: docs/language.md#thresholds.
+"""Thresholds of relations: where they surely hold, and where they surely do not (docs/language.md#thresholds).
 
-Spatial terms have regions of good, acceptable and bad examples (Logan & Sadler 1996). A relation surely holds in the good
-region, and surely does not hold in the bad one; the acceptable region between them is borderline.
+Spatial terms have regions of good, acceptable and bad examples (Logan & Sadler 1996). A relation surely holds in the
+good region, and surely does not hold in the bad one; the acceptable region between them is borderline.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class Band(NamedTuple):
 NEXT_TO_M = Band(0.6, 1.6)
 """Gap of footprints for `next_to`, metres; ours."""
 DIRECTION_RAD = Band(math.radians(35), math.radians(75))
-"""Angle from the axis for `left_of`, `right_of`, `in_front_of`, `behind`: goodness falls linearly with this angle
-(Regier & Carlson 2001, attention vector sum), and SceneVerse (Jia et al. 2024) has sectors of 45 degrees; limits ours."""
+"""Angle from the axis for `left_of`, `right_of`, `in_front_of`, `behind`; limits ours. Goodness falls linearly with
+this angle (Regier & Carlson 2001, attention vector sum); SceneVerse (Jia et al. 2024) has sectors of 45 degrees."""
 DIRECTION_GAP_M = Band(2.0, 4.0)
 """Gap of footprints for the same relations, metres; Sr3D (Achlioptas et al. 2020) has areas of 1 to 4 m."""
 BETWEEN_ALONG = Band(0.25, 0.05)
@@ -37,8 +37,8 @@ LEVEL_M = 1.0
 TOUCH_M = Band(0.15, 0.3)
 """Vertical gap for `on`, and gap to the wall for `on_wall`, metres; 0.15 is `max_touch_distance` of Sr3D."""
 OVERLAP = Band(0.5, 0.1)
-"""Smallest share of the footprint within that of the landmark for `on` and `under`; 0.3 is `min_supported_area_ratio` of
-Sr3D, which we require with a margin."""
+"""Smallest share of the footprint within that of the landmark for `on` and `under`; ours. `min_supported_area_ratio` of
+Sr3D is 0.3."""
 WALL_BASE_M = Band(0.3, 0.1)
 """Smallest height of the lower side for `on_wall`, metres; ours."""
 CORNER_M = Band(0.45, 1.2)

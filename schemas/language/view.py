@@ -1,7 +1,7 @@
 """Computes what the robot sees of a scene graph from its start pose, on the grid. Renders nothing.
 
-An object is surely visible if it is in the image and most lines of sight to it are free; it is surely not visible if it is
-outside of the image, or a wall blocks every line of sight. Other obstacles make it borderline.
+An object is surely visible if it is in the image and most lines of sight to it are free; it is surely not visible if it
+is outside of the image, or a wall blocks every line of sight. Other obstacles make it borderline.
 """
 
 from __future__ import annotations

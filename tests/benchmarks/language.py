@@ -1,4 +1,4 @@
-"""Measures language in the built-in scenes: instructions per second of CPU time, and the share of rejected changed words.
+"""Measures language in the built-in scenes: instructions per second of CPU time, and rejected changed words.
 
 python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves
 """
@@ -20,7 +20,7 @@ from factory.scenes import build_scene
 from schemas.language.compose import Composer, SceneLanguage
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
-from schemas.language.generate import minimal_expressions
+from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
 from schemas.language.reading import reader

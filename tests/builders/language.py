@@ -1,4 +1,4 @@
-"""Builds a furnished scene of two rooms and a corridor for tests of language, and changes single words of expressions."""
+"""Builds a furnished scene of two rooms for tests of language, and changes single words of expressions."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from schemas.language.expression import (
     Relation,
     Size,
 )
-from schemas.language.facts import Masks, ViewFacts
-from schemas.language.generate import Part, Search, _selector
+from schemas.language.generator.facts import Masks, ViewFacts
+from schemas.language.generator.minimal import selector_of
+from schemas.language.generator.search import Head, Part, Search
+from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
 from schemas.language.view import View, look
 from schemas.scene import CompiledScene, Instance
@@ -117,8 +119,6 @@ def views(count: int, seed: int = 0) -> list[View]:
 
 def search_of(view: View | None, number: int, scene: SceneLanguage | None = None) -> Search:
     """Returns the search for expressions of an object with all features and English words."""
-    from schemas.language.grammar import grammar
-
     scene, words = scene or two_rooms(), grammar("en")
     seen = None if view is None else ViewFacts(scene.facts, view)
     return Search(scene.facts, seen, number, tuple(Family), words.nouns, words.rooms)
@@ -195,18 +195,16 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
 
 def _is_wrongly_selected(expression: Expression, search: Search, masks: Masks) -> bool:
     """Returns whether the selector of an expression selects another object than the target."""
-    wanted = _selector(expression)
+    wanted = selector_of(expression)
     for number in np.flatnonzero(masks.sure).tolist():
         if number != search.number:
             other = dataclasses.replace(search, number=number)
-            if any(_selector(one) == wanted for one in other._selectors(_head(expression, masks), (), masks)):
+            if any(selector_of(one) == wanted for one in other._selectors(_head(expression, masks), (), masks)):
                 return True
     return False
 
 
-def _head(expression: Expression, masks: Masks):  # type: ignore[no-untyped-def]
-    from schemas.language.generate import Head
-
+def _head(expression: Expression, masks: Masks) -> Head:
     return Head(expression.kind, expression.colour, masks, False)
 
 

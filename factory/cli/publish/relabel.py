@@ -31,8 +31,8 @@ from workers.client.stopping import stop_on_signals
 def command(root: Path, out: Path, reference: str, workers: int | None, as_json: bool) -> int:
     """Write new verified instructions for a dataset, without driving.
 
-    The new dataset has hard links to the episodes of DIR, and one or more new instructions for each. Every instruction is
-    read again by a verifier, which accepts it only if it fits the target and no other object. An episode without such an
+    The new dataset has hard links to the episodes of DIR, and one or more new instructions for each. A verifier reads
+    every instruction, and accepts it only if it fits the target and no other object. An episode without such an
     instruction keeps the recorded one. After Ctrl-C or a crash, the same command continues.
     """
     configure_logs()

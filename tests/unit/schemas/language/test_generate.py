@@ -1,4 +1,4 @@
-"""Tests generated expressions against the verifier: they fit the target only, are minimal, and one changed word breaks them."""
+"""Tests generated expressions: they fit the target only, are minimal, and the verifier rejects changed words."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from schemas.language.compose import Composer, InstructionKind
 from schemas.language.expression import Expression
 from schemas.language.file import LanguageSpec
-from schemas.language.generate import minimal_expressions, redundant_expressions
+from schemas.language.generator.minimal import minimal_expressions, redundant_expressions
 from schemas.language.grammar import LANGUAGES, grammar
 from schemas.language.reading import reader
 from tests.builders.language import changed, is_false_or_ambiguous, search_of, two_rooms, views

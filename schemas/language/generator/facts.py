@@ -34,6 +34,11 @@ class Masks(NamedTuple):
         """Returns the masks of both properties together."""
         return Masks(self.sure & other.sure, self.possible & other.possible)
 
+    def of_any(self, landmarks: Described) -> Masks:
+        """Returns which objects have the relation of (N, N) masks to any of the landmarks."""
+        sure = np.asarray(self.sure[landmarks.sure].any(axis=0), bool)
+        return Masks(sure, np.asarray(self.possible[landmarks.possible].any(axis=0), bool))
+
     def fits_only(self, number: int) -> bool:
         """Returns whether the property surely holds for one object, and possibly for no other."""
         return bool(self.sure[number]) and int(self.possible.sum()) == 1

@@ -1,7 +1,6 @@
-"""Finds expressions that fit exactly one object, or any of a set, with no part that can be dropped.
+"""Finds the parts of expressions that surely hold for one target: kinds, colours, relations and superlatives.
 
-Enumerates parts that surely hold for the target and keeps combinations that exclude every other object, as in the full-brevity
-algorithm (Dale & Reiter 1995). Writes no words; `verify` checks the sentences.
+Does not combine the parts.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import numpy as np
 from schemas.language import thresholds as limit
 from schemas.language.expression import (
     FAMILY,
-    SUPERLATIVES,
     Clause,
     Expression,
     Family,
@@ -27,17 +25,11 @@ from schemas.language.expression import (
     Side,
     Size,
 )
-from schemas.language.facts import Described, Masks, SceneFacts, ViewFacts
+from schemas.language.generator.facts import Described, Masks, SceneFacts, ViewFacts
 from schemas.language.graph import UNKNOWN
 from schemas.support.numpy_types import Floats
 
-_WITH_ORDINAL = frozenset({Family.ROOM})
-"""Families of relations that are combined with an ordinal: "the second chair from the left next to a table" is ambiguous."""
 _NEARBY_M = 6.0
-_MOST_SELECTED = 4
-"""Number of relations that are combined with a superlative."""
-_MOST_PARTS = 24
-"""Number of relations that are combined in pairs; more are drawn at random."""
 
 
 class Part(NamedTuple):
@@ -143,9 +135,9 @@ class Search:
     def _to_landmarks(self, relation: Relation, masks: Masks) -> Iterator[Part]:
         near = np.flatnonzero(masks.sure[:, self.number]).tolist()
         for each in self._descriptions(near):
-            sure, possible = masks.sure[each.sure].any(axis=0), masks.possible[each.possible].any(axis=0)
-            if sure[self.number]:
-                yield Part(Clause(relation=relation, landmarks=(each.landmark,)), Masks(sure, possible))
+            found = masks.of_any(each)
+            if found.sure[self.number]:
+                yield Part(Clause(relation=relation, landmarks=(each.landmark,)), found)
 
     def _between(self) -> Iterator[Part]:
         facts, room = self.facts, self.facts.graph.objects[self.number].room
@@ -174,7 +166,7 @@ class Search:
         return {}
 
     def _selectors(self, head: Head, parts: Sequence[Part], among: Masks) -> Iterator[Expression]:
-        base = _expression(head, parts)
+        base = expression_of(head, parts)
         if not among.sure[self.number] or int(among.sure.sum()) < 2:
             return
         others = np.flatnonzero(among.possible)
@@ -200,9 +192,9 @@ class Search:
 
     def _nearest(self, others: list[int]) -> Iterator[Clause]:
         facts, graph = self.facts, self.facts.graph
-        if self.view is not None and self.view.view.sure[self.number]:
-            if _is_least(self.view.distance, self.number, others):
-                yield Clause(relation=Relation.NEAREST_YOU)
+        seen = self.view
+        if seen is not None and seen.view.sure[self.number] and _is_least(seen.distance, self.number, others):
+            yield Clause(relation=Relation.NEAREST_YOU)
         room = graph.objects[self.number].room
         for each in self._definite_nearby if room else ():
             gaps = facts.gap[each.sure[0]]
@@ -243,118 +235,7 @@ def _is_least(values: Floats, number: int, others: list[int]) -> bool:
     return -own >= max(-rest * limit.DISTANCE_RATIO, -rest + limit.DISTANCE_GAP_M)
 
 
-def _expression(head: Head, parts: Sequence[Part], definite: bool = True) -> Expression:
+def expression_of(head: Head, parts: Sequence[Part], definite: bool = True) -> Expression:
+    """Returns the expression of a head and relations."""
     clauses = tuple(part.clause for part in parts)
     return Expression(kind=head.kind, colour=head.colour, clauses=clauses, definite=definite)
-
-
-def _bits(masks: Masks) -> int:
-    """Returns the possible objects as the bits of an integer."""
-    return int.from_bytes(np.packbits(masks.possible, bitorder="little").tobytes(), "little")
-
-
-def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expression]:
-    """Returns definite expressions that fit the target only, and from which no part can be dropped.
-
-    Args:
-        search: parts of expressions for the target.
-        rng: random generator that draws the relations to combine if there are many.
-    """
-    parts = search.parts()
-    parts = [parts[number] for number in rng.permutation(len(parts))[:_MOST_PARTS].tolist()]
-    own = 1 << search.number
-    bits = [_bits(part.masks) for part in parts]
-    found: list[Expression] = []
-    for head in search.heads():
-        if head.masks.sure[search.number]:
-            bare = _bits(search.facts.described(head.kind, None)) if head.colour is not None else -1
-            found += _with_head(search, head, list(zip(parts, bits, strict=True)), own, bare)
-    return found
-
-
-def _with_head(search: Search, head: Head, parts: list[tuple[Part, int]], own: int, bare: int) -> Iterator[Expression]:
-    """Yields the minimal expressions with a head.
-
-    Args:
-        search: parts of expressions for the target.
-        head: kind and colour.
-        parts: relations, each with the objects that it possibly fits as bits.
-        own: bit of the target.
-        bare: objects that the kind without the colour fits, as bits; -1 for a head without colour.
-    """
-    base = _bits(head.masks)
-    if base == own:
-        if bare != own:
-            yield _expression(head, ())
-        return
-    plain = head._replace(colour=None, masks=search.facts.described(head.kind, None))
-    without = {_selector(one) for one in search.selectors(plain)} if bare >= 0 else set()
-    yield from (one for one in search.selectors(head) if _selector(one) not in without and _is_readable(one))
-    useful = []
-    for part, bits in parts:
-        if bare >= 0 and bare & bits == own:
-            continue  # the colour can be dropped
-        if base & bits == own:
-            yield _expression(head, (part,))
-        elif base & bits != base:
-            useful.append((part, bits))
-    for (one, first), (two, second) in combinations(useful, 2):
-        if base & first & second == own and not (bare >= 0 and bare & first & second == own):
-            yield _expression(head, (one, two))
-    if bare < 0:
-        for part, _ in useful[:_MOST_SELECTED]:
-            yield from _selected(search, head, part)
-
-
-def _selected(search: Search, head: Head, part: Part) -> Iterator[Expression]:
-    """Yields the expressions in which a superlative selects the target among the objects of a relation.
-
-    Without the relation, the same superlative does not select the target.
-    """
-    without = {_selector(one) for one in search.selectors(head)}
-    for one in search.selectors(head, (part,)):
-        if _is_readable(one) and _selector(one) not in without:
-            yield one
-
-
-def _is_readable(expression: Expression) -> bool:
-    """Returns whether a reader knows among which objects an expression counts, or looks for the farthest one."""
-    families = {FAMILY[clause.relation] for clause in expression.clauses}
-    if expression.ordinal is not None:
-        return families <= _WITH_ORDINAL
-    is_farthest = any(clause.relation is Relation.FARTHEST_FROM for clause in expression.clauses)
-    return not is_farthest or Family.ROOM in families
-
-
-def _selector(expression: Expression) -> object:
-    """Returns the superlative or ordinal of an expression."""
-    chosen = [clause for clause in expression.clauses if clause.relation in SUPERLATIVES]
-    return expression.size, expression.ordinal, *chosen
-
-
-def indefinite_expressions(search: Search) -> list[Expression]:
-    """Returns expressions with "a" that fit the target and other objects, without borderline cases."""
-    parts = search.parts()
-    found = []
-    for head in search.heads():
-        for chosen in ((), *((part,) for part in parts)):
-            masks = head.masks.both(chosen[0].masks) if chosen else head.masks
-            if masks.sure[search.number] and masks.sure.sum() > 1 and (masks.sure == masks.possible).all():
-                found.append(_expression(head, chosen, definite=False))
-    return found
-
-
-def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
-    """Returns the expression with one more part that surely holds for the target: a colour or a relation."""
-    found: list[Expression] = []
-    if expression.selectors:
-        return found  # another part would change the objects among which it selects
-    for head in search.heads():
-        if head.kind == expression.kind and head.colour is not None and expression.colour is None:
-            found.append(expression.model_copy(update={"colour": head.colour}))
-    if len(expression.clauses) < 2:
-        named = {clause.relation for clause in expression.clauses}
-        for part in search.parts():
-            if part.clause.relation not in named:
-                found.append(expression.model_copy(update={"clauses": (part.clause, *expression.clauses)}))
-    return found

@@ -7,14 +7,14 @@ definitions in docs/language.md. It shares the thresholds, the graph and the wor
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import IntEnum
 from typing import NamedTuple
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation, Side, Size
+from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation
 from schemas.language.graph import UNKNOWN, SceneGraph
-from schemas.language.measure import Footprints, Truth, beside, down, up
 from schemas.language.reading import Reader, Reading
+from schemas.language.verifier.measure import Footprints, Truth, beside, down, up
+from schemas.language.verifier.selection import Selected, by_size, counted, extreme
 from schemas.language.view import View
 
 
@@ -39,13 +39,6 @@ class Verdict(NamedTuple):
 
 class _Ambiguous(Exception):
     """A definite landmark fits several objects."""
-
-
-class Selected(IntEnum):
-    """Kinds of measures by which a superlative selects."""
-
-    LEAST = -1  # the smallest value
-    MOST = 1  # the largest value
 
 
 class Verifier:
@@ -113,7 +106,8 @@ class Verifier:
         """Returns the objects of a kind and colour, without those that it surely does not fit."""
         if (kind, colour) in self._fitting:
             return self._fitting[kind, colour]
-        table, found = self.graph.kinds, {}
+        table = self.graph.kinds
+        found: dict[int, Truth] = {}
         inside, alike = table.kinds_of(kind), table.borderline_of(kind)
         for number, each in enumerate(self.graph.objects):
             truth = Truth.YES if each.kind in inside else Truth.MAYBE if each.kind in alike else Truth.NO
@@ -132,7 +126,7 @@ class Verifier:
 
     def _restricted(self, truths: Mapping[int, Truth], clause: Clause, view: View | None) -> dict[int, Truth]:
         landmarks = [self._landmarks(landmark) for landmark in clause.landmarks]
-        found = {}
+        found: dict[int, Truth] = {}
         for number, truth in truths.items():
             holds = min(truth, self._holds(clause, number, landmarks, view))
             if holds is not Truth.NO:
@@ -248,16 +242,16 @@ class Verifier:
             return dict.fromkeys(truths, Truth.MAYBE)
         if expression.ordinal is not None:
             assert view is not None
-            return self._counted(truths, expression.ordinal.number, expression.ordinal.side, view)
+            return counted(truths, expression.ordinal.number, expression.ordinal.side, view)
         if expression.size is not None:
-            return self._by_size(truths, expression.size)
+            return by_size(truths, expression.size, self._prints)
         clause = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)
         if clause is None:
             return truths
         if clause.relation is Relation.NEAREST_YOU:
             assert view is not None
             known = {number: truth if view.sure[number] else Truth.MAYBE for number, truth in truths.items()}
-            return _extreme(known, self._prints.ranges_from((view.x, view.y), truths), Selected.LEAST)
+            return extreme(known, self._prints.ranges_from((view.x, view.y), truths), Selected.LEAST)
         (others,) = (self._landmarks(landmark) for landmark in clause.landmarks)
         other = next(iter(others), None)
         if other is None:
@@ -265,34 +259,12 @@ class Verifier:
         gaps = {number: self._prints.gap(number, other) for number in truths if number != other}
         way = Selected.LEAST if clause.relation is Relation.NEAREST_TO else Selected.MOST
         known = {number: min(truths[number], self._near_enough(number, other, way)) for number in gaps}
-        return _extreme(known, gaps, way)
+        return extreme(known, gaps, way)
 
     def _near_enough(self, number: int, other: int, way: Selected) -> Truth:
         if way is Selected.MOST:
             return Truth.YES
         return Truth.YES if self._same_room(number, other) is not Truth.NO else Truth.MAYBE
-
-    def _by_size(self, truths: dict[int, Truth], size: Size) -> dict[int, Truth]:
-        tall = size in (Size.TALLEST, Size.LOWEST)
-        values = {number: self._prints.height(number) if tall else self._prints.volume(number) for number in truths}
-        way = Selected.MOST if size in (Size.TALLEST, Size.LARGEST) else Selected.LEAST
-        return _extreme(truths, values, way, limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, 0.0)
-
-    def _counted(self, truths: dict[int, Truth], place: int, side: Side, view: View) -> dict[int, Truth]:
-        """Returns the object at a place from a side among those in view; all that it may be if some are borderline."""
-        sign = -1.0 if side is Side.LEFT else 1.0
-        seen = [number for number in truths if view.possible[number]]
-        order = sorted(seen, key=lambda number: sign * float(view.bearing[number]))
-        counted = order[: place + 1]
-        if len(order) < place:
-            return {}
-        angles = [float(view.bearing[number]) for number in counted]
-        is_apart = all(abs(one - two) >= limit.BEARING_GAP_RAD for one, two in zip(angles, angles[1:], strict=False))
-        is_sure = all(truths[number] is Truth.YES and view.sure[number] for number in order[:place])
-        several = sum(truths[number] is Truth.YES and bool(view.sure[number]) for number in order) > 1
-        if is_apart and is_sure and several:
-            return {order[place - 1]: Truth.YES}
-        return dict.fromkeys(order, Truth.MAYBE)
 
 
 def _needs_view(expression: Expression) -> bool:
@@ -311,24 +283,3 @@ _OF_VIEW = {
     ),
     *(Relation.AHEAD, Relation.THIS_ROOM, Relation.NEAREST_YOU),
 }
-
-
-def _extreme(
-    truths: Mapping[int, Truth],
-    values: Mapping[int, float],
-    way: Selected,
-    ratio: float = limit.DISTANCE_RATIO,
-    gap: float = limit.DISTANCE_GAP_M,
-) -> dict[int, Truth]:
-    """Returns the object with the extreme value if it is clear; otherwise all objects that may have it."""
-    best = max(truths, key=lambda number: way * values[number], default=None)
-    if best is None:
-        return {}
-    rest = [values[number] for number in truths if number != best]
-    if way is Selected.LEAST:
-        is_clear = all(value >= max(values[best] * ratio, values[best] + gap) for value in rest)
-    else:
-        is_clear = all(values[best] >= max(value * ratio, value + gap) for value in rest)
-    if is_clear and truths[best] is Truth.YES:
-        return {best: Truth.YES}
-    return dict.fromkeys(truths, Truth.MAYBE)
