@@ -106,7 +106,7 @@ class EpisodeMeta(Model):
     """Convex hull of the target's projection to the floor, x, y in the world frame, metres; empty if the scene records
     none."""
     phrase_is_unique: bool
-    """Whether category and colour, as the instruction names them, match exactly one target of the scene."""
+    """Whether category and colour, as the instruction names them, match exactly one object of the scene."""
     rollout: Rollout
     """Measurements of the rollout."""
     route: Route = Route()

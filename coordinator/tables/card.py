@@ -135,10 +135,10 @@ _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
-    "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
-    "screened by `spawn.screening` of the plan: {}."
+    "The expert knows where its target is and drives straight, so the data contain no detours around obstacles; its "
+    "starts are screened by `spawn.screening` of the plan: {}."
 )
-_PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
+_PLANNED = "The expert knows the floor plan; its actions near corners cannot always be predicted from the images."
 
 
 def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Collection[str] = ()) -> str:

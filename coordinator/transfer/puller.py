@@ -9,8 +9,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
 
 import structlog
 
@@ -18,14 +16,14 @@ from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.protocol import Pull
 from coordinator.settings import CoordinatorSettings
+from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
 from schemas.bundle import MAX_BUNDLE_BYTES
-from schemas.dataset import BundleReceipt, EpisodeSummary
+from schemas.dataset import BundleReceipt
 from schemas.errors import FactoryError, InvalidBundle, TransientError
-from schemas.job import Job, episode_id
+from schemas.job import episode_id
 from schemas.protocol.keys import Chunk, host_of
 from schemas.protocol.messages import Lease
-from schemas.scene import Target
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 
@@ -44,48 +42,6 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
 log = structlog.get_logger(__name__)
 
 Fetch = Callable[[str, Lease, Chunk], bytes]
-Nearby = Callable[[Lease], Path | None]
-"""Function that returns the path of a lease's bundle on this machine, or `None` if unknown."""
-
-
-def nothing_nearby(_lease: Lease) -> None:
-    """Finds no bundle on this machine."""
-
-
-class Judge(Protocol):
-    """Interface of thread-safe bundle validators."""
-
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> BundleReceipt:
-        """Validates a bundle, `sampled` some of its frames, or raises `InvalidBundle` or `TransientError`."""
-
-    def close(self) -> None:
-        """Ends the validator; a running check raises `TransientError`."""
-
-
-class Checker(Judge, Protocol):
-    """Interface of validators of collected episodes."""
-
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:
-        """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
-
-
-class LedgerClient(Protocol):
-    """Interface of the ledger for pullers: local in a coordinator, remote in a gateway.
-
-    All methods except `refuse` are idempotent. All methods raise `TransientError` if the ledger is unavailable.
-    """
-
-    def keep(self, pull: Pull, seconds: float) -> bool:
-        """Extends the lease to at least `seconds` from now; returns whether it is in force."""
-
-    def is_owned(self, index: int) -> bool:
-        """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
-
-    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        """Records a published episode if the lease is in force; returns whether the ledger records the file."""
-
-    def refuse(self, pull: Pull, detail: str) -> None:
-        """Reports a bundle that failed validation."""
 
 
 @dataclass
@@ -135,7 +91,7 @@ class Pullers(Closing):
         archive: Archive,
         ledger: LedgerClient,
         fetch: Fetch,
-        checker: Judge,
+        checker: BundleValidator,
         settings: CoordinatorSettings,
         on_archived: Callable[[], None],
         meters: Meters | None = None,

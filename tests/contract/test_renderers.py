@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import get_args
 
@@ -29,25 +28,6 @@ from workers.render.choose import open_renderer
 CAMERA = CameraConfig()
 ORIGIN = Pose.planar(0.0, 0.0, 0.0)
 RED, BLUE = (200, 30, 30), (30, 30, 200)
-KINDS = [
-    pytest.param(("gl", False), id="gl", marks=pytest.mark.gl),
-    pytest.param(("tiny", False), id="tiny"),
-    pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
-]
-"""Which renderer, and whether it runs in a separate process."""
-
-
-@pytest.fixture(autouse=True)
-def _one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LP_NUM_THREADS", "0")
-
-
-@pytest.fixture(params=KINDS)
-def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    """Every renderer in turn, open."""
-    kind, apart = request.param
-    with open_renderer(kind, apart=apart) as opened:
-        yield opened
 
 
 def look(renderer: Renderer, *boxes: Box, pose: Pose = ORIGIN) -> RenderedFrame:

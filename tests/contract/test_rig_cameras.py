@@ -37,27 +37,11 @@ CAMERAS = [
     EquirectangularCamera(name="band", model="equirectangular", width=160, height=30, top_deg=20, bottom_deg=-30),
 ]
 EVERY_CAMERA = pytest.mark.parametrize("camera", [pytest.param(camera, id=camera.name) for camera in CAMERAS])
-KINDS = [
-    pytest.param(("gl", False), id="gl", marks=pytest.mark.gl),
-    pytest.param(("tiny", False), id="tiny"),
-    pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
-]
-
-
-@pytest.fixture(autouse=True)
-def _one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LP_NUM_THREADS", "0")
-
-
-@pytest.fixture(params=KINDS)
-def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    kind, apart = request.param
-    with open_renderer(kind, apart=apart) as opened:
-        yield opened
 
 
 @pytest.fixture
-def gl() -> Iterator[Renderer]:
+def gl(monkeypatch: pytest.MonkeyPatch) -> Iterator[Renderer]:
+    monkeypatch.setenv("LP_NUM_THREADS", "0")
     with open_renderer("gl") as opened:
         yield opened
 

@@ -10,6 +10,7 @@ import click
 
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import simulate_all
+from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import open_door
@@ -36,6 +37,7 @@ from factory.runs.render import prepare_rendering
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
+from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
@@ -111,28 +113,21 @@ def start(
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
+        options = CoordinatorOptions(
+            listen=listen,
+            ledger_url=ledger,
+            settings=settings,
+            guard=guard,
+            gate=gate,
+            store=site.store,
+            find_states=simulate_all if rendering is None else rendering.states,
+        )
         with (
-            Coordinator(
-                site.home,
-                plan,
-                catalog,
-                CoordinatorOptions(
-                    listen=listen,
-                    ledger_url=ledger,
-                    settings=settings,
-                    guard=guard,
-                    gate=gate,
-                    store=site.store,
-                    find_states=simulate_all if rendering is None else rendering.states,
-                ),
-            ) as coordinator,
+            Coordinator(site.home, plan, catalog, options) as coordinator,
             status_pages(coordinator.health, http, http_token),
         ):
             write_target_lists(catalog, site.place)
-            where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
-            click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
-            for endpoint in coordinator.endpoints:
-                click.echo(f"factory worker --cores 2 --connect {endpoint}")
+            _say_endpoints(coordinator, plan, site, guard)
             finished = coordinator.wait(stop=stop)
             if stay:
                 stop.wait()
@@ -145,3 +140,11 @@ def start(
     click.echo("finished", err=True)
     say_missing(site, progress)
     return 1 if progress.missing else 0
+
+
+def _say_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guard | None) -> None:
+    """Prints where the coordinator listens, and the command that starts a worker."""
+    where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
+    click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
+    for endpoint in coordinator.endpoints:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}")

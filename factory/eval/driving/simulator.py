@@ -24,7 +24,7 @@ from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import is_spawn_stable
 
 
-class NoFirmStand(WorldError):
+class UnstableStart(WorldError):
     """The robot is not stable at the start pose of a spec."""
 
 
@@ -51,7 +51,7 @@ class Simulator(Closing):
             loaded: Scene of the spec.
 
         Raises:
-            NoFirmStand: The robot is not stable at the start pose.
+            UnstableStart: The robot is not stable at the start pose.
             WorldError: The scene does not have the target.
         """
         self.close()
@@ -62,7 +62,7 @@ class Simulator(Closing):
         x, y, yaw = spec.spawn_pose
         if not is_spawn_stable(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
-            raise NoFirmStand(
+            raise UnstableStart(
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
         self._stage.renderer.load(scene, job.camera)

@@ -168,7 +168,7 @@ def file_of(name: str) -> Path | None:
 
 
 def describe_knowledge(policy: Policy) -> str:
-    """Returns what a policy goes by, for the results."""
+    """Returns the inputs of a policy, for the results."""
     return policy.knows if isinstance(policy, BlindPolicy) else "camera and instruction"
 
 

@@ -29,7 +29,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.eval.models.messages import EvalTask
 from factory.eval.process.run import Pace
 from factory.eval.remote.driven import read_driven
-from factory.eval.remote.judge import ResultJudge
+from factory.eval.remote.result_validator import ResultValidator
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, with_actions
@@ -96,32 +96,34 @@ def run_fleet(
     if door.connect:
         _look_for_coordinator(door)
     _try_failed_again(root)
-    with Coordinator(
-        root,
-        run_plan,
-        catalog,
-        CoordinatorOptions(
-            listen=door.listen,
-            settings=_SETTINGS,
-            guard=door.guard,
-            checker=ResultJudge(tasks),
-            evaluation=evaluation,
-            connect=door.connect,
-        ),
-    ) as coordinator:
+    options = CoordinatorOptions(
+        listen=door.listen,
+        settings=_SETTINGS,
+        guard=door.guard,
+        checker=ResultValidator(tasks),
+        evaluation=evaluation,
+        connect=door.connect,
+    )
+    with Coordinator(root, run_plan, catalog, options) as coordinator:
         door.tell(coordinator.endpoints)
-        is_over = False
-        while not (is_over or stop.is_set()):
-            is_over = coordinator.wait(_POLL_S, stop)
-            intake.take(root)
-        if is_over:
-            coordinator.wait_for_departures(stop)
+        is_over = _take_results(coordinator, intake, root, stop)
     if is_over:
         _require_whole(root, store)
         shutil.rmtree(root, ignore_errors=True)  # all its content is in the results
         with contextlib.suppress(OSError):
             root.parent.rmdir()  # fails if the folder contains another campaign
     return is_over
+
+
+def _take_results(coordinator: Coordinator, intake: Intake, root: Path, stop: threading.Event) -> bool:
+    """Stores results until all episodes are finished or `stop` is set; returns whether all are finished."""
+    while not stop.is_set():
+        is_over = coordinator.wait(_POLL_S, stop)
+        intake.take(root)
+        if is_over:
+            coordinator.wait_for_departures(stop)
+            return True
+    return False
 
 
 def _look_for_coordinator(door: FleetAccess) -> None:

@@ -18,7 +18,8 @@ from structlog.testing import capture_logs
 from coordinator.archive.opening import open_archive
 from coordinator.protocol.protocol import Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.puller import Nearby, Pullers, nothing_nearby
+from coordinator.transfer.contract import Nearby, nothing_nearby
+from coordinator.transfer.puller import Pullers
 from schemas.errors import TransientError
 from schemas.protocol.keys import Chunk
 from schemas.protocol.messages import Lease

@@ -1,0 +1,56 @@
+"""Interfaces of a transfer: the validator of bundles, the ledger, and the search for bundles on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from coordinator.protocol.protocol import Pull
+from schemas.dataset import BundleReceipt, EpisodeSummary
+from schemas.job import Job
+from schemas.protocol.messages import Lease
+from schemas.scene import Target
+
+Nearby = Callable[[Lease], Path | None]
+"""Function that returns the path of a lease's bundle on this machine, or `None` if unknown."""
+
+
+def nothing_nearby(_lease: Lease) -> None:
+    """Finds no bundle on this machine."""
+
+
+class BundleValidator(Protocol):
+    """Interface of thread-safe bundle validators."""
+
+    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> BundleReceipt:
+        """Validates a bundle, `sampled` some of its frames, or raises `InvalidBundle` or `TransientError`."""
+
+    def close(self) -> None:
+        """Ends the validator; a running check raises `TransientError`."""
+
+
+class EpisodeValidator(BundleValidator, Protocol):
+    """Interface of validators of collected episodes."""
+
+    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:
+        """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
+
+
+class LedgerClient(Protocol):
+    """Interface of the ledger for pullers: local in a coordinator, remote in a gateway.
+
+    All methods except `refuse` are idempotent. All methods raise `TransientError` if the ledger is unavailable.
+    """
+
+    def keep(self, pull: Pull, seconds: float) -> bool:
+        """Extends the lease to at least `seconds` from now; returns whether it is in force."""
+
+    def is_owned(self, index: int) -> bool:
+        """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
+
+    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
+        """Records a published episode if the lease is in force; returns whether the ledger records the file."""
+
+    def refuse(self, pull: Pull, detail: str) -> None:
+        """Reports a bundle that failed validation."""
