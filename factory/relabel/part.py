@@ -43,7 +43,7 @@ SCHEMA = pa.schema(
 
 
 @dataclass(frozen=True)
-class Start:
+class LanguageStart:
     """Values of an episode from which instructions follow."""
 
     episode_id: str
@@ -67,7 +67,7 @@ class PartTask(NamedTuple):
     package: ScenePackage
     camera: CameraConfig
     spec: LanguageSpec
-    starts: tuple[Start, ...]
+    starts: tuple[LanguageStart, ...]
     file: Path
     """Part file, which is written as a whole."""
 
@@ -107,7 +107,9 @@ def prepared_scene(package: ScenePackage) -> SceneLanguage:
     return SceneLanguage(build_graph(decode_scene(io.BytesIO(package.read()))))
 
 
-def instructions_of(start: Start, scene: SceneLanguage, composer: Composer, camera: CameraConfig) -> list[Instruction]:
+def instructions_of(
+    start: LanguageStart, scene: SceneLanguage, composer: Composer, camera: CameraConfig
+) -> list[Instruction]:
     """Returns the new instructions of an episode; they depend on its index and the language file only."""
     seed = np.random.SeedSequence((composer.spec.seed, start.index), spawn_key=(_STREAM,))
     view = look(scene.graph, start.pose, camera)
@@ -116,7 +118,7 @@ def instructions_of(start: Start, scene: SceneLanguage, composer: Composer, came
     return composer.write(scene, view, number, held_out, np.random.default_rng(seed))
 
 
-def rows_of(start: Start, found: list[Instruction]) -> list[dict[str, Any]]:
+def rows_of(start: LanguageStart, found: list[Instruction]) -> list[dict[str, Any]]:
     """Returns the rows of an episode: goals first, or the recorded instruction if there is no goal."""
     goals = [each for each in found if each.kind is InstructionKind.GOAL]
     others = [each for each in found if each.kind is not InstructionKind.GOAL]
@@ -124,13 +126,13 @@ def rows_of(start: Start, found: list[Instruction]) -> list[dict[str, Any]]:
     return [{**row, "number": number} for number, row in enumerate([*rows, *(_row(start, each) for each in others)], 1)]
 
 
-def _row(start: Start, one: Instruction) -> dict[str, Any]:
+def _row(start: LanguageStart, one: Instruction) -> dict[str, Any]:
     values = one.model_dump(mode="json")
     renamed = {"instruction": values.pop("text"), "register": values.pop("register_name")}
     return {"episode_id": start.episode_id, "index": start.index, **values, **renamed}
 
 
-def _recorded(start: Start) -> dict[str, Any]:
+def _recorded(start: LanguageStart) -> dict[str, Any]:
     known = {"episode_id": start.episode_id, "index": start.index, "kind": str(InstructionKind.RECORDED)}
     said = {"instruction": start.instruction, "template_id": start.template_id, "language": "en"}
     return dict.fromkeys(SCHEMA.names) | known | said

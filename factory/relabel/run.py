@@ -22,12 +22,12 @@ from factory.dataset.reader import Dataset
 from factory.export.execution.pool import run_tasks
 from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.assemble import assemble
-from factory.relabel.part import PartTask, Start, instructions_of, make_part, prepared_scene
+from factory.relabel.part import LanguageStart, PartTask, instructions_of, make_part, prepared_scene
 from schemas.base import Model, Sha256
 from schemas.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE
 from schemas.dataset_meta import software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError
-from schemas.language.compose import Composer, InstructionKind
+from schemas.language.compose import Composer, Instruction, InstructionKind
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
 
@@ -86,7 +86,7 @@ class _Job(NamedTuple):
     """Scene with its episodes."""
 
     package: ScenePackage
-    starts: tuple[Start, ...]
+    starts: tuple[LanguageStart, ...]
 
 
 Progress = Callable[[int, int], None]
@@ -176,8 +176,12 @@ def _jobs(dataset: Dataset) -> Iterator[_Job]:
         yield _Job(
             ScenePackage(dataset.root, rows[0]["scene"], sha256),
             tuple(
-                Start(
-                    *(row[name] for name in ("episode_id", "index", "split", "target_id", "target_category")),
+                LanguageStart(
+                    episode_id=row["episode_id"],
+                    index=row["index"],
+                    split=row["split"],
+                    target_id=row["target_id"],
+                    category=row["target_category"],
                     pose=(row["spawn_x_m"], row["spawn_y_m"], row["spawn_yaw_rad"]),
                     instruction=row["instruction"],
                     template_id=row["template_id"],
@@ -212,8 +216,8 @@ def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec
         raise InvalidLanguage("the language file does not fit the dataset", faults)
 
 
-def _goals(found: Sequence[object]) -> list[object]:
-    return [one for one in found if getattr(one, "kind", None) is InstructionKind.GOAL]
+def _goals(found: Sequence[Instruction]) -> list[Instruction]:
+    return [one for one in found if one.kind is InstructionKind.GOAL]
 
 
 def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: Output) -> Iterator[PartTask]:

@@ -25,10 +25,10 @@ from schemas.language.generator.minimal import (
     redundant_expressions,
 )
 from schemas.language.generator.search import Search
-from schemas.language.grammar import Pattern
+from schemas.language.grammar import SentencePattern
 from schemas.language.graph import UNKNOWN, SceneGraph
 from schemas.language.verifier.verify import Verifier
-from schemas.language.view import View
+from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 Option = TypeVar("Option", bound=str)
@@ -113,7 +113,9 @@ class Composer:
     def __init__(self, spec: LanguageSpec) -> None:
         self.spec = spec
         self._tongues = {code: Tongue(spec, code) for code, share in spec.languages.items() if share > 0}
-        self._patterns: dict[tuple[str, bool], dict[str, list[Pattern]]] = defaultdict(lambda: defaultdict(list))
+        self._patterns: dict[tuple[str, bool], dict[str, list[SentencePattern]]] = defaultdict(
+            lambda: defaultdict(list)
+        )
         for code, tongue in self._tongues.items():
             for pattern in tongue.grammar.sentences:
                 if spec.registers.get(pattern.register, 0.0) > 0:
@@ -146,7 +148,7 @@ class Composer:
         return frozenset(drawn)
 
     def write(
-        self, scene: SceneLanguage, view: View | None, number: int, held_out: bool, rng: np.random.Generator
+        self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
     ) -> list[Instruction]:
         """Returns up to `per_episode` different instructions for a target, and perhaps one with a false premise.
 
@@ -190,7 +192,7 @@ class Composer:
     def _one(
         self,
         scene: SceneLanguage,
-        view: View | None,
+        view: SceneView | None,
         number: int,
         held_out: bool,
         code: str,
@@ -221,7 +223,9 @@ class Composer:
             scene.distractors(number),
         )  # fmt: skip
 
-    def _say(self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator) -> tuple[Pattern, str]:
+    def _say(
+        self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator
+    ) -> tuple[SentencePattern, str]:
         """Draws a pattern and words, and returns the pattern and the sentence."""
         registers = self._patterns[code, held_out]
         shares = {name: self.spec.registers[name] for name in registers}
@@ -232,7 +236,7 @@ class Composer:
         return pattern, self._tongues[code].grammar.sentence(pattern, expression, choice)
 
     def _false_premise(
-        self, scene: SceneLanguage, view: View | None, number: int, held_out: bool, rng: np.random.Generator
+        self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
     ) -> Iterator[Instruction]:
         """Yields an instruction that names a kind, or the target's kind in a colour, that does not exist."""
         code = _weighted(self.spec.languages, rng)
@@ -255,7 +259,7 @@ class Composer:
         kind: InstructionKind,
         text: str,
         code: str,
-        pattern: Pattern,
+        pattern: SentencePattern,
         expression: Expression,
         features: frozenset[Family],
         is_minimal: bool,

@@ -44,7 +44,7 @@ class Size(StrEnum):
     LOWEST = "lowest"  # smallest height
 
 
-class Side(StrEnum):
+class ViewSide(StrEnum):
     """End of the view from which objects are counted."""
 
     LEFT = "left"  # from the left edge of the image
@@ -102,7 +102,7 @@ class Landmark(Model):
     """Object that a relation names."""
 
     kind: Name
-    """Kind or superclass."""
+    """ObjectKind or superclass."""
     colour: Name | None = Field(default=None, exclude_if=lambda it: it is None)
     """Colour; `None` if it is not named."""
     definite: bool = True
@@ -133,7 +133,7 @@ class Ordinal(Model):
 
     number: Annotated[int, Field(ge=1, le=4)]
     """Number, from 1."""
-    side: Side
+    side: ViewSide
     """End at which counting starts."""
 
 
@@ -141,7 +141,7 @@ class Expression(Model):
     """Meaning of a referring expression; at most one of size, ordinal and superlative clause selects an object."""
 
     kind: Name
-    """Kind or superclass of the objects."""
+    """ObjectKind or superclass of the objects."""
     definite: bool = True
     """Whether the expression fits exactly one object; otherwise it fits any object of a set."""
     colour: Name | None = Field(default=None, exclude_if=lambda it: it is None)

@@ -41,7 +41,7 @@ class Patterns(Model):
     """Patterns of the split `test_paraphrase_ood`."""
 
 
-class Pattern(NamedTuple):
+class SentencePattern(NamedTuple):
     """Sentence pattern without alternatives."""
 
     template_id: str
@@ -101,7 +101,7 @@ class Grammar(Model):
     """Sentence patterns by register."""
 
     @cached_property
-    def sentences(self) -> tuple[Pattern, ...]:
+    def sentences(self) -> tuple[SentencePattern, ...]:
         """All sentence patterns without alternatives, numbered within each register."""
         found = []
         for register, own in self.patterns.items():
@@ -114,14 +114,16 @@ class Grammar(Model):
                 assert slot is not None, f"{text!r} has no slot"
                 name = f"{self.code}_{register}_{number:03d}"
                 case = slot[2] or "nom"
-                found.append(Pattern(name, register, held_out, text[: slot.start()], case, text[slot.end() :]))
+                found.append(SentencePattern(name, register, held_out, text[: slot.start()], case, text[slot.end() :]))
         return tuple(found)
 
     def names(self, kind: str) -> bool:
         """Returns whether the language has a noun for a kind."""
         return kind in self.nouns
 
-    def sentence(self, pattern: Pattern, expression: Expression, choice: Mapping[str, int] | None = None) -> str:
+    def sentence(
+        self, pattern: SentencePattern, expression: Expression, choice: Mapping[str, int] | None = None
+    ) -> str:
         """Returns the sentence of a pattern for an expression.
 
         Args:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.language.kinds import Kinds, kinds
-from schemas.language.rooms import Grid, Room, divide_rooms, find_walls, nearest_room, wall_gaps
+from schemas.language.rooms import CellGrid, SceneRoom, divide_rooms, find_walls, nearest_room, wall_gaps
 from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
 
@@ -57,13 +57,13 @@ class SceneGraph:
 
     objects: tuple[SceneObject, ...]
     """All objects that words can name."""
-    rooms: tuple[Room, ...]
+    rooms: tuple[SceneRoom, ...]
     """Rooms of the scene."""
     types: tuple[str | None, ...]
     """Type of each room, or `None`."""
-    room_grid: Grid
+    room_grid: CellGrid
     """Number of the room of each cell."""
-    sight_grid: Grid
+    sight_grid: CellGrid
     """0 free, 1 occupied by an object, 2 wall."""
     floor_m: float
     """Height of the floor, metres."""
@@ -117,7 +117,7 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     """Returns the scene graph of a compiled scene."""
     table, info = kinds(), scene.info
     raw = _objects(scene, table)
-    occupancy = Grid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
+    occupancy = CellGrid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
     boxes = np.array([_covered(each, info) for each in raw if each.kind not in _BETWEEN_ROOMS])
     walls = find_walls(occupancy, boxes.reshape(-1, 2, 2))
     room_grid, rooms = divide_rooms(walls, _building(scene))
@@ -148,7 +148,7 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
 def _covered(each: _Raw, info: SceneInfo) -> Floats:
     """Returns the lower and upper corner of the cells that an object covers; of a low or hung object those inside.
 
-    A tall object that stands on the floor has cells that look like a wall at its edges, too.
+    A tall object on the floor has cells that look like a wall at its edges, too.
     """
     is_tall = each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M
     margin = info.grid_resolution_m / 2 * (1 if is_tall else -1)
@@ -213,7 +213,7 @@ def _rectangle(low: Floats, high: Floats) -> Floats:
     return np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])])
 
 
-def _room_type(room: Room, objects: tuple[SceneObject, ...], table: Kinds) -> str | None:
+def _room_type(room: SceneRoom, objects: tuple[SceneObject, ...], table: Kinds) -> str | None:
     held = [each.kind for each in objects if each.room == room.label]
     for name, rule in table.rooms.items():
         if rule.aspect is not None:

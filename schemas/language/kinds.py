@@ -15,11 +15,9 @@ DATA = Path(__file__).parent / "data"
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
-class Kind(Model):
+class ObjectKind(Model):
     """Properties of a kind of objects."""
 
-    front: bool = False
-    """Whether the object has a front of its own."""
     plain: bool = True
     """Whether its colour can be named."""
     like: tuple[Name, ...] = ()
@@ -44,12 +42,12 @@ class Kinds(Model):
 
     superclasses: dict[Name, tuple[Name, ...]]
     """Kinds of each superclass."""
-    kinds: dict[Name, Kind]
+    kinds: dict[Name, ObjectKind]
     """Known kinds; a category that is not among them has the default properties."""
     rooms: dict[Name, RoomRule]
     """Types of rooms, in the order in which they are tested."""
 
-    def of(self, kind: str) -> Kind:
+    def of(self, kind: str) -> ObjectKind:
         """Returns the properties of a kind."""
         return self.kinds.get(kind, _DEFAULT)
 
@@ -96,7 +94,7 @@ class Kinds(Model):
         return None
 
 
-_DEFAULT = Kind()
+_DEFAULT = ObjectKind()
 
 
 @cache

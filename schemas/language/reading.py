@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from schemas.language.expression import Clause, Expression, Landmark, Ordinal, Relation, Side, Size
-from schemas.language.grammar import SLOT, Grammar, Pattern, grammar
+from schemas.language.expression import Clause, Expression, Landmark, Ordinal, Relation, Size, ViewSide
+from schemas.language.grammar import SLOT, Grammar, SentencePattern, grammar
 
 _SPACE = re.compile(r"\s+")
 _GENDERED = re.compile(r"<([^<>]*)>")
@@ -24,7 +24,7 @@ _GENDERED = re.compile(r"<([^<>]*)>")
 class Reading(NamedTuple):
     """One reading of a sentence."""
 
-    pattern: Pattern
+    pattern: SentencePattern
     """Sentence pattern."""
     expression: Expression
     """Meaning of the referring expression."""
@@ -65,7 +65,7 @@ class Reader:
         self._spaced = " " in source.layout
         marks = {noun.partition(":")[2] for words in source.nouns.values() for noun in words} - {*source.genders, ""}
         self._marks = (*sorted({*source.endings.values(), *marks}), "")
-        self._patterns: dict[str, list[tuple[str, Pattern]]] = defaultdict(list)
+        self._patterns: dict[str, list[tuple[str, SentencePattern]]] = defaultdict(list)
         for pattern in source.sentences:
             self._patterns[self.normal(pattern.before)].append((self.normal(pattern.after), pattern))
         self._groups = self._tables(source)
@@ -233,7 +233,7 @@ def _expression(noun: _Noun, clauses: tuple[Clause, ...]) -> Expression | None:
         return None
     ordinal = None
     if side is not None:
-        ordinal = Ordinal(number=1 if is_extreme else int(str(number)), side=Side(str(side).removesuffix("most")))
+        ordinal = Ordinal(number=1 if is_extreme else int(str(number)), side=ViewSide(str(side).removesuffix("most")))
     colour, size = parts.get("colour"), parts.get("size")
     try:
         return Expression(

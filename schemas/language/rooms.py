@@ -29,7 +29,7 @@ _DIRECTIONS = 12
 _HIDING = 2
 
 
-class Grid(NamedTuple):
+class CellGrid(NamedTuple):
     """Grid of cells in the world frame."""
 
     values: NDArray[np.generic]
@@ -50,7 +50,7 @@ class Grid(NamedTuple):
         return np.asarray(self.values[self.cells(points)])
 
 
-class Room(NamedTuple):
+class SceneRoom(NamedTuple):
     """Room of a scene."""
 
     label: int
@@ -61,7 +61,7 @@ class Room(NamedTuple):
     """Length of its bounding rectangle along the world axes, divided by the width."""
 
 
-def find_walls(occupancy: Grid, boxes: Floats) -> Grid:
+def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
     """Returns the grid of walls: cells that hide, outside of the boxes of objects.
 
     Args:
@@ -80,7 +80,7 @@ def find_walls(occupancy: Grid, boxes: Floats) -> Grid:
     return occupancy._replace(values=walls)
 
 
-def divide_rooms(walls: Grid, inside: Bools) -> tuple[Grid, tuple[Room, ...]]:
+def divide_rooms(walls: CellGrid, inside: Bools) -> tuple[CellGrid, tuple[SceneRoom, ...]]:
     """Returns the number of the room of each cell, 0 outside of rooms, and the rooms.
 
     Args:
@@ -95,7 +95,7 @@ def divide_rooms(walls: Grid, inside: Bools) -> tuple[Grid, tuple[Room, ...]]:
     markers[~free] = -1
     grown = scipy.ndimage.watershed_ift(cost, markers) if count else np.zeros_like(markers)
     grown = np.where(free & (grown > 0), grown, 0)
-    rooms: list[Room] = []
+    rooms: list[SceneRoom] = []
     labels = np.zeros_like(grown)
     for number, part in enumerate(scipy.ndimage.find_objects(grown), 1):
         cells = grown[part] == number if part is not None else np.zeros(0)
@@ -103,7 +103,7 @@ def divide_rooms(walls: Grid, inside: Bools) -> tuple[Grid, tuple[Room, ...]]:
         if part is None or area < MIN_ROOM_M2:
             continue
         height, width = (side.stop - side.start for side in part)
-        rooms.append(Room(len(rooms) + 1, area, max(height, width) / min(height, width)))
+        rooms.append(SceneRoom(len(rooms) + 1, area, max(height, width) / min(height, width)))
         labels[part][cells] = len(rooms)
     return walls._replace(values=labels), tuple(rooms)
 
@@ -122,7 +122,7 @@ def _close_openings(walls: Bools, resolution_m: float) -> Bools:
     return closed
 
 
-def nearest_room(rooms: Grid, points: Floats, within_m: float = 0.6) -> Ints:
+def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints:
     """Returns the room at each of (N, 2) points, or of the nearest cell with a room within a distance; otherwise 0."""
     labels = np.asarray(rooms.values, np.int64)
     distance, nearest = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
@@ -131,7 +131,7 @@ def nearest_room(rooms: Grid, points: Floats, within_m: float = 0.6) -> Ints:
     return np.where(distance[row, column] * rooms.resolution_m <= within_m, found, 0)
 
 
-def wall_gaps(walls: Grid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
+def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
     """Returns (N,) gaps of objects to their nearest wall, and to a wall perpendicular to it, metres; at most 4.
 
     Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees.

@@ -26,6 +26,8 @@ DIRECTION_RAD = Band(math.radians(35), math.radians(75))
 this angle (Regier & Carlson 2001, attention vector sum); SceneVerse (Jia et al. 2024) has sectors of 45 degrees."""
 DIRECTION_GAP_M = Band(2.0, 4.0)
 """Gap of footprints for the same relations, metres; Sr3D (Achlioptas et al. 2020) has areas of 1 to 4 m."""
+ALIGNED_RAD = Band(math.radians(10), math.radians(60))
+"""Angle between object and landmark in the view for `in_front_of` and `behind`; ours."""
 BETWEEN_ALONG = Band(0.25, 0.05)
 """Smallest share of the way from one landmark to the other for `between`; ours."""
 BETWEEN_ACROSS = Band(0.2, 0.45)

@@ -28,7 +28,7 @@ _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.
 
 
 @dataclass(frozen=True)
-class View:
+class SceneView:
     """Start pose and the objects of a scene graph as seen from there."""
 
     x: float
@@ -49,7 +49,7 @@ class View:
     """(N,) distance to the centre of each object, metres."""
 
 
-def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConfig) -> View:
+def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConfig) -> SceneView:
     """Returns the view from a pose of base_link.
 
     Args:
@@ -84,7 +84,7 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         sure[near] = (clear.mean(axis=1) >= _FREE_SHARE) & (distance[near, 0] <= VISIBLE_M) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
     room = graph.room_at(x, y)
-    return View(float(eye[0]), float(eye[1]), yaw, room, sure, possible, bearing[:, 0], distance[:, 0])
+    return SceneView(float(eye[0]), float(eye[1]), yaw, room, sure, possible, bearing[:, 0], distance[:, 0])
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:

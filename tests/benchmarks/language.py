@@ -35,12 +35,12 @@ _SPECS = {
     "relational, 4 per drive": LanguageSpec(features={"colour": 0.0}, per_episode=4),
     "simple (category, colour)": LanguageSpec(features=_PLAIN, fit="any", per_episode=4),
 }
-Start = tuple[int, tuple[float, float, float]]
+LanguageStart = tuple[int, tuple[float, float, float]]
 
 
-def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Generator) -> list[Start]:
+def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Generator) -> list[LanguageStart]:
     """Returns numbers of targets, and poses within 1.5 to 7 m that roughly face them, as near and mid episodes have."""
-    found: list[Start] = []
+    found: list[LanguageStart] = []
     while len(found) < _STARTS:
         place = int(rng.integers(len(scene.info.targets)))
         target = scene.info.targets[place]
@@ -55,7 +55,7 @@ def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Gene
     return found
 
 
-def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[Start]) -> tuple[float, int]:
+def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart]) -> tuple[float, int]:
     """Returns instructions per second of CPU time, view included, and the number of drives without one."""
     composer, rng, best, without = Composer(spec), np.random.default_rng(0), 0.0, 0
     for _ in range(3):  # the first round measures the gaps of footprints, which are kept
@@ -68,7 +68,7 @@ def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[Start]) -> tu
     return best, without
 
 
-def rejected_changes(language: SceneLanguage, starts: list[Start]) -> tuple[int, int]:
+def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tuple[int, int]:
     """Returns how many sentences with a changed word the verifier rejected, and how many were false or ambiguous."""
     rng, source, seen, rejected = np.random.default_rng(1), grammar("en"), 0, 0
     patterns = [each for each in source.sentences if each.case == "nom"]

@@ -25,10 +25,10 @@ from schemas.language.expression import (
 )
 from schemas.language.generator.facts import Masks, ViewFacts
 from schemas.language.generator.minimal import selector_of
-from schemas.language.generator.search import Head, Part, Search
+from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
-from schemas.language.view import View, look
+from schemas.language.view import SceneView, look
 from schemas.scene import CompiledScene, Instance
 from tests.builders.scene import Box, build_scene, room_walls
 
@@ -106,7 +106,7 @@ def number_at(x: float, y: float) -> int:
     )
 
 
-def views(count: int, seed: int = 0) -> list[View]:
+def views(count: int, seed: int = 0) -> list[SceneView]:
     """Returns the views from random starts of the furnished scene."""
     rng = np.random.default_rng(seed)
     spawns = furnished_scene().spawns
@@ -117,7 +117,7 @@ def views(count: int, seed: int = 0) -> list[View]:
     ]
 
 
-def search_of(view: View | None, number: int, scene: SceneLanguage | None = None) -> Search:
+def search_of(view: SceneView | None, number: int, scene: SceneLanguage | None = None) -> Search:
     """Returns the search for expressions of an object with all features and English words."""
     scene, words = scene or two_rooms(), grammar("en")
     seen = None if view is None else ViewFacts(scene.facts, view)
@@ -175,7 +175,7 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
     """
     facts = search.facts
     masks = facts.described(expression.kind, expression.colour)
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ExpressionPart, ...] = ()
     for clause in expression.clauses:
         if clause.relation in SUPERLATIVES:
             continue
@@ -183,7 +183,7 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
         if found is None:
             return True  # a definite landmark that does not exist
         masks = masks.both(found)
-        parts += (Part(clause, found),)
+        parts += (ExpressionPart(clause, found),)
     if not masks.possible[search.number]:
         return True
     if expression.selectors:
@@ -204,8 +204,8 @@ def _is_wrongly_selected(expression: Expression, search: Search, masks: Masks) -
     return False
 
 
-def _head(expression: Expression, masks: Masks) -> Head:
-    return Head(expression.kind, expression.colour, masks, False)
+def _head(expression: Expression, masks: Masks) -> ExpressionHead:
+    return ExpressionHead(expression.kind, expression.colour, masks, False)
 
 
 def masks_of(clause: Clause, search: Search) -> Masks | None:

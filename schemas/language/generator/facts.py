@@ -16,7 +16,7 @@ from schemas.language import thresholds as limit
 from schemas.language.expression import Landmark, Relation
 from schemas.language.graph import UNKNOWN, SceneGraph
 from schemas.language.thresholds import Band
-from schemas.language.view import View
+from schemas.language.view import SceneView
 from schemas.support.numpy_types import Bools, Floats, Ints
 
 _GOOD_TAN, _BAD_TAN = (math.tan(angle) for angle in limit.DIRECTION_RAD)
@@ -228,7 +228,7 @@ class ViewFacts:
     """Relations of a scene graph that depend on the start pose."""
 
     scene: SceneFacts
-    view: View
+    view: SceneView
 
     @cached_property
     def relative(self) -> dict[Relation, Masks]:
@@ -244,16 +244,19 @@ class ViewFacts:
         # the landmark is seen; the object is seen or may be somewhere else in the same room
         sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure
         possible = close.possible[rows] & distinct
+        apart = np.abs(view.bearing - view.bearing[rows, None])
+        anywhere = Masks(np.ones(apart.shape, bool), np.ones(apart.shape, bool))
+        aligned = _below(apart, limit.ALIGNED_RAD)
         found = {}
-        for name, along, across in (
-            (Relation.LEFT_OF, side, depth),
-            (Relation.RIGHT_OF, -side, depth),
-            (Relation.BEHIND, depth, side),
-            (Relation.IN_FRONT_OF, -depth, side),
+        for name, along, across, shown in (
+            (Relation.LEFT_OF, side, depth, anywhere),
+            (Relation.RIGHT_OF, -side, depth, anywhere),
+            (Relation.BEHIND, depth, side, aligned),
+            (Relation.IN_FRONT_OF, -depth, side, aligned),
         ):
             good, bad = np.zeros((count, count), bool), np.zeros((count, count), bool)
-            good[rows] = sure & (np.abs(across) <= along * _GOOD_TAN)
-            bad[rows] = possible & (np.abs(across) < along * _BAD_TAN)
+            good[rows] = sure & shown.sure & (np.abs(across) <= along * _GOOD_TAN)
+            bad[rows] = possible & shown.possible & (np.abs(across) < along * _BAD_TAN)
             found[name] = Masks(good, bad)
         return found
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.language.expression import FAMILY, SUPERLATIVES, Expression, Family, Relation
 from schemas.language.generator.facts import Masks
-from schemas.language.generator.search import Head, Part, Search, expression_of
+from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search, expression_of
 
 _WITH_ORDINAL = frozenset({Family.ROOM})
 """Families of relations that are combined with an ordinal: others make "the second chair from the left" ambiguous."""
@@ -46,7 +46,9 @@ def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expres
     return found
 
 
-def _with_head(search: Search, head: Head, parts: list[tuple[Part, int]], own: int, bare: int) -> Iterator[Expression]:
+def _with_head(
+    search: Search, head: ExpressionHead, parts: list[tuple[ExpressionPart, int]], own: int, bare: int
+) -> Iterator[Expression]:
     """Yields the minimal expressions with a head.
 
     Args:
@@ -80,7 +82,7 @@ def _with_head(search: Search, head: Head, parts: list[tuple[Part, int]], own: i
             yield from _selected(search, head, part)
 
 
-def _selected(search: Search, head: Head, part: Part) -> Iterator[Expression]:
+def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[Expression]:
     """Yields the expressions in which a superlative selects the target among the objects of a relation.
 
     Without the relation, the same superlative does not select the target.

@@ -22,8 +22,8 @@ from schemas.language.expression import (
     Landmark,
     Ordinal,
     Relation,
-    Side,
     Size,
+    ViewSide,
 )
 from schemas.language.generator.facts import Described, Masks, SceneFacts, ViewFacts
 from schemas.language.graph import UNKNOWN
@@ -32,15 +32,15 @@ from schemas.support.numpy_types import Floats
 _NEARBY_M = 6.0
 
 
-class Part(NamedTuple):
+class ExpressionPart(NamedTuple):
     """Relation that surely holds for the target."""
 
     clause: Clause
     masks: Masks
 
 
-class Head(NamedTuple):
-    """Kind, perhaps with a colour."""
+class ExpressionHead(NamedTuple):
+    """ObjectKind, perhaps with a colour."""
 
     kind: str
     colour: str | None
@@ -68,7 +68,7 @@ class Search:
     nouns: Collection[str]
     rooms: Collection[str]
 
-    def heads(self) -> list[Head]:
+    def heads(self) -> list[ExpressionHead]:
         """Returns the kinds and colours that fit the target."""
         each, table = self.facts.graph.objects[self.number], self.facts.graph.kinds
         kinds = [(each.kind, False)]
@@ -78,13 +78,13 @@ class Search:
         if Family.COLOUR in self.families and each.colour != UNKNOWN and table.of(each.kind).plain:
             colours.append(each.colour)
         return [
-            Head(kind, colour, self.facts.described(kind, colour), is_super)
+            ExpressionHead(kind, colour, self.facts.described(kind, colour), is_super)
             for kind, is_super in kinds
             if kind in self.nouns
             for colour in colours
         ]
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[ExpressionPart]:
         """Returns the relations that surely hold for the target, without superlatives."""
         found = [*self._alone(), *self._rooms()]
         for relation, masks in self._pairs():
@@ -93,27 +93,27 @@ class Search:
             found += self._between()
         return found
 
-    def _alone(self) -> Iterator[Part]:
+    def _alone(self) -> Iterator[ExpressionPart]:
         groups = [self.facts.alone, self.view.ego if self.view is not None else {}]
         for relation, masks in (item for group in groups for item in group.items()):
             if FAMILY[relation] in self.families and masks.sure[self.number]:
-                yield Part(Clause(relation=relation), masks)
+                yield ExpressionPart(Clause(relation=relation), masks)
 
-    def _rooms(self) -> Iterator[Part]:
+    def _rooms(self) -> Iterator[ExpressionPart]:
         graph = self.facts.graph
         room = graph.objects[self.number].room
         if Family.ROOM not in self.families or not room:
             return
         masks = self.facts.in_room(room)
         if self.view is not None and self.view.view.room == room and len(graph.rooms) > 1:
-            yield Part(Clause(relation=Relation.THIS_ROOM), masks)
+            yield ExpressionPart(Clause(relation=Relation.THIS_ROOM), masks)
         kind = graph.types[room - 1]
         if kind in self.rooms and graph.the_room(str(kind)) == room:
-            yield Part(Clause(relation=Relation.IN_ROOM, room=kind), masks)
+            yield ExpressionPart(Clause(relation=Relation.IN_ROOM, room=kind), masks)
         if len(graph.rooms) > 1:
             for each in self._descriptions(np.flatnonzero(masks.sure).tolist()):
                 if each.landmark.definite and each.landmark.colour is None:
-                    yield Part(Clause(relation=Relation.SAME_ROOM, landmarks=(each.landmark,)), masks)
+                    yield ExpressionPart(Clause(relation=Relation.SAME_ROOM, landmarks=(each.landmark,)), masks)
 
     def _pairs(self) -> Iterator[tuple[Relation, Masks]]:
         pairs = {Relation.NEXT_TO: self.facts.next_to, **self.facts.support}
@@ -132,14 +132,14 @@ class Search:
                 found |= {each.landmark: each for each in self.facts.landmarks[number][:most]}
         return list(found.values())
 
-    def _to_landmarks(self, relation: Relation, masks: Masks) -> Iterator[Part]:
+    def _to_landmarks(self, relation: Relation, masks: Masks) -> Iterator[ExpressionPart]:
         near = np.flatnonzero(masks.sure[:, self.number]).tolist()
         for each in self._descriptions(near):
             found = masks.of_any(each)
             if found.sure[self.number]:
-                yield Part(Clause(relation=relation, landmarks=(each.landmark,)), found)
+                yield ExpressionPart(Clause(relation=relation, landmarks=(each.landmark,)), found)
 
-    def _between(self) -> Iterator[Part]:
+    def _between(self) -> Iterator[ExpressionPart]:
         facts, room = self.facts, self.facts.graph.objects[self.number].room
         near = np.flatnonzero(
             (facts.gap[self.number] < limit.BETWEEN_SPAN_M.good / 1.5) & (facts.graph.room_of == room)
@@ -149,9 +149,9 @@ class Search:
             first, second = int(one.sure[0]), int(two.sure[0])
             if first != second and facts.is_between(self.number, first, second):
                 clause = Clause(relation=Relation.BETWEEN, landmarks=(one.landmark, two.landmark))
-                yield Part(clause, facts.between(first, second))
+                yield ExpressionPart(clause, facts.between(first, second))
 
-    def selectors(self, head: Head, parts: tuple[Part, ...] = ()) -> list[Expression]:
+    def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[Expression]:
         """Returns the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
         key = head.kind, head.colour, tuple(part.clause for part in parts)
         if key not in self._selected:
@@ -165,7 +165,7 @@ class Search:
     def _selected(self) -> dict[object, list[Expression]]:
         return {}
 
-    def _selectors(self, head: Head, parts: Sequence[Part], among: Masks) -> Iterator[Expression]:
+    def _selectors(self, head: ExpressionHead, parts: Sequence[ExpressionPart], among: Masks) -> Iterator[Expression]:
         base = expression_of(head, parts)
         if not among.sure[self.number] or int(among.sure.sum()) < 2:
             return
@@ -217,7 +217,7 @@ class Search:
         seen = np.flatnonzero(among.possible & view.possible)
         if self.number not in seen or int((among.sure & view.sure).sum()) < 2:
             return
-        for side, sign in ((Side.LEFT, -1.0), (Side.RIGHT, 1.0)):
+        for side, sign in ((ViewSide.LEFT, -1.0), (ViewSide.RIGHT, 1.0)):
             order = seen[np.argsort(sign * view.bearing[seen], kind="stable")]
             place = int(np.flatnonzero(order == self.number)[0])
             first, around = order[: place + 1], order[: place + 2]
@@ -235,7 +235,7 @@ def _is_least(values: Floats, number: int, others: list[int]) -> bool:
     return -own >= max(-rest * limit.DISTANCE_RATIO, -rest + limit.DISTANCE_GAP_M)
 
 
-def expression_of(head: Head, parts: Sequence[Part], definite: bool = True) -> Expression:
+def expression_of(head: ExpressionHead, parts: Sequence[ExpressionPart], definite: bool = True) -> Expression:
     """Returns the expression of a head and relations."""
     clauses = tuple(part.clause for part in parts)
     return Expression(kind=head.kind, colour=head.colour, clauses=clauses, definite=definite)

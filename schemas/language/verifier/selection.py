@@ -7,9 +7,9 @@ from enum import IntEnum
 from itertools import pairwise
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import Side, Size
+from schemas.language.expression import Size, ViewSide
 from schemas.language.verifier.measure import Footprints, Truth
-from schemas.language.view import View
+from schemas.language.view import SceneView
 
 
 class Selected(IntEnum):
@@ -27,9 +27,9 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
     return extreme(truths, values, way, limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, 0.0)
 
 
-def counted(truths: dict[int, Truth], place: int, side: Side, view: View) -> dict[int, Truth]:
+def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneView) -> dict[int, Truth]:
     """Returns the object at a place from a side among those in view; all that it may be if some are borderline."""
-    sign = -1.0 if side is Side.LEFT else 1.0
+    sign = -1.0 if side is ViewSide.LEFT else 1.0
     seen = [number for number in truths if view.possible[number]]
     order = sorted(seen, key=lambda number: sign * float(view.bearing[number]))
     counted = order[: place + 1]

@@ -15,10 +15,10 @@ from schemas.language.graph import UNKNOWN, SceneGraph
 from schemas.language.reading import Reader, Reading
 from schemas.language.verifier.measure import Footprints, Truth, beside, down, up
 from schemas.language.verifier.selection import Selected, by_size, counted, extreme
-from schemas.language.view import View
+from schemas.language.view import SceneView
 
 
-class Verdict(NamedTuple):
+class FittingObjects(NamedTuple):
     """Objects that an expression fits, by their number in the scene graph."""
 
     sure: frozenset[int]
@@ -53,7 +53,7 @@ class Verifier:
         self._prints = Footprints(graph)
         self._fitting: dict[tuple[str, str | None], dict[int, Truth]] = {}
 
-    def check(self, sentence: str, language: Reader, view: View | None, number: int) -> str:
+    def check(self, sentence: str, language: Reader, view: SceneView | None, number: int) -> str:
         """Returns why a sentence does not fit the object that it should; empty if it does.
 
         A definite expression fits the object and no other one. An indefinite one fits it and other objects, without
@@ -70,12 +70,12 @@ class Verifier:
             return "the sentence is not one of the grammar"
         return next(filter(None, (self._fault(reading, view, number) for reading in readings)), "")
 
-    def is_false_premise(self, sentence: str, language: Reader, view: View | None) -> bool:
+    def is_false_premise(self, sentence: str, language: Reader, view: SceneView | None) -> bool:
         """Returns whether every reading of a sentence names an object that does not exist in the scene."""
         verdicts = [self.evaluate(reading.expression, view) for reading in language.read(sentence)]
         return bool(verdicts) and not any(verdict.possible or verdict.fault for verdict in verdicts)
 
-    def _fault(self, reading: Reading, view: View | None, number: int) -> str:
+    def _fault(self, reading: Reading, view: SceneView | None, number: int) -> str:
         verdict = self.evaluate(reading.expression, view)
         if verdict.fault:
             return verdict.fault
@@ -87,10 +87,10 @@ class Verifier:
             return "" if verdict.fits_only(number) else f"it fits {len(verdict.possible)} objects"
         return "" if verdict.fits_any(number) else "it fits borderline cases"
 
-    def evaluate(self, expression: Expression, view: View | None) -> Verdict:
+    def evaluate(self, expression: Expression, view: SceneView | None) -> FittingObjects:
         """Returns the objects that an expression fits; see `check` for the arguments."""
         if view is None and _needs_view(expression):
-            return Verdict(frozenset(), frozenset(), "it needs a view, and none is known")
+            return FittingObjects(frozenset(), frozenset(), "it needs a view, and none is known")
         plain = [clause for clause in expression.clauses if clause.relation not in SUPERLATIVES]
         try:
             truths = self._described(expression.kind, expression.colour)
@@ -98,9 +98,9 @@ class Verifier:
                 truths = self._restricted(truths, clause, view)
             truths = self._selected(truths, expression, view)
         except _Ambiguous as error:
-            return Verdict(frozenset(), frozenset(), str(error))
+            return FittingObjects(frozenset(), frozenset(), str(error))
         sure = frozenset(number for number, truth in truths.items() if truth is Truth.YES)
-        return Verdict(sure, frozenset(truths))
+        return FittingObjects(sure, frozenset(truths))
 
     def _described(self, kind: str, colour: str | None) -> dict[int, Truth]:
         """Returns the objects of a kind and colour, without those that it surely does not fit."""
@@ -124,7 +124,7 @@ class Verifier:
             raise _Ambiguous(f"the landmark {landmark.kind} is not unique")
         return found
 
-    def _restricted(self, truths: Mapping[int, Truth], clause: Clause, view: View | None) -> dict[int, Truth]:
+    def _restricted(self, truths: Mapping[int, Truth], clause: Clause, view: SceneView | None) -> dict[int, Truth]:
         landmarks = [self._landmarks(landmark) for landmark in clause.landmarks]
         found: dict[int, Truth] = {}
         for number, truth in truths.items():
@@ -133,7 +133,7 @@ class Verifier:
                 found[number] = holds
         return found
 
-    def _holds(self, clause: Clause, number: int, landmarks: list[dict[int, Truth]], view: View | None) -> Truth:
+    def _holds(self, clause: Clause, number: int, landmarks: list[dict[int, Truth]], view: SceneView | None) -> Truth:
         """Returns whether a relation holds between an object and any of its landmarks."""
         if not landmarks:
             return self._alone(clause, number, view)
@@ -153,7 +153,7 @@ class Verifier:
                 best = max(best, min(truth, self._pair(clause.relation, number, other, view)))
         return best
 
-    def _alone(self, clause: Clause, number: int, view: View | None) -> Truth:
+    def _alone(self, clause: Clause, number: int, view: SceneView | None) -> Truth:
         each = self.graph.objects[number]
         match clause.relation:
             case Relation.ON_WALL:
@@ -183,7 +183,7 @@ class Verifier:
         own = self.graph.objects[number].room
         return Truth.YES if own == room else Truth.NO if own else Truth.MAYBE
 
-    def _ego(self, relation: Relation, number: int, view: View) -> Truth:
+    def _ego(self, relation: Relation, number: int, view: SceneView) -> Truth:
         bearing = float(view.bearing[number])
         shown = Truth.YES if view.sure[number] else Truth.MAYBE if view.possible[number] else Truth.NO
         own = self.graph.objects[number].room
@@ -200,7 +200,7 @@ class Verifier:
             return Truth.MAYBE
         return Truth.YES if one == two else Truth.NO
 
-    def _pair(self, relation: Relation, number: int, other: int, view: View | None) -> Truth:
+    def _pair(self, relation: Relation, number: int, other: int, view: SceneView | None) -> Truth:
         """Returns whether a relation holds between an object and one landmark."""
         if relation is Relation.SAME_ROOM:
             return self._same_room(number, other)
@@ -225,6 +225,8 @@ class Verifier:
         angle = self._prints.direction(number, other, (view.x, view.y))
         turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
         way = down(beside(angle, turn[relation]), limit.DIRECTION_RAD)
+        if relation in (Relation.BEHIND, Relation.IN_FRONT_OF):
+            way = min(way, down(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
         if way is Truth.NO:
             return Truth.NO
         return min(shown, way, down(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
@@ -233,7 +235,7 @@ class Verifier:
         rooms = {self.graph.objects[each].room for each in (number, first, second)} - {0}
         return Truth.NO if len(rooms) > 1 else self._prints.between(number, first, second)
 
-    def _selected(self, truths: dict[int, Truth], expression: Expression, view: View | None) -> dict[int, Truth]:
+    def _selected(self, truths: dict[int, Truth], expression: Expression, view: SceneView | None) -> dict[int, Truth]:
         """Returns the objects that a superlative or an ordinal selects; all of them if there is none.
 
         A superlative presupposes that there surely are several objects.

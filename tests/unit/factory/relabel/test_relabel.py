@@ -10,7 +10,7 @@ import pytest
 
 from factory.cli.publish.relabel import command
 from factory.dataset.reader import Dataset
-from factory.relabel.part import Start, rows_of
+from factory.relabel.part import LanguageStart, rows_of
 from factory.relabel.run import relabel
 from factory.verify.dataset import verify
 from schemas.config import CameraConfig
@@ -116,7 +116,9 @@ def test_a_language_file_that_no_target_can_satisfy_names_what_is_possible(sourc
 
 
 def test_an_episode_without_a_fitting_instruction_keeps_the_recorded_one():
-    start = Start("ep_000001", 1, "train_id", "chair_001", "chair", (0.0, 0.0, 0.0), "Go to the chair.", "train_01")
+    start = LanguageStart(
+        "ep_000001", 1, "train_id", "chair_001", "chair", (0.0, 0.0, 0.0), "Go to the chair.", "train_01"
+    )
     (row,) = rows_of(start, [])
     assert (row["kind"], row["instruction"], row["template_id"], row["number"]) == (
         "recorded",

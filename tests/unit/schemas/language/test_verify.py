@@ -120,3 +120,8 @@ def test_a_wall_hides_objects_and_furniture_makes_them_borderline():
 def test_landmarks_without_a_category_are_found_by_the_name_of_their_prim():
     lamp = two_rooms().graph.objects[number_at(-5.75, -2.75)]
     assert (lamp.kind, lamp.target_id) == ("lamp", None)
+
+
+def test_an_object_beside_the_line_of_sight_is_not_clearly_in_front_of_a_landmark():
+    text = "Go to the blue chair in front of the white table as seen from here."
+    assert check(text, BLUE_WEST, (-4.0, 0.0, 0.0)) == "the target is a borderline case"
