@@ -102,7 +102,7 @@ class Landmark(Model):
     """Object that a relation names."""
 
     kind: Name
-    """ObjectKind or superclass."""
+    """Kind or superclass."""
     colour: Name | None = Field(default=None, exclude_if=lambda it: it is None)
     """Colour; `None` if it is not named."""
     definite: bool = True
@@ -141,7 +141,7 @@ class Expression(Model):
     """Meaning of a referring expression; at most one of size, ordinal and superlative clause selects an object."""
 
     kind: Name
-    """ObjectKind or superclass of the objects."""
+    """Kind or superclass of the objects."""
     definite: bool = True
     """Whether the expression fits exactly one object; otherwise it fits any object of a set."""
     colour: Name | None = Field(default=None, exclude_if=lambda it: it is None)

@@ -40,7 +40,7 @@ class ExpressionPart(NamedTuple):
 
 
 class ExpressionHead(NamedTuple):
-    """ObjectKind, perhaps with a colour."""
+    """Kind, perhaps with a colour."""
 
     kind: str
     colour: str | None
