@@ -46,8 +46,7 @@ def _gap(point: Floats, vertices: Floats) -> Floats:
 
 
 def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Bools]:
-    """Returns the shortest vectors (..., K, 2) from points (..., 2) to the sides of a convex polygon (K, 2), and whether
-    the points (...) are on or inside it."""
+    """Returns vectors (..., K, 2) from points (..., 2) to the sides of a convex polygon, and whether each is inside."""
     sides = np.concatenate((vertices[1:], vertices[:1])) - vertices
     to_vertex = vertices - points[..., None, :]
     squares = _squares(sides)
