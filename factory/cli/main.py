@@ -61,6 +61,7 @@ VERBS = MappingProxyType(
         "show": CommandEntry("inspect.show", _INSPECT, "Write one episode as a contact sheet or a video."),
         "view": CommandEntry("inspect.view", _INSPECT, "Open one episode in the Rerun viewer."),
         "export": CommandEntry("publish.export", _USE, "Convert a dataset to another format."),
+        "relabel": CommandEntry("publish.relabel", _USE, "Write new verified instructions for a dataset."),
         "push": CommandEntry("publish.push", _USE, "Upload a dataset or an export to the Hugging Face Hub."),
         "train": CommandEntry("learn.train", _LEARN, "Train baseline policies. Requires the extra `train`."),
         "eval": CommandEntry("eval.command", _LEARN, "Evaluate policies in closed loop on the episodes of a dataset."),
