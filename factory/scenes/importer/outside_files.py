@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from factory.scenes.importer.material import Surface
+from factory.scenes.importer.model import Surface
 
 
 @dataclass(frozen=True)
