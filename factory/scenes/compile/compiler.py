@@ -21,7 +21,8 @@ from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling
 from factory.scenes.compile.shade import target_colour, triangle_areas
 from factory.scenes.compile.textures import TextureBook, load_textures
-from factory.scenes.importer import Extraction, Part, extract_stage
+from factory.scenes.formats import extract_scene
+from factory.scenes.importer import Extraction, Part
 from factory.scenes.importer.assets import read_asset
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.navigation.collider import solid_triangles, weld
@@ -104,7 +105,7 @@ def compile_stage(
         UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
         WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
     """
-    return compile_extraction(path.name, extract_stage(path, limits), name, source, rules, chosen)
+    return compile_extraction(path.name, extract_scene(path, limits), name, source, rules, chosen)
 
 
 def compile_extraction(
@@ -201,7 +202,8 @@ def _show(
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes
     users = {part.surface.texture: part.path for part in reversed(visible)}
-    book = load_textures(_texture_areas(visible), read_asset, users)
+    images = extraction.images
+    book = load_textures(_texture_areas(visible), lambda name: images.get(name) or read_asset(name), users)
     notes += book.notes
     found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
     candidates = apply_candidate_edits(found, visible, chosen)
