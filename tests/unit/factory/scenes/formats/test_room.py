@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
+from factory.cli.scene.command import import_
 from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction
@@ -32,7 +34,7 @@ KEPT = {
     ".urdf": "names colours collision",
     ".xml": "names colours textures collision",
 }
-"""What the room keeps; `write_room` writes every feature that its format has, except for textures of COLLADA, SDF, URDF."""
+"""What the room keeps of what `write_room` writes; test_details.py has the textures of PLY, COLLADA, SDF and URDF."""
 
 
 def extract(path: Path) -> Extraction:
@@ -99,3 +101,11 @@ def test_the_page_states_what_each_format_keeps() -> None:
         for feature in features.split():
             assert stated[feature] != "no", (suffix, feature)
         assert stated["lights"] == "no"
+
+
+def test_the_shell_completes_files_of_the_formats_with_their_name(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("")
+    write_room(tmp_path, ".stl")
+    (argument,) = [one for one in import_.params if one.name == "file"]
+    items = argument.shell_complete(click.Context(import_), f"{tmp_path}/")
+    assert [(item.value, item.help) for item in items if item.type == "plain"] == [(f"{tmp_path}/room.stl", "STL")]
