@@ -26,7 +26,8 @@ from schemas.instruction.start_view import IN_FRONT_RAD, StartView
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import SceneInfo
-from schemas.terms import Split, SuccessMeasure, Tier
+from schemas.terms import Recording, Split, SuccessMeasure, Tier
+from schemas.view import ViewSettings
 
 Option = TypeVar("Option")
 
@@ -223,6 +224,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         gains=plan.gains,
         planner=plan.planner,
         record=plan.record,
+        view=plan.view if plan.record is Recording.FRAMES else ViewSettings(),
         start_view=_start_view(plan, entry.info, planned.episode),
         demonstration=plan.demonstration,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from schemas.scene import Instance
 from schemas.storage.place import Place
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, RenderedFrame
+
+if TYPE_CHECKING:
+    from workers.sensors.rays import SceneRays
 
 _FRAME_MEMBER = re.compile(r"(rgb_front|depth_front|seg_front)/(\d{6})\.\w+(\.zst)?")
 
@@ -66,6 +69,10 @@ class EpisodeBundle(BundleReader):
         """Renders the image of a camera of a rig from a pose of base_link; raises the errors of `render`."""
         recorded_with = self.meta.provenance.fingerprint.renderer
         return shared_renderer().render_camera(self.package, camera, pose, recorded_with)
+
+    def rays(self) -> SceneRays:
+        """Returns the ray caster of the scene; raises the errors of `ScenePackage.rays`."""
+        return self.package.rays()
 
     def _view(self, t: int, size: int = FRAME_SIZE_PX) -> tuple[View, str]:
         view = View(self.package, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size)

@@ -29,8 +29,7 @@ from schemas.storage.shard_index import episode_place
 from schemas.support.closing import Closing
 
 if TYPE_CHECKING:
-    from factory.dataset.observation import CameraObservation
-    from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
+    from workers.sensors import CameraObservation, ImuMeasurements, LidarScan, OdometryMeasurements
 
 
 class Frame(NamedTuple):
@@ -155,8 +154,8 @@ class Episode(Closing):
     def observe(self, t: int, sensors: Iterable[str] | None = None) -> dict[str, CameraObservation | LidarScan]:
         """Returns the images of the rig's cameras and the scans of its lidars at step t, by name (docs/rigs.md).
 
-        They are rendered when they are read. A sensor with a lower rate than the control rate is omitted at the steps
-        between two measurements.
+        They are rendered when they are read, unless the episode stores these sensors. A sensor with a lower rate than
+        the control rate is omitted at the steps between two measurements.
 
         Args:
             t: step; a negative t counts from the end.

@@ -50,7 +50,8 @@ class Dataset:
 
     Args:
         path: Directory or URL.
-        rig: Sensors that `Episode.observe` renders: a rig, the name of a built-in one, or a TOML file.
+        rig: Sensors of `Episode.observe`: a rig, the name of a built-in one, or a TOML file. Default: the rig of the
+            dataset's plan.
 
     >>> data = Dataset("dataset").filter(split="train_id", tier=("near", "mid"))  # doctest: +SKIP
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
@@ -65,7 +66,8 @@ class Dataset:
         self.root = place_of(path)
         self.meta: DatasetMeta = read_dataset_meta(self.root)
         """Description of the dataset and of the software that generated it."""
-        self.rig = None if rig is None else _rig(rig, self.meta.plan.task.control_hz)
+        plan = self.meta.plan
+        self.rig = plan.rig if rig is None else _rig(rig, plan.task.control_hz)
         """Rig of `Episode.observe`."""
         self._columns = Columns(self.root)
         self._chosen: NDArray[np.int64] | None = None

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import CameraObservation
 from factory.dataset.reader import Dataset
 from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.errors import InvalidRig, UsageError
@@ -27,6 +26,7 @@ from schemas.rig import (
 )
 from schemas.rig.noise import CameraNoise, ColourNoise, LidarNoise
 from schemas.terms import Recording
+from workers.sensors import CameraObservation
 
 pytestmark = pytest.mark.gl
 

@@ -74,7 +74,7 @@ class LazyFrame:
 
 @dataclass(frozen=True)
 class Observation:
-    """State before an action, or after the end the state before the last action; implements `Senses`."""
+    """State before an action, or after the end the state before the last action; implements `ExpertObservation`."""
 
     camera: LazyFrame
     """Camera image."""

@@ -32,9 +32,9 @@ _AHEAD_RAD = 0.44
 _MOVING_M = 0.15
 """Distance outside the success region up to which such a path has no turn on the spot, metres."""
 _NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
-"""Distance to the ends up to which the first search from a start within half of it knows distances, and how far below
-it all estimates must remain, metres: two cells with distances on both sides of the limit may share a state of the
-search, and are closer than the margin."""
+"""Radius around the ends of the first distance field, used for starts within half of it, and the margin by which all
+estimates must stay below it, metres. The margin is larger than the distance of two cells that share a state of the
+search."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 

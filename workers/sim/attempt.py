@@ -14,7 +14,7 @@ from functools import partial
 from typing import BinaryIO
 
 from schemas.bundle import BundleWriter, EpisodeArrays
-from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
+from schemas.episode import EpisodeMeta, Provenance, Rollout, Route, format_of
 from schemas.instruction.referents import referents_of
 from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
@@ -30,6 +30,7 @@ from workers.render import Renderer
 from workers.sim.frames import add_frames, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.sensors import LoadedSurroundings, add_measurements
 from workers.sim.spawn import draw_poses, is_spawn_stable
 
 _NO_DIGEST = "0" * 32
@@ -151,6 +152,7 @@ def _drive_and_seal(
         tell = partial(attempt.on_step, len(poses))
         visible = add_frames(writer, stage.renderer, job, poses, target.instance_id, lambda _frames: tell())
         done = replace(done, steps_visible=visible)
+        add_measurements(writer, LoadedSurroundings(place, stage.renderer), job, done.arrays, tell)
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
@@ -166,6 +168,7 @@ def describe_episode(
 ) -> EpisodeMeta:
     """Returns the metadata of a successful episode, without digests."""
     return EpisodeMeta(
+        format=format_of(job),
         episode_id=job.episode_id,
         job=job,
         target_prim_path=target.prim_path,

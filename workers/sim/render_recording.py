@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from functools import partial
 from typing import BinaryIO
 
 from schemas.bundle import BundleReader, BundleWriter
@@ -17,12 +18,13 @@ from workers.render.differing import differing_frame
 from workers.sim.attempt import Success
 from workers.sim.frames import add_frames
 from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.sensors import LoadedSurroundings, add_measurements
 
 
 def render_recording(
     job: Job, stage: SceneRenderer, states: bytes, out: BinaryIO, on_step: Callable[[int], None]
 ) -> Success:
-    """Renders the frames of a recorded episode and streams its bundle into `out`.
+    """Renders the frames and the rig of a recorded episode and streams its bundle into `out`.
 
     Args:
         job: job of the episode, which records frames.
@@ -49,12 +51,14 @@ def render_recording(
 
         target_id = recorded.meta.target_instance_id
         visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, target_id, check)
+        scene, tell = LoadedSurroundings(place, stage.renderer), partial(on_step, recorded.length)
+        add_measurements(writer, scene, job, recorded.arrays, tell)
         meta = recorded.meta.with_frames(job, visible, place.scene.info.instances)
         return Success(writer.finish(recorded.arrays, meta))
 
 
 def _require_job(recorded: Job, job: Job) -> None:
-    """Raises `WorldError` unless a recording is of the job, apart from the plan, whose `record` differs."""
-    of_plan = {"record": job.record, "plan_digest": job.plan_digest, "run": job.run}
+    """Raises `WorldError` unless a recording is of the job, apart from the plan, whose `record` and view differ."""
+    of_plan = {"record": job.record, "view": job.view, "plan_digest": job.plan_digest, "run": job.run}
     if recorded.record is not Recording.STATES or recorded.model_copy(update=of_plan) != job:
         raise WorldError(f"{job.episode_id}: the states are of another job: give the dataset that was recorded")

@@ -9,6 +9,7 @@ import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
 from schemas.support.closing import Closing
+from schemas.support.extras import require_package
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.grid import Grid, body_centre
@@ -23,6 +25,9 @@ from workers.physics.world import ColliderMesh
 from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
+
+if TYPE_CHECKING:
+    from workers.sensors.rays import SceneRays
 
 _KEPT_SCENES = 2
 
@@ -37,6 +42,18 @@ class LoadedScene:
     """Occupancy grid of the scene."""
     collider: ColliderMesh
     """Obstacles of the scene for physics."""
+
+    @functools.cached_property
+    def rays(self) -> SceneRays:
+        """Ray caster for lidars.
+
+        Raises:
+            UsageError: embreex is not installed; the message names the extra.
+        """
+        require_package("embreex", "a lidar")
+        from workers.sensors.rays import SceneRays
+
+        return SceneRays(self.scene)
 
     def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
         """Returns for base_link poses whether the body centre is on the connected floor."""

@@ -16,6 +16,7 @@ from coordinator.expansion.file import shrink
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
+from schemas.rig.file import BUILTIN_RIGS, load_rig
 from schemas.terms import ExpertName, Recording, RendererKind
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -53,9 +54,22 @@ record_option = click.option(
 """`--record frames|states`: replaces the plan's recording."""
 
 
+def complete_rig(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Returns the built-in rigs that begin with a word, or a request for file names."""
+    names = [CompletionItem(name) for name in BUILTIN_RIGS if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
+
+
+def rig_option(text: str, multiple: bool = False) -> Callable[[Command], Command]:
+    """Returns the option `--rig RIG`: the name of a built-in rig, or a TOML file."""
+    name = "rigs" if multiple else "rig"
+    return click.option("--rig", name, metavar="RIG", multiple=multiple, shell_complete=complete_rig, help=text)
+
+
 def shrink_options(command: Command) -> Command:
-    """Adds `--scene --episodes --expert --seed --record`, which change these values of a plan."""
+    """Adds `--scene --episodes --expert --seed --record --rig`, which change these values of a plan."""
     for option in (
+        rig_option("Sensor rig: a built-in name or a TOML file; `paper` is the recorded camera. Default: the plan's."),
         record_option,
         plan_seed_option,
         expert_option,
@@ -78,6 +92,7 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
         expert=ExpertName(expert) if expert else None,
         seed=changes.get("seed"),
         record=Recording(changes["record"]) if changes.get("record") else None,
+        rig=load_rig(changes["rig"], control_hz=None) if changes.get("rig") else None,
     )
 
 

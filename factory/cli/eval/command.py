@@ -21,6 +21,7 @@ from factory.cli.common.options import (
     listen_option,
     number_option,
     renderer_option,
+    rig_option,
     tls_option,
     workers_option,
     write_option,
@@ -81,6 +82,10 @@ def command() -> None:
 )
 @click.option(
     "--pose", "with_pose", is_flag=True, help="Add the robot's pose, in the start frame, to the observations."
+)
+@rig_option(
+    "Sensors that policies get: a built-in rig or a TOML file. A policy that needs another sensor is refused. Default: "
+    "the recorded camera."
 )
 @count_option("--videos", 12, "Maximum number of videos of failed episodes for each policy.", least=0)
 @click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")

@@ -9,7 +9,7 @@ import click
 from PIL import Image
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.options import count_option, place_argument, write_option
+from factory.cli.common.options import count_option, place_argument, rig_option, write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.common.places import episode_path
 from factory.dataset.bundle import EpisodeBundle
@@ -33,7 +33,7 @@ _KINDS = (".png", ".mp4", ".gif")
 @click.argument("episode")
 @write_option("FILE", "Output file: .png, .mp4 or .gif. Default: EPISODE.png.", dir_okay=False)
 @count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
-@click.option("--rig", metavar="RIG", help="Show the cameras of a rig, a row for each. Default: the recorded camera.")
+@rig_option("Show the cameras of a rig, a row for each. Default: the recorded camera.")
 @json_option
 def command(root: Place, episode: str, out: Path | None, columns: int, rig: str | None, as_json: bool) -> None:
     """Write one episode as a contact sheet or a video.

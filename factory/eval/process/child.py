@@ -26,7 +26,7 @@ from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies import describe_knowledge, make_policy
+from factory.eval.policies import describe_knowledge, make_policy, require_inputs
 from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
@@ -129,7 +129,9 @@ class _Driver:
                 with contextlib.suppress(Exception):
                     close()
             self._policy, self._name = None, name
-            self._policy = make_policy(name, self._setup, order.policy_file)
+            policy = make_policy(name, self._setup, order.policy_file)
+            require_inputs(name, policy, self._setup.view.rig, self._setup.settings.camera)
+            self._policy = policy
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
             knows = describe_knowledge(self._policy)

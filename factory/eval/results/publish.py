@@ -98,6 +98,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         episodes=len(campaign.specs.specs),
         success=campaign.specs.settings.task.success,
         success_radius_m=campaign.specs.settings.task.success_radius_m,
+        view=campaign.setup.view,
         complete=is_complete,
         policies=tuple(scores),
         remarks=tuple(_remarks(campaign)),
@@ -109,6 +110,8 @@ def _remarks(campaign: Campaign) -> list[str]:
     moved = sum(spec.spawn_source == "frame" for spec in specs)
     ways = sum(spec.geodesic_m is None for spec in specs)
     remarks = []
+    if campaign.setup.view.rig is not None:
+        remarks.append(f"policies get the sensors of {campaign.setup.view.describe()}")
     if moved:
         remarks.append(
             f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "
