@@ -16,8 +16,6 @@ from schemas.errors import UsageError
 
 STAGE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _READ_BYTES = 1 << 16
-SCENE_FORMATS = "USD, glTF, OBJ, PLY, STL, COLLADA, SDFormat, URDF or MJCF"
-"""Formats that `factory scene import` reads, for help and messages."""
 SCENE_SUFFIXES = (
     *STAGE_SUFFIXES,
     *(".gltf", ".glb", ".obj", ".ply", ".stl", ".dae", ".sdf", ".world", ".urdf", ".mjcf", ".xml"),

@@ -1,4 +1,4 @@
-"""Compiles a USD stage into a scene package: geometry, appearance, collider, occupancy grid, targets, spawns.
+"""Compiles a scene file into a scene package: geometry, appearance, collider, occupancy grid, targets, spawns.
 
 Calls one module per step. The result depends only on the bytes of the stage, the rules and the target list.
 """
@@ -91,10 +91,10 @@ def compile_stage(
     chosen: TargetList | None = None,
     limits: StageLimits = USUAL_LIMITS,
 ) -> CompiledScene:
-    """Compiles a USD stage.
+    """Compiles a scene file.
 
     Args:
-        path: root layer of the stage.
+        path: root file of the scene.
         name: name of the scene.
         source: origin of the stage, recorded in the package.
         rules: category rules; the built-in table when `None`.
@@ -213,14 +213,14 @@ def _show(
 
 @contextmanager
 def _told_with_sizes(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
-    """Adds the unit of the stage and the size of its widest prim to an error, so that a wrong unit is visible."""
+    """Adds the unit of the scene and the size of its widest prim to an error, so that a wrong unit is visible."""
     try:
         yield
     except WorldError as error:
         sizes = [np.ptp(part.triangles.reshape(-1, 3), axis=0) for part in parts]
         widest = int(np.argmax([size[:2].max() for size in sizes]))
         x, y, z = sizes[widest]
-        unit = f"metersPerUnit = {extraction.metres_per_unit:g}"
+        unit = f"unit {extraction.metres_per_unit:g} m"
         raise WorldError(
             f"{file}, {unit}, widest prim {parts[widest].path} ({x:.4g} x {y:.4g} x {z:.4g} m): {error}"
         ) from error
