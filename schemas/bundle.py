@@ -195,7 +195,7 @@ class BundleReader(Closing):
         former = spec.former_dtype
         dtype = former if former is not None and is_npy_of(data, former, shape) else spec.dtype
         array = decode_npy(spec.name, data, dtype, shape)
-        findings = spec.violations(array, self.length)
+        findings = spec.value_violations(array)  # decoding has compared shape and dtype
         if findings:
             raise InvalidBundle("bundle refused", findings)
         return array

@@ -20,10 +20,11 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 from schemas.terms import Recording
+from schemas.view import ViewSettings
 
 DATASET_FORMAT = 2
-"""Newest version of the dataset directory: 2 has a rig in its plan, 1 has none. A reader opens its own version and
-older ones, and rejects newer ones."""
+"""Newest version of the dataset directory: 2 has a rig or an appearance in its plan, 1 has neither. A reader opens
+its own version and older ones, and rejects newer ones."""
 _FORMAT_WITHOUT_RIG = 1
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
@@ -109,7 +110,7 @@ def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
 def fields_of_plan(plan: Plan) -> dict[str, Any]:
     """Returns the fields of a description that depend on the plan only."""
     return {
-        "format": _FORMAT_WITHOUT_RIG if plan.rig is None else DATASET_FORMAT,
+        "format": _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else DATASET_FORMAT,
         "run": plan.run,
         "plan_digest": plan.digest,
         "seed": plan.seed,

@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 from pydantic_core import from_json
 
+from schemas.appearance import DrawnAppearance
 from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath
 from schemas.errors import InvalidBundle
 from schemas.fingerprint import Fingerprint
@@ -15,6 +16,7 @@ from schemas.job import Job
 from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
+from schemas.view import ViewSettings
 
 BUNDLE_FORMAT = 3
 """Newest version of the bundle format: 3 has the measurements of a rig, 2 has none, 1 has float32 poses and frames
@@ -31,6 +33,7 @@ _OF_RECORDING = {
     "job": {"record": True, "run": True, "plan_digest": True, "view": True},
     "rollout": {"steps_visible": True},
     "sensor_digests": True,
+    "appearance": True,
 }
 """Fields that differ between the recordings of an episode, beside its digests."""
 
@@ -127,6 +130,8 @@ class EpisodeMeta(Model):
     content_digest: Digest
     """XXH3-128 over the frame digests, the arrays and the canonical metadata without `provenance`; the metadata
     contains the digests of the sensors."""
+    appearance: DrawnAppearance | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Factors of the appearance that the frames show; null and omitted for the scene as it was compiled."""
     provenance: Provenance
     """Time, worker and software of the episode."""
 
@@ -144,22 +149,25 @@ class EpisodeMeta(Model):
         plain = self.model_copy(update={"format": min(self.format, FORMAT_WITHOUT_RIG)})
         return canonical_json(plain, exclude=dict.fromkeys(_OUTSIDE_DIGEST, True) | _OF_RECORDING)
 
-    def with_frames(self, job: Job, steps_visible: int, instances: tuple[Instance, ...]) -> EpisodeMeta:
+    def with_frames(
+        self, job: Job, steps_visible: int, instances: tuple[Instance, ...], appearance: DrawnAppearance | None = None
+    ) -> EpisodeMeta:
         """Returns the metadata that the frames recording of this states recording has, with the former digests.
 
         Args:
             job: job of the frames recording.
             steps_visible: number of frames in which the target is visible.
-            instances: instances of the scene.
+            instances: instances of the scene, and of clutter.
+            appearance: factors that the frames show.
         """
         rollout = self.rollout.model_copy(update={"steps_visible": steps_visible})
         changes = {"format": format_of(job), "job": job, "rollout": rollout, "instances": instances}
-        return self.model_copy(update=changes)
+        return self.model_copy(update={**changes, "appearance": appearance})
 
 
 def format_of(job: Job) -> int:
     """Returns the version of the bundles of a job."""
-    return FORMAT_WITHOUT_RIG if job.view.rig is None else BUNDLE_FORMAT
+    return FORMAT_WITHOUT_RIG if job.view == ViewSettings() else BUNDLE_FORMAT
 
 
 def parse_meta(text: bytes) -> EpisodeMeta:

@@ -44,7 +44,7 @@ from schemas.terms import (
     Split,
     Tier,
 )
-from schemas.view import RigData, ViewSettings
+from schemas.view import AppearanceData, RigData, ViewSettings
 
 MAX_EPISODES = 9_999_999
 PAPER_TIERS = MappingProxyType({Tier.NEAR: 0.3, Tier.MID: 0.4, Tier.FAR: 0.3})
@@ -187,6 +187,9 @@ class Plan(Model):
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors that a recording of frames stores, beside the recorded camera, and the default rig of readers of a
     recording of states; null and omitted for none."""
+    appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Ranges of the appearance of the frames of a recording of frames, and default appearance of readers of a recording
+    of states; null and omitted for none."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories", "categories_overall"] = "instances"
@@ -278,7 +281,7 @@ class Plan(Model):
     @property
     def view(self) -> ViewSettings:
         """What the episodes are rendered with."""
-        return ViewSettings(rig=self.rig)
+        return ViewSettings(rig=self.rig, appearance=self.appearance)
 
     @property
     def episodes(self) -> int:

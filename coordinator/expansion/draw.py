@@ -224,10 +224,17 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         gains=plan.gains,
         planner=plan.planner,
         record=plan.record,
-        view=plan.view if plan.record is Recording.FRAMES else ViewSettings(),
+        view=_view(plan, entry),
         start_view=_start_view(plan, entry.info, planned.episode),
         demonstration=plan.demonstration,
     )
+
+
+def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
+    """Returns what the episode is rendered with; the default for a recording of states."""
+    if plan.record is not Recording.FRAMES:
+        return ViewSettings()
+    return plan.view if entry.light is None else plan.view.model_copy(update={"light": entry.light_file})
 
 
 def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView | None:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from coordinator.expansion.apportion import apportion
 from coordinator.expansion.builtin import BUILTIN_PLANS
+from schemas.appearance.file import BUILTIN_APPEARANCES, find_appearance
 from schemas.config import CameraConfig
 from schemas.errors import InvalidPlan, InvalidRig, UsageError
 from schemas.plan import Plan, ScenePlan
@@ -49,6 +50,9 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
     task = data.setdefault("task", {})
     if isinstance(task, dict):
         task.setdefault("success", success)
+    shown = data.get("appearance")
+    if isinstance(shown, str):
+        data["appearance"] = find_appearance(shown if shown in BUILTIN_APPEARANCES else str(path.parent / shown))
     named = data.pop("rig") if isinstance(data.get("rig"), str) else None
     plan = parse_plan(data, str(path), base=path.parent)
     if named is None:
@@ -117,6 +121,16 @@ def with_rig(plan: Plan, rig: Rig | None) -> Plan:
     return plan.model_copy(update={"rig": rig})
 
 
+def with_appearance(plan: Plan, reference: str) -> Plan:
+    """Returns the plan with another appearance: the name of a built-in one, a file, or `none`.
+
+    Raises:
+        UsageError: the appearance does not exist.
+        InvalidAppearance: it has mistakes.
+    """
+    return plan.model_copy(update={"appearance": find_appearance(reference)})
+
+
 def scene_of(plan: Plan, name: str) -> ScenePlan:
     """Returns the section of the plan for a scene.
 
@@ -139,8 +153,9 @@ def shrink(
     seed: int | None = None,
     record: Recording | None = None,
     rig: Rig | None = None,
+    appearance: str | None = None,
 ) -> Plan:
-    """Returns the plan with fewer scenes or episodes in the same proportions, another expert, seed, recording or rig.
+    """Returns the plan with fewer scenes or episodes in the same proportions, or with other values.
 
     Raises:
         UsageError: the plan has no such scene, or `episodes` is less than 1.
@@ -156,7 +171,8 @@ def shrink(
     chosen = {"expert": expert, "seed": seed, "record": record}
     changes: dict[str, Any] = {key: value for key, value in chosen.items() if value is not None}
     shrunk = plan.model_copy(update={"scenes": parts, **changes})
-    return shrunk if rig is None else with_rig(shrunk, rig)
+    shrunk = shrunk if rig is None else with_rig(shrunk, rig)
+    return shrunk if appearance is None else with_appearance(shrunk, appearance)
 
 
 def _name_from(path: Path) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.packages import ScenePackage
+from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -54,12 +55,16 @@ class Episode(Closing):
         ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
-    def __init__(self, path: FilePlace, summary: EpisodeSummary, rig: Rig | None = None) -> None:
+    def __init__(
+        self, path: FilePlace, summary: EpisodeSummary, rig: Rig | None = None, ranges: Appearance | None = None
+    ) -> None:
         self.path = path
         self.summary = summary
         """Row of the episode in the metadata table."""
         self.rig = rig
         """Rig of `observe`."""
+        self.ranges = ranges
+        """Ranges of `appearance`, for frames that are rendered."""
         self._opened: _Opened | None = None
         self._opening = Lock()
 
@@ -78,6 +83,12 @@ class Episode(Closing):
         """Recorded metadata of the episode, without its arrays."""
         with self._reading() as bundle:
             return bundle.meta
+
+    @property
+    def appearance(self) -> DrawnAppearance | None:
+        """Factors of the appearance of the frames (docs/appearance.md); `None` if they show the scene as compiled."""
+        with self._reading() as bundle:
+            return bundle.appearance
 
     @property
     def instances(self) -> tuple[Instance, ...]:
@@ -215,11 +226,11 @@ class Episode(Closing):
 
     def _open(self) -> _Opened:
         try:
-            return _Opened(self.path, len(self))
+            return _Opened(self.path, len(self), self.ranges)
         except FileNotFoundError:  # the coordinator of a run may have packed the episode meanwhile
             self.path = episode_place(self.path.parents[1], self.summary.index)
         try:
-            return _Opened(self.path, len(self))
+            return _Opened(self.path, len(self), self.ranges)
         except FileNotFoundError as error:
             raise ArchiveCorrupt(f"{self.path} is missing: run `factory verify`") from error
 
@@ -236,8 +247,8 @@ class Episode(Closing):
             self._opened.close()
             self._opened = None
 
-    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary, Rig | None]]:
-        return type(self), (self.path, self.summary, self.rig)
+    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary, Rig | None, Appearance | None]]:
+        return type(self), (self.path, self.summary, self.rig, self.ranges)
 
 
 class _Opened:
@@ -248,7 +259,7 @@ class _Opened:
         ArchiveCorrupt: the file cannot be read or is damaged.
     """
 
-    def __init__(self, path: FilePlace, steps: int) -> None:
+    def __init__(self, path: FilePlace, steps: int, ranges: Appearance | None) -> None:
         try:
             file: BinaryIO = path.open("rb")
         except FileNotFoundError:
@@ -258,7 +269,7 @@ class _Opened:
         self.close = weakref.finalize(self, file.close)
         self.pid = os.getpid()
         try:
-            self.bundle = EpisodeBundle(file, path.parents[1], steps)
+            self.bundle = EpisodeBundle(file, path.parents[1], steps, ranges)
         except InvalidBundle as error:
             refusal = _refusal(path, file, steps)
             self.close()

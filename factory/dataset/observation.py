@@ -8,6 +8,7 @@ import numpy as np
 
 from factory.dataset.bundle import EpisodeBundle
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
+from workers.appearance import changed_sensor
 from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 from workers.sensors import observation as sensing
 from workers.sensors.observation import CameraObservation, Trajectory
@@ -25,7 +26,8 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
         WorldError: this machine cannot render.
     """
     if not is_stored(bundle, sensor) or t % sensor.stride(bundle.control_hz):
-        return sensing.observe(sensor, t, trajectory_of(bundle), bundle)
+        change = None if bundle.appearance is None else bundle.appearance.camera
+        return sensing.observe(changed_sensor(sensor, change), t, trajectory_of(bundle), bundle)
     arrays = bundle.measurement(sensor, t)
     return LidarScan(**arrays) if isinstance(sensor, Lidar2d | Lidar3d) else CameraObservation(**arrays)
 

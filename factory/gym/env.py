@@ -18,6 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from factory.eval.driving import measure
+from factory.eval.driving.appearance import live_appearance
 from factory.eval.driving.measure import odometry
 from factory.eval.driving.rig_sensors import RigSensors
 from factory.eval.driving.simulator import Simulator
@@ -26,6 +27,7 @@ from factory.eval.specs.from_dataset import Places
 from factory.gym.episodes import specs_for
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from factory.gym.rig_space import flat, live_rig, rig_spaces
+from schemas.appearance import Appearance
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Rig
@@ -79,6 +81,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         instruction: InstructionKind = "text",
         vocabulary: Sequence[str] | None = None,
         rig: str | Path | Rig | None = None,
+        appearance: str | Path | Appearance | None = None,
     ) -> None:
         """Starts the rendering process; scenes are loaded when an episode needs them.
 
@@ -99,6 +102,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             vocabulary: Words by index, for `tokens`. Pass the vocabulary of the training to evaluate on another
                 dataset. `None` uses the vocabulary of `data`, which is the same for all its splits.
             rig: Sensors of the robot: a rig, the name of a built-in one, or a TOML file. `None` is the recorded camera.
+            appearance: Appearance of the scenes, drawn for each episode: ranges, the name of a built-in appearance, or
+                a TOML file, without clutter. `None` shows the scenes as they were compiled.
 
         Raises:
             UsageError: `data` is missing, or the value of another argument is not valid.
@@ -117,12 +122,14 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self.rig = None if rig is None else live_rig(rig, self.specs.settings.task.control_hz)
         """Sensors of the robot; `None` for the recorded camera."""
         self._sensors: RigSensors | None = None
+        self.appearance = None if appearance is None else live_appearance(appearance)
+        """Appearance of the scenes."""
         self.observation_space = self._make_observation_space(size)
         self.action_space = self._make_action_space()
         self._places = Places(root)
         self._pid = os.getpid()
         self._stage = SceneRenderer(renderer, apart=True)
-        self._simulator = Simulator(self._stage, self.specs.settings)
+        self._simulator = Simulator(self._stage, self.specs.settings, self.appearance)
         self._view: Observation | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[GymObservation, Info]:
@@ -134,7 +141,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._require_own_process()
         super().reset(seed=seed)
         spec = self._choose((options or {}).get("episode"))
-        loaded = self._places.load(spec.scene, spec.scene_sha256)
+        with_light = self.appearance is not None and self.appearance.light is not None
+        loaded = self._places.load(spec.scene, spec.scene_sha256, with_light)
         self._view = self._simulator.reset(spec, loaded)
         self._sensors = None if self.rig is None else RigSensors(self.rig, self._simulator)
         return self._observe(self._view), self._inform(self._view)
@@ -231,7 +239,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             observation = dict(flat(self._sensors.measure()))
         else:
             is_whole = self._size == FRAME_SIZE_PX
-            frame = view.frame if is_whole else self._stage.renderer.render(view.pose, self._size)
+            frame = view.frame if is_whole else self._simulator.shown.renderer.render(view.pose, self._size)
             observation = {"rgb": frame.rgb, "depth": frame.depth}
         if self._instruction != "none":
             spec = self._simulator.spec

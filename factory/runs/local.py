@@ -69,12 +69,15 @@ class LocalRun:
     """States dataset that the run renders; `None` if it simulates."""
     rig: str | None = None
     """Value of `--rig` of a run that renders."""
+    appearance: str | None = None
+    """Value of `--appearance` of a run that renders."""
 
     @property
     def command(self) -> str:
         """Command line that continues the run."""
         site = self.store or self.root
         rig = "" if self.rig is None else f" --rig {self.rig}"
+        rig += "" if self.appearance is None else f" --appearance {self.appearance}"
         return f"factory run --out {site}" if self.states is None else f"factory render {self.states}{rig} -o {site}"
 
 

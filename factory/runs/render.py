@@ -16,12 +16,13 @@ import structlog
 
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog, read_entry
-from coordinator.expansion.file import shrink
+from coordinator.expansion.file import shrink, with_appearance
 from coordinator.ledger.opening import require_plan
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
+from factory.runs.catalog import with_light
 from factory.runs.ledger import plan_of, require_outside_datasets
 from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
 from schemas.dataset_meta import DatasetMeta, described_by
@@ -59,7 +60,11 @@ class Rendering(NamedTuple):
 
 
 def prepare_rendering(
-    root: Place, site: Site, renderer: RendererKind | None = None, rig: str | None = None
+    root: Place,
+    site: Site,
+    renderer: RendererKind | None = None,
+    rig: str | None = None,
+    appearance: str | None = None,
 ) -> Rendering:
     """Reads a states dataset, and prepares the location of the frames dataset if it is new.
 
@@ -71,6 +76,7 @@ def prepare_rendering(
         site: location of the frames dataset.
         renderer: renderer of this machine that is compared with the recorded frames first; `None` compares nothing.
         rig: name or file of the rig whose measurements are stored; `None` is that of the plan.
+        appearance: name or file of the appearance of the frames, or `none`; `None` is that of the plan.
 
     Raises:
         UsageError: the dataset stores frames already, the location contains another run, or the rig does not exist.
@@ -84,6 +90,8 @@ def prepare_rendering(
         raise UsageError(f"{root} stores frames already: give a dataset of `factory run --record states`")
     _require_known_format(dataset)
     plan = shrink(dataset.meta.plan, record=Recording.FRAMES, rig=None if rig is None else load_rig(rig, None))
+    if appearance is not None:
+        plan = with_appearance(plan, appearance)
     meta = described_by(dataset.meta, plan)
     begun = plan_of(site)
     if begun is None:
@@ -91,7 +99,7 @@ def prepare_rendering(
     else:
         require_plan(begun, plan)
     packages = {name: find_package_file(root, name, sha256) for name, sha256 in dataset.meta.scenes.items()}
-    catalog = {name: read_entry(path) for name, path in packages.items()}
+    catalog = with_light(plan, {name: read_entry(path) for name, path in packages.items()})
     if renderer is not None and len(dataset):
         _require_recorded_frame(dataset[0], renderer)
     if site.store is None:

@@ -54,13 +54,16 @@ class ArraySpec:
             return [f"{self.name}: shape {array.shape}, expected {self._show_shape(length)}"]
         if array.dtype not in (self.dtype, self.former_dtype or self.dtype):
             return [f"{self.name}: dtype {array.dtype}, expected {np.dtype(self.dtype)}"]
-        return self._value_violations(array)
+        return self.value_violations(array)
 
-    def _value_violations(self, array: NDArray[Any]) -> list[str]:
+    def value_violations(self, array: NDArray[Any]) -> list[str]:
+        """Returns the violations of the bounds by an array of the right shape and dtype."""
         has_bounds = self.low is not None or self.high is not None
         is_free = array.dtype.kind != "f" or self.may_be_nan
         if array.size == 0 or (not has_bounds and (is_free or np.isfinite(array).all())):
             return []
+        if self.low is not None and self.high is not None and (array >= self.low).all() and (array <= self.high).all():
+            return []  # the usual case; NaN is not within the bounds
         axes = tuple(range(array.ndim - 1)) if isinstance(self.low or self.high, tuple) else None
         return self.range_violations(array.min(axes), array.max(axes))
 

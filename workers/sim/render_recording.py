@@ -15,6 +15,7 @@ from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import Recording
 from workers.render.differing import differing_frame
+from workers.sim.appearance import show_appearance
 from workers.sim.attempt import Success
 from workers.sim.frames import add_frames
 from workers.sim.scene_renderer import SceneRenderer
@@ -40,8 +41,9 @@ def render_recording(
     with BundleReader(io.BytesIO(states)) as recorded:
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
-        stage.renderer.load(place.scene, job.camera)
-        writer, sampled = BundleWriter(out, stage.lap), recorded.meta.sampled_digests
+        shown = show_appearance(job, job.view.appearance, place, stage.renderer, recorded.arrays.poses)
+        writer = BundleWriter(out, stage.lap)
+        sampled = recorded.meta.sampled_digests if shown.drawn is None else {}  # those of the scene as compiled
 
         def check(count: int) -> None:
             t = count - 1
@@ -50,10 +52,10 @@ def render_recording(
             on_step(count)
 
         target_id = recorded.meta.target_instance_id
-        visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, target_id, check)
-        scene, tell = LoadedSurroundings(place, stage.renderer), partial(on_step, recorded.length)
-        add_measurements(writer, scene, job, recorded.arrays, tell)
-        meta = recorded.meta.with_frames(job, visible, place.scene.info.instances)
+        visible = add_frames(writer, shown.renderer, job, recorded.arrays.poses, target_id, check)
+        scene, tell = LoadedSurroundings(shown.place, stage.renderer), partial(on_step, recorded.length)
+        add_measurements(writer, scene, job, recorded.arrays, tell, shown.change)
+        meta = recorded.meta.with_frames(job, visible, shown.instances, shown.drawn)
         return Success(writer.finish(recorded.arrays, meta))
 
 

@@ -9,12 +9,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from schemas.appearance import CameraChange
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.measurements import measurements_of
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from schemas.support.extras import require_package
+from workers.appearance import changed_sensor
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer
 from workers.sensors.lidar import RayCaster
@@ -50,6 +52,7 @@ def add_measurements(
     job: Job,
     arrays: EpisodeArrays,
     on_measurement: Callable[[], None],
+    change: CameraChange | None = None,
 ) -> None:
     """Measures and stores all sensors of a job's rig; does nothing without a rig.
 
@@ -59,6 +62,7 @@ def add_measurements(
         job: gives rig, control rate and seed.
         arrays: arrays of the episode.
         on_measurement: called after each measurement.
+        change: change of the cameras.
 
     Raises:
         UsageError: the renderer has no normals, which a camera needs, or embreex is not installed, which a lidar needs.
@@ -76,7 +80,7 @@ def add_measurements(
                 found = measure(sensor, track)
             else:
                 assert t is not None, "only a sensor of motion has no step"
-                found = observe(sensor, t, track, scene)
+                found = observe(changed_sensor(sensor, change), t, track, scene)
             try:
                 writer.add_measurement(sensor, t, arrays_in(found))
             except ValueError as error:

@@ -13,6 +13,7 @@ from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn,
 from factory.cli.common.bars import Bars, one_bar
 from factory.cli.common.filters import split_filter
 from factory.dataset.reader import Dataset
+from factory.eval.driving.appearance import live_appearance
 from factory.eval.driving.rig_sensors import require_live
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import Variant
@@ -25,6 +26,7 @@ from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.ablation import ABLATIONS
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
+from schemas.appearance import Appearance
 from schemas.errors import UsageError
 from schemas.rig.file import load_rig
 from schemas.terms import RendererKind, Split
@@ -72,6 +74,7 @@ class Asked:
     with_pose: bool
     renderer: RendererKind
     rig: str | None = None
+    appearance: str | None = None
 
 
 def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
@@ -100,7 +103,7 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
         renderer=asked.renderer,
         act_timeout_s=asked.act_timeout,
         load_timeout_s=asked.load_timeout,
-        view=ViewSettings(rig=rig),
+        view=ViewSettings(rig=rig, appearance=_appearance(asked.appearance)),
     )
     return Campaign(
         specs=specs,
@@ -111,6 +114,10 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
         processes=min(asked.workers or os.cpu_count() or 1, len(specs.specs)),
         with_pose=asked.with_pose,
     )
+
+
+def _appearance(reference: str | None) -> Appearance | None:
+    return None if reference is None else live_appearance(reference)
 
 
 def open_store(campaign: Campaign, folder: Path) -> Store:

@@ -15,6 +15,7 @@ from coordinator.protocol.tls import Guard
 from factory.cli.common.admission import open_door
 from factory.cli.common.groups import DefaultCommand, DefaultGroup
 from factory.cli.common.options import (
+    appearance_option,
     connect_option,
     count_option,
     former_option,
@@ -87,6 +88,7 @@ def command() -> None:
     "Sensors that policies get: a built-in rig or a TOML file. A policy that needs another sensor is refused. Default: "
     "the recorded camera."
 )
+@appearance_option("Default: the scenes as they were compiled.")
 @count_option("--videos", 12, "Maximum number of videos of failed episodes for each policy.", least=0)
 @click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
 @renderer_option

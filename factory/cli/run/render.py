@@ -9,6 +9,7 @@ import click
 
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.options import (
+    appearance_option,
     out_option,
     place_argument,
     renderer_option,
@@ -39,6 +40,7 @@ from workers.client.stopping import stop_on_signals
     "several, the dataset of each is OUT/NAME. Default: the plan's rig.",
     multiple=True,
 )
+@appearance_option("Default: the plan's.")
 @workers_option("Number of rendering processes")
 @renderer_option
 @json_option
@@ -47,6 +49,7 @@ def command(
     root: Place,
     site: Site,
     rigs: tuple[str, ...],
+    appearance: str | None,
     workers: int | None,
     renderer: RendererKind,
     as_json: bool,
@@ -62,11 +65,12 @@ def command(
     summaries = {}
     with stop_on_signals() as (stop, _):
         for rig, out in _outputs(site, rigs):
-            run = _prepared(root, out, rig, workers, renderer, verbose)
+            run = _prepared(root, out, rig, appearance, workers, renderer, verbose)
             with RunBar(run.plan) as bar:
                 progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
             if not progress.finished:
                 options = [word for each in rigs for word in ("--rig", each)]
+                options += ["--appearance", appearance] if appearance else []
                 again = shlex.join(["factory", "render", str(root), *options, "-o", str(site)])
                 click.echo(f"interrupted; continue with: {again}", err=True)
                 return 130
@@ -95,9 +99,15 @@ def _outputs(site: Site, rigs: tuple[str, ...]) -> list[tuple[str | None, Site]]
 
 
 def _prepared(
-    root: Place, out: Site, rig: str | None, workers: int | None, renderer: RendererKind, verbose: bool
+    root: Place,
+    out: Site,
+    rig: str | None,
+    appearance: str | None,
+    workers: int | None,
+    renderer: RendererKind,
+    verbose: bool,
 ) -> LocalRun:
-    rendering = prepare_rendering(root, out, renderer, rig)
+    rendering = prepare_rendering(root, out, renderer, rig, appearance)
     return LocalRun(
         rendering.plan,
         rendering.catalog,
@@ -110,4 +120,5 @@ def _prepared(
         rendering.states,
         root,
         rig,
+        appearance,
     )

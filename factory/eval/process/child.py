@@ -21,6 +21,7 @@ import sys
 import traceback
 from collections.abc import Callable
 
+from factory.dataset.packages import light_file
 from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerAway
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
@@ -54,7 +55,7 @@ def main() -> int:
         setup = order.task.setup
         with (
             SceneRenderer(setup.renderer, apart=arguments.render_apart) as stage,
-            Simulator(stage, setup.settings) as simulator,
+            Simulator(stage, setup.settings, setup.view.appearance) as simulator,
         ):
             driver = _Driver(setup, stage, simulator, shared, tell)
             tell(EvalReport(kind=EvalReportKind.READY, detail=stage.renderer.description))
@@ -109,7 +110,9 @@ class _Driver:
     def _drive(self, order: DriverOrder) -> EpisodeResult:
         policy = self._policy_of(order)
         self._status.begin(Activity.SIMULATING)
-        loaded = self._stage.load(order.package, order.task.request.spec.scene_sha256)
+        sha256, appearance = order.task.request.spec.scene_sha256, self._setup.view.appearance
+        light = None if appearance is None or appearance.light is None else light_file(order.package, sha256)
+        loaded = self._stage.load(order.package, sha256, light)
         result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have restarted: repeat the episode once
