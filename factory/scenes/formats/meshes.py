@@ -14,10 +14,10 @@ import numpy as np
 from trimesh.exchange.ply import load_ply
 from trimesh.exchange.stl import load_stl
 
-from factory.scenes.compile.colour import linear_of
 from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.shapes import Content, Names, Shape, mesh_piece
 from factory.scenes.importer.model import Surface
+from schemas.appearance.colour_names import linear_of
 from schemas.support.numpy_types import Floats, Ints
 
 _TEXTURE = re.compile(rb"comment\s+texturefile\s+(\S[^\r\n]*)", re.IGNORECASE)

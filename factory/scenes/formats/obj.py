@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.scenes.compile.colour import linear_of
 from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.shapes import Content, Names, Shape, display_colour, mesh_piece
 from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.model import Surface
 from factory.scenes.importer.polygons import triangulate
+from schemas.appearance.colour_names import linear_of
 from schemas.support.numpy_types import Floats, Ints
 
 _TEXTURE_OPTIONS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-blendu": 1, "-blendv": 1, "-clamp": 1, "-boost": 1}

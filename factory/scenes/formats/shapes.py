@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from factory.scenes.compile.colour import linear_of
 from factory.scenes.importer.collect import Collector, Piece
 from factory.scenes.importer.model import Colour, Surface
 from factory.scenes.importer.polygons import bounds_volume, triangulate
 from factory.scenes.importer.solids import Polygons
+from schemas.appearance.colour_names import linear_of
 from schemas.support.numpy_types import Floats, Ints
 
 ROOT = "/World"
