@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
@@ -20,9 +20,12 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 from schemas.terms import Recording
+from schemas.view import ViewSettings
 
-DATASET_FORMAT = 1
-"""Version of the dataset directory. A reader opens its own version and older ones, and rejects newer ones."""
+DATASET_FORMAT = 2
+"""Newest version of the dataset directory: 2 has a rig or an appearance in its plan, 1 has neither. A reader opens
+its own version and older ones, and rejects newer ones."""
+_FORMAT_WITHOUT_RIG = 1
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
 
@@ -46,10 +49,23 @@ class GateOutcome(Model):
     """Number of attempts by fail reason."""
 
 
+class Relabelling(Model):
+    """How the instructions of a dataset were written anew (docs/language.md)."""
+
+    spec: str
+    """Language file, as JSON with all defaults."""
+    languages: tuple[str, ...]
+    """Codes of the languages."""
+    instructions: Annotated[int, Field(ge=0)]
+    """Number of rows of `instructions.parquet`."""
+    recorded: Annotated[int, Field(ge=0)]
+    """Number of episodes that keep their recorded instruction, because no new one fits their target."""
+
+
 class DatasetMeta(Model):
     """Content of `dataset_meta.json`."""
 
-    format: int = DATASET_FORMAT
+    format: int = _FORMAT_WITHOUT_RIG
     """Version of the dataset directory."""
     compatibility: str = _COMPATIBILITY
     """Compatibility of the format version, as a sentence."""
@@ -61,6 +77,8 @@ class DatasetMeta(Model):
     """Root seed of the run."""
     plan: Plan
     """The plan itself."""
+    rig_digest: Sha256 | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Digest of the plan's rig; null and omitted if the plan has none."""
     scenes: dict[str, Sha256]
     """Digest of the compiled package in `scenes/` by scene name."""
     episodes: Annotated[int, Field(ge=0)]
@@ -88,14 +106,32 @@ class DatasetMeta(Model):
     every other category occur either in training or in evaluation. Null if the plan does not separate instances."""
     gate: tuple[GateOutcome, ...] = ()
     """Results of the pilot attempts before the run; empty if the gate was skipped."""
+    relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)
+    """How the instructions were written anew; omitted for a dataset with its recorded instructions."""
 
 
 def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
     """Returns the description with the plan that records frames; unchanged if the dataset stores frames."""
     if meta.plan.record is Recording.FRAMES:
         return meta
-    plan = meta.plan.model_copy(update={"record": Recording.FRAMES})
-    return meta.model_copy(update={"run": plan.run, "plan_digest": plan.digest, "plan": plan})
+    return described_by(meta, meta.plan.model_copy(update={"record": Recording.FRAMES}))
+
+
+def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
+    """Returns the description with another plan of the same episodes."""
+    return meta.model_copy(update=fields_of_plan(plan))
+
+
+def fields_of_plan(plan: Plan) -> dict[str, Any]:
+    """Returns the fields of a description that depend on the plan only."""
+    return {
+        "format": _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else DATASET_FORMAT,
+        "run": plan.run,
+        "plan_digest": plan.digest,
+        "seed": plan.seed,
+        "plan": plan,
+        "rig_digest": None if plan.rig is None else plan.rig.digest,
+    }
 
 
 def read_dataset_meta(root: Place) -> DatasetMeta:

@@ -50,3 +50,11 @@ class InvalidPlan(Findings, UsageError):
 
 class InvalidRig(Findings, UsageError):
     """Rig that contradicts itself or the control rate; lists every mistake with its key."""
+
+
+class InvalidAppearance(Findings, UsageError):
+    """Appearance that contradicts itself; lists every mistake with its key."""
+
+
+class InvalidLanguage(Findings, UsageError):
+    """Language file with mistakes, or one that no target of a scene can satisfy; lists every mistake."""

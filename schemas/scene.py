@@ -25,6 +25,8 @@ SCENE_FORMAT = 3
 _READABLE = (2, SCENE_FORMAT)
 TEXTURE_SIZE_PX = 512
 """Width and height of a texture, pixels."""
+MAX_TEXTURES = 64
+"""Largest number of textures."""
 MAX_LIGHT_MAP_PX = 2048
 """Largest width and height of a light map, pixels."""
 MAX_INSTANCES = 65535
@@ -121,7 +123,7 @@ class SceneInfo(Model):
     name: Name
     """Name of the scene."""
     source: Text
-    """Description of the source: `built-in office, seed 0` or the file name of a USD stage."""
+    """Description of the source: `built-in office, seed 0` or the file name of an imported scene."""
     source_sha256: Line
     """Digest of all inputs of the compiler: layers, textures, rules, compiler version."""
     metres_per_unit: Positive
@@ -136,7 +138,7 @@ class SceneInfo(Model):
     """Targets of the scene."""
     instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
     """All objects that the id image can show."""
-    texture_count: Annotated[int, Field(ge=0, le=64)] = 0
+    texture_count: Annotated[int, Field(ge=0, le=MAX_TEXTURES)] = 0
     """Number of texture layers."""
     floor_height_m: Finite = 0.0
     """z of the floor in the world frame, metres."""

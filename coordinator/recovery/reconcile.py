@@ -28,6 +28,7 @@ from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.repair import current_job, record_whole
+from coordinator.ledger.seal import is_sealed
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import restore_failures, validated_files
@@ -196,6 +197,8 @@ def _adopt(engine: Engine, terms: Terms, receipt: BundleReceipt, at: tuple[int, 
 def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
     """Quarantines the ledger of a run if it is unusable; an intact ledger is not changed.
 
+    A ledger that has not changed since it was closed is not audited.
+
     Args:
         archive: archive of the run, held exclusively.
         url: URL of the ledger.
@@ -205,7 +208,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
         WorldError: a database server stores a damaged ledger, which only its administrator can replace.
         UsageError: the ledger has a newer format.
     """
-    trouble = ledger_trouble(url, catalog)
+    trouble = "" if is_sealed(url) else ledger_trouble(url, catalog)
     if not trouble:
         return
     if is_server(url) and "lacks the tables" not in trouble:

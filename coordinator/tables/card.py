@@ -25,7 +25,7 @@ _CARD = """\
 ---
 license: cc-by-4.0
 language:
-- en
+{languages}
 pretty_name: {pretty}
 task_categories:
 - robotics
@@ -47,7 +47,7 @@ size_categories:
 # {run}
 
 {episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
-instruction in English that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
+instruction{english} that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
 stops within {radius:g} m of {goal}.
 
 ## How it was made
@@ -111,15 +111,24 @@ for episode in Dataset(".").filter(split="train_id"):
 - Every episode kept is a success. What failed is in `attempts.parquet`, so that selection by the expert can be
   corrected for; there are no recoveries from errors in the data.
 - {expert_limit}
-- Instructions come from {templates} English templates; `phrase_is_unique` says whether the words fit one object only.
+- {wording}
 - Distances follow the tiers' ranges as far as rooms allow: objects without a long free line have short starts only.
 
 ## Licence
 The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
+_TEMPLATES = (
+    "Instructions come from {} English templates; `phrase_is_unique` says whether the words fit one object only."
+)
+_RELABELLED = (
+    "Instructions were written by `factory relabel` after the drives; `instructions.parquet` has all of them\n"
+    "  with their meaning. A verifier accepted each of them. `meta.json` of an episode has the recorded instruction."
+)
 _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
   table in `meta.json`), """
+_SENSORS = """`sensors/*` (measurements of the rig `{}`, see
+  `plan.rig` in `dataset_meta.json`), """
 _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
@@ -143,6 +152,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         with_tables: splits with split tables.
     """
     stores_frames = meta.plan.record is Recording.FRAMES
+    rig = meta.plan.rig if stores_frames else None
     return _CARD.format(
         configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
@@ -165,11 +175,13 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         tiers=_tier_table(aggregates),
         splits=_split_part(meta, aggregates),
         categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
-        frames=_FRAMES if stores_frames else "",
+        frames=(_FRAMES if stores_frames else "") + ("" if rig is None else _SENSORS.format(rig.name)),
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
-        templates=len(TEMPLATES),
+        languages="\n".join(f"- {code}" for code in (meta.relabelling.languages if meta.relabelling else ("en",))),
+        english="" if meta.relabelling else " in English",
+        wording=_RELABELLED if meta.relabelling else _TEMPLATES.format(len(TEMPLATES)),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.models.spec import EvalSettings, EvalSpec
+from schemas.appearance import Appearance
 from schemas.bundle import EpisodeArrays
 from schemas.errors import WorldError
 from schemas.scene import Target
@@ -19,8 +20,11 @@ from workers.experts.observation import Observation
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.physics.world import World
+from workers.sensors.observation import Trajectory
+from workers.sim.appearance import show_appearance
 from workers.sim.closed_loop import ClosedLoop
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.sensors import LoadedSurroundings
 from workers.sim.spawn import is_spawn_stable
 
 
@@ -31,9 +35,9 @@ class UnstableStart(WorldError):
 class Simulator(Closing):
     """Simulator of one episode at a time: call `reset`, then `step` until the view has an end. A context manager."""
 
-    def __init__(self, stage: SceneRenderer, settings: EvalSettings) -> None:
-        """Stores the scene renderer, which the caller opens and closes."""
-        self._stage = stage
+    def __init__(self, stage: SceneRenderer, settings: EvalSettings, appearance: Appearance | None = None) -> None:
+        """Stores the scene renderer, which the caller opens and closes, and the appearance of the episodes."""
+        self._stage, self._appearance = stage, appearance
         self.settings = settings
         self._held = ExitStack()
         self._loop: ClosedLoop | None = None
@@ -65,8 +69,9 @@ class Simulator(Closing):
             raise UnstableStart(
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
-        self._stage.renderer.load(scene, job.camera)
-        self._loop = ClosedLoop(job, self.target, world, self._stage.renderer)
+        pose = np.array(((x, y, 0.0, 1.0, 0.0, 0.0, 0.0),))
+        self.shown = show_appearance(job, self._appearance, loaded, self._stage.renderer, pose)
+        self._loop = ClosedLoop(job, self.target, world, self.shown.renderer)
         self._held.callback(self._loop.leave)
         return self._loop.view
 
@@ -109,6 +114,18 @@ class Simulator(Closing):
     def arrays(self) -> EpisodeArrays:
         """Returns the recorded arrays of the steps so far: poses and actions of equal length."""
         return self._running.arrays()
+
+    def trajectory(self) -> Trajectory:
+        """Returns the states of the steps so far, from which the sensors of a rig are measured."""
+        track = self.track
+        twists = np.zeros((len(track), 2))
+        twists[: self.steps] = self.arrays().actions_continuous
+        return Trajectory(track, twists, self.settings.task.control_hz, self.spec.seed, episode=1)
+
+    @property
+    def surroundings(self) -> LoadedSurroundings:
+        """Scene of the episode for cameras and lidars."""
+        return LoadedSurroundings(self.shown.place, self.shown.renderer)
 
     def observe(self) -> Observation:
         """Returns the current view, which contains ground truth and must not be passed to a model."""
