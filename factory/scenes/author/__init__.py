@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from factory.scenes.author.layouts.home import lay_out_home
 from factory.scenes.author.layouts.hospital import lay_out_hospital
 from factory.scenes.author.layouts.office import lay_out_office
 from factory.scenes.author.layouts.warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
@@ -57,6 +58,7 @@ _SCENES = (
         1.0,
         lay_out_multiple_shelves,
     ),
+    BuiltinScene("home", "90-170 m2 home of 5 to 9 rooms, open or off a hall", 1.0, lay_out_home),
 )
 
 BUILTIN_SCENES: Mapping[str, BuiltinScene] = MappingProxyType({scene.name: scene for scene in _SCENES})

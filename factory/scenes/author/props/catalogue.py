@@ -15,7 +15,20 @@ from numpy.random import Generator
 
 from factory.scenes.author.geometry import bounds
 from factory.scenes.author.materials import PropPiece
-from factory.scenes.author.props import clinic, clutter, office, safety, seating, storage, wall
+from factory.scenes.author.props import (
+    bathroom,
+    bedroom,
+    clinic,
+    clutter,
+    cupboards,
+    kitchen,
+    living,
+    office,
+    safety,
+    seating,
+    storage,
+    wall,
+)
 from schemas.support.numpy_types import Floats
 
 Builder = Callable[[int, Generator], list[PropPiece]]
@@ -99,6 +112,50 @@ CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(
         "SM_Clock": CatalogueEntry(wall.clock, 1),
         "SM_Window": CatalogueEntry(wall.window, 3),
         "SM_RollerGate": CatalogueEntry(wall.roller_door, 1),
+        "SM_BedDouble": CatalogueEntry(bedroom.bed, 12),
+        "SM_NightStand": CatalogueEntry(cupboards.nightstand, 4),
+        "SM_Dresser": CatalogueEntry(cupboards.dresser, 4),
+        "SM_Wardrobe": CatalogueEntry(cupboards.wardrobe, 4),
+        "SM_Sideboard": CatalogueEntry(cupboards.sideboard, 4),
+        "SM_TvUnit": CatalogueEntry(cupboards.media_bench, 4),
+        "SM_Locker": CatalogueEntry(cupboards.locker, 4),
+        "SM_ShelfBook_B": CatalogueEntry(cupboards.bookcase, 4),
+        "SM_ChairLounge_G": CatalogueEntry(bedroom.armchair, 6),
+        "SM_Ottoman": CatalogueEntry(bedroom.ottoman, 6),
+        "SM_Bench": CatalogueEntry(bedroom.bench, 3),
+        "SM_Basket": CatalogueEntry(bedroom.basket, 4),
+        "SM_Suitcase": CatalogueEntry(bedroom.suitcase, 4),
+        "SM_Backpack": CatalogueEntry(bedroom.backpack, 4),
+        "SM_Drape": CatalogueEntry(bedroom.curtains, 6),
+        "SM_LampFloor": CatalogueEntry(living.floor_lamp, 3),
+        "SM_LampSmall": CatalogueEntry(living.table_lamp, 4),
+        "SM_TelevisionFlat": CatalogueEntry(living.television, 3),
+        "SM_Fireplace": CatalogueEntry(living.fireplace, 3),
+        "SM_Piano": CatalogueEntry(living.piano, 4),
+        "SM_Fan": CatalogueEntry(living.fan, 3),
+        "SM_Radiator": CatalogueEntry(living.radiator, 3),
+        "SM_ClockTall": CatalogueEntry(living.tall_clock, 3),
+        "SM_Vase": CatalogueEntry(living.vase, 4),
+        "SM_Mirror": CatalogueEntry(living.mirror, 3),
+        "SM_TableDining_E": CatalogueEntry(living.dining_table, 4),
+        "SM_PictureFrame": CatalogueEntry(living.framed_picture, 6),
+        "SM_WindowHome": CatalogueEntry(living.home_window, 12),
+        "SM_ToyPile": CatalogueEntry(living.toy_pile, 5),
+        "SM_KitchenUnit": CatalogueEntry(kitchen.base_unit, 8),
+        "SM_KitchenWallUnit": CatalogueEntry(kitchen.wall_unit, 4),
+        "SM_SplashTiles": CatalogueEntry(kitchen.splash_back, 4),
+        "SM_SinkUnit": CatalogueEntry(kitchen.sink_unit, 4),
+        "SM_Oven": CatalogueEntry(kitchen.oven, 3),
+        "SM_Dishwasher": CatalogueEntry(kitchen.dishwasher, 3),
+        "SM_Refrigerator": CatalogueEntry(kitchen.refrigerator, 4),
+        "SM_Microwave": CatalogueEntry(kitchen.microwave, 3),
+        "SM_CoffeeMachine": CatalogueEntry(kitchen.coffee_machine, 3),
+        "SM_CounterIsland": CatalogueEntry(kitchen.island, 3),
+        "SM_Toilet": CatalogueEntry(bathroom.toilet, 3),
+        "SM_BathTub": CatalogueEntry(bathroom.bathtub, 3),
+        "SM_WashBasin": CatalogueEntry(bathroom.basin, 3),
+        "SM_WashingMachine": CatalogueEntry(bathroom.washing_machine, 3),
+        "SM_TowelRail": CatalogueEntry(bathroom.towel_rail, 4),
     }
 )
 """Model name -> catalogue entry."""
