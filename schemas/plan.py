@@ -114,11 +114,11 @@ class ScenePlan(Model):
     @field_validator("seen", "held_out")
     @classmethod
     def _are_known_categories(cls, categories: tuple[str, ...], others: ValidationInfo) -> tuple[str, ...]:
-        unknown = [name for name in categories if name not in CATEGORIES]
+        scene = others.data.get("name", "")
+        known = {*CATEGORIES, *(name for group in BUILTIN_CATEGORIES.get(scene, ()) for name in group)}
+        unknown = [name for name in categories if name not in known]
         if unknown and others.data.get("usd") is None:
-            raise ValueError(
-                f"unknown categories {', '.join(unknown)}; categories of built-in scenes: {', '.join(CATEGORIES)}"
-            )
+            raise ValueError(f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}")
         return categories
 
     @field_validator("ceiling_m")

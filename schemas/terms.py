@@ -146,6 +146,29 @@ BUILTIN_CATEGORIES = MappingProxyType(
         "hospital": SceneCategories(("chair", "trash_can"), _HELD_OUT_INDOORS),
         "full_warehouse": _WAREHOUSE,
         "warehouse_multiple_shelves": _WAREHOUSE,
+        "home": SceneCategories(
+            (
+                "chair", "sofa", "table", "bed", "wardrobe", "dresser", "nightstand", "cabinet", "shelf", "plant", "lamp",
+                "television", "refrigerator", "oven", "sink", "toilet", "basket", "picture", "trash_can", "ottoman",
+            ),
+            ("bathtub", "washing_machine", "dishwasher", "vase", "microwave"),
+        ),
+        "shop": SceneCategories(
+            (
+                "shelf", "counter", "refrigerator", "clothes_rack", "cart", "chair", "table", "cabinet", "plant", "trash_can",
+                "box", "toilet", "sink",
+            ),
+            ("mannequin", "vending_machine", "ladder", "basket"),
+        ),
+        "school": SceneCategories(
+            (
+                "chair", "table", "whiteboard", "shelf", "cabinet", "trash_can", "plant", "backpack", "laptop", "bench",
+                "printer", "sofa", "toilet", "sink", "clock",
+            ),
+            ("piano", "bicycle", "vending_machine", "water_cooler", "computer", "traffic_cone", "fire_extinguisher"),
+        ),
     }
-)
-"""Categories of the built-in scenes (paper Table II), by scene name."""
+)  # fmt: skip
+"""Categories of the built-in scenes by scene name: the paper's (Table II), and the families of layouts."""
+PAPER_SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
+"""Scenes of the paper. Their targets are of the paper's categories only."""

@@ -160,7 +160,11 @@ class FloorPlan:
             return None
         if not share and any(print_.grown(clearance).overlaps(other) for other in self.taken):
             return None
-        self.taken.append(print_)
+        return self.stand(model, x, y, yaw)
+
+    def stand(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement:
+        """Places a model on the floor without a test; its footprint is taken."""
+        self.taken.append(footprint(model, x, y, yaw))
         return self.add(model, x, y, yaw)
 
     def against(
