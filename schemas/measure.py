@@ -35,21 +35,26 @@ def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, fl
         points: world x, y, metres.
         footprint_m: vertices of the polygon, counter-clockwise; at least one.
     """
-    gaps = _gaps(np.asarray(points, float), np.asarray(footprint_m, float))
-    return np.asarray(np.sqrt(gaps[..., 0] * gaps[..., 0] + gaps[..., 1] * gaps[..., 1]))
+    squares, inside, _ = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
+    return np.where(inside, 0.0, np.sqrt(squares.min(axis=-1)))
+
+
+def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, NDArray[np.bool_], Floats]:
+    """Returns squared distances (..., K) to the sides, whether points are inside, and vectors (2, ..., K) to the sides."""
+    (side_x, side_y) = (np.roll(vertices, -1, axis=0) - vertices).T
+    to_x, to_y = vertices[:, 0] - points[..., :1], vertices[:, 1] - points[..., 1:]
+    lengths = side_x * side_x + side_y * side_y
+    along = np.clip(-(to_x * side_x + to_y * side_y) / np.where(lengths > 0, lengths, 1.0), 0.0, 1.0)
+    x, y = to_x + along * side_x, to_y + along * side_y
+    inside = np.asarray((side_y * to_x - side_x * to_y >= 0).all(axis=-1)) & (len(vertices) > 2)
+    return x * x + y * y, inside, np.stack((x, y))
 
 
 def _gaps(points: Floats, vertices: Floats) -> Floats:
     """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
-    sides = np.roll(vertices, -1, axis=0) - vertices
-    to_vertex = vertices - points[..., None, :]
-    squares = sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1]
-    along = -(to_vertex[..., 0] * sides[:, 0] + to_vertex[..., 1] * sides[:, 1]) / np.where(squares > 0, squares, 1.0)
-    to_side = to_vertex + np.clip(along, 0.0, 1.0)[..., None] * sides
-    nearest = (to_side[..., 0] * to_side[..., 0] + to_side[..., 1] * to_side[..., 1]).argmin(axis=-1)
-    shortest = np.take_along_axis(to_side, nearest[..., None, None], axis=-2)[..., 0, :]
-    is_left = sides[:, 1] * to_vertex[..., 0] - sides[:, 0] * to_vertex[..., 1] >= 0
-    inside = np.asarray(is_left.all(axis=-1)) & (len(vertices) > 2)
+    squares, inside, vectors = _to_sides(points, vertices)
+    nearest = squares.argmin(axis=-1)[..., None]
+    shortest = np.stack([np.take_along_axis(values, nearest, axis=-1)[..., 0] for values in vectors], axis=-1)
     return np.where(inside[..., None], 0.0, shortest)
 
 
@@ -114,24 +119,27 @@ class Goal:
             return float(footprint_distances((x, y), self.footprint_m))
         return math.hypot(self.centre_m[0] - x, self.centre_m[1] - y)
 
-    def approach(self, starts: ArrayLike, distance_m: float) -> Floats:
+    def approach(self, starts: ArrayLike, distance_m: ArrayLike) -> Floats:
         """Returns the points (..., 2) at which straight lines from starts to the centroid come within a distance.
 
         Returns a start that is as near as that itself.
+
+        Args:
+            starts: (..., 2) first points of the lines, metres.
+            distance_m: one distance, or one for each line (...), metres.
         """
-        start = np.asarray(starts, float)
+        start, reach = np.asarray(starts, float), np.asarray(distance_m, float)
         away = start - self._centre
         if not self.footprint_m:
             distance = np.linalg.norm(away, axis=-1, keepdims=True)
-            return np.where(
-                distance > distance_m, self._centre + away * (distance_m / np.maximum(distance, 1e-9)), start
-            )
+            limit = reach[..., None]
+            return np.where(distance > limit, self._centre + away * (limit / np.maximum(distance, 1e-9)), start)
         low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])  # shares of the line, from the centroid
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            is_near = self.distances(self._centre + away * middle[..., None]) <= distance_m
+            is_near = self.distances(self._centre + away * middle[..., None]) <= reach
             low, high = np.where(is_near, middle, low), np.where(is_near, high, middle)
-        is_there = (self.distances(start) <= distance_m)[..., None]
+        is_there = (self.distances(start) <= reach)[..., None]
         return np.where(is_there, start, self._centre + away * low[..., None])
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
@@ -143,16 +151,17 @@ class Goal:
         gap = distance - self.radius_m
         return gap, point + _gaps(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
 
-    def ring(self, directions: Floats, distance_m: float) -> Floats:
+    def ring(self, directions: Floats, distance_m: ArrayLike) -> Floats:
         """Returns the points (N, 2) at a distance from the target, on rays from its centroid.
 
         Args:
             directions: (N, 2) unit vectors.
-            distance_m: distance by the success measure, metres.
+            distance_m: one distance by the success measure, or one for each ray (N,), metres.
         """
+        reach = np.asarray(distance_m, float)
         if not self.footprint_m:
-            return np.asarray(self._centre + distance_m * directions)
-        return self.approach(self._centre + (self.extent_m + distance_m) * directions, distance_m)
+            return np.asarray(self._centre + reach[..., None] * directions)
+        return self.approach(self._centre + (self.extent_m + reach)[..., None] * directions, reach)
 
     def outline(self) -> Floats:
         """Returns the edge of the goal as a closed line (N, 2), for drawing."""

@@ -9,13 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from factory.scenes.author.geometry import block, fitted_block, lathe, open_block, quad
+from factory.scenes.author.geometry import AuthoredMesh, block, lathe, open_block, quad
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, tinted, wood
 from factory.scenes.author.partition import Division, Opening
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, RoomRecord
 from factory.scenes.author.room import LAMP, LAMP_RIM, PLATE, WALL_THICKNESS_M, Trim, floor, wall
 
 _SIDES = "SNWE"
+GRIP = painted("Steel", 0.35, 1.0)
 _CEILING = tinted("Plaster", "CeilingPlaster", "#eeece6", 1.0, 0.9)
 
 
@@ -170,10 +171,27 @@ def _hang_leaf(plan: FloorPlan, opening: Opening, division: Division, fabric: Fa
             if any(zone.overlaps(other) for other in plan.taken):
                 continue
             low, high = ((a0, c0), (a1, c1)) if opening.is_along_x else ((c0, a0), (c1, a1))
-            leaf = fitted_block((*low, 0.01), (*high, door.height - 0.02))
-            plan.build("SM_DoorLeaf", PropPiece(fabric.leaf, leaf))
+            leaf = block((*low, 0.01), (*high, door.height - 0.02))
+            plan.build("SM_DoorLeaf", PropPiece(fabric.leaf, leaf), *_leaf_trim(fabric, (low, high), opening.is_along_x, into))
             plan.taken.append(zone)
             return
+
+
+def _leaf_trim(
+    fabric: Fabric, ends: tuple[tuple[float, float], tuple[float, float]], is_along_x: bool, into: float
+) -> Iterator[PropPiece]:
+    """Yields two raised panels and a handle on the face of a leaf towards the room."""
+    (x0, y0), (x1, y1) = ends
+    a0, a1, face = (x0, x1, y1 if into > 0 else y0) if is_along_x else (y0, y1, x1 if into > 0 else x0)
+
+    def bar(along: tuple[float, float], proud: float, z: tuple[float, float]) -> AuthoredMesh:
+        c0, c1 = sorted((face, face + into * proud))
+        low, high = ((along[0], c0), (along[1], c1)) if is_along_x else ((c0, along[0]), (c1, along[1]))
+        return block((*low, z[0]), (*high, z[1]))
+
+    for z in ((0.18, 0.92), (1.10, 1.92)):
+        yield PropPiece(fabric.leaf, bar((a0 + 0.14, a1 - 0.14), 0.012, z))
+    yield PropPiece(GRIP, bar((a1 - 0.11, a1 - 0.02), 0.045, (1.0, 1.02)))
 
 
 def _ceiling(plan: FloorPlan, area: Rectangle, fabric: Fabric) -> None:

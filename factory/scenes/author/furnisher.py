@@ -51,7 +51,8 @@ class Furnisher:
         model = self.model(name, variant)
         for side in sides or self.sides():
             for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
-                found = self.plan.against(model, self.area, side, share, clearance, gap)
+                x, y, yaw = wall_pose(model, self.area, side, share, gap)
+                found = None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
                 if found is not None:
                     return found
         return None
@@ -87,7 +88,7 @@ class Furnisher:
         """Hangs things on free parts of the walls, away from the openings."""
         for _ in range(count):
             model = self.model(name, variant)
-            for side in self.sides():
+            for side in self.sides() * 3:
                 x, y, yaw = wall_pose(model, self.area, side, float(self.rng.uniform(0.1, 0.9)), 0.0)
                 at = x if side in "NS" else y
                 is_clear = all(abs(at - door) > _DOOR_M for door in self.room.doors.get(side, ()))

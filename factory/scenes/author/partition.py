@@ -17,6 +17,8 @@ from factory.scenes.author.room import Doorway
 from schemas.errors import WorldError
 
 _TRIES = 600
+_GIVE = (0.8, 1.25)
+"""Range of the factor by which the floor of a room may differ from its wish."""
 _SLENDER = 2.1
 """Largest ratio of the sides of a room."""
 _END_M = 0.45
@@ -77,7 +79,9 @@ def divide_floor(
         WorldError: no division was found.
     """
     for _ in range(_TRIES):
-        order = tuple(wishes[k] for k in rng.permutation(len(wishes)))
+        order = tuple(
+            wishes[k]._replace(area_m2=wishes[k].area_m2 * float(rng.uniform(*_GIVE))) for k in rng.permutation(len(wishes))
+        )
         areas = _cut(rng, floor, order) if hall_m is None else _cut_with_hall(rng, floor, order, hall_m)
         if areas is None:
             continue
@@ -96,15 +100,21 @@ def _suits(area: Rectangle, wish: Wish) -> bool:
     return short >= wish.least_m and long <= _SLENDER * short
 
 
-def _cut(rng: Generator, floor: Rectangle, wishes: Sequence[Wish]) -> list[Rectangle] | None:
-    """Cuts a rectangle in two until each wish has a room of about its floor that suits it; `None` if that fails."""
+def _cut(
+    rng: Generator, floor: Rectangle, wishes: Sequence[Wish], strips: float = 0.0
+) -> list[Rectangle] | None:
+    """Cuts a rectangle in two until each wish has a room of about its floor that suits it; `None` if that fails.
+
+    `strips` is the probability with which cuts across x are tried first, so that the rooms form a row.
+    """
     if len(wishes) == 1:
         return [floor] if _suits(floor, wishes[0]) else None
     total = sum(wish.area_m2 for wish in wishes)
     shares = [sum(wish.area_m2 for wish in wishes[:k]) / total for k in range(1, len(wishes))]
     nearest = sorted(range(len(shares)), key=lambda k: abs(shares[k] - 0.5))[:3]
     ways = [(k, is_along_x) for k in nearest for is_along_x in (True, False)]
-    for number in rng.permutation(len(ways)):
+    order = sorted(rng.permutation(len(ways)), key=lambda number: not (ways[number][1] or rng.random() > strips))
+    for number in order:
         k, is_along_x = ways[number]
         if is_along_x:
             x = floor.x0 + shares[k] * floor.width
@@ -112,8 +122,8 @@ def _cut(rng: Generator, floor: Rectangle, wishes: Sequence[Wish]) -> list[Recta
         else:
             y = floor.y0 + shares[k] * floor.depth
             parts = floor._replace(y1=y), floor._replace(y0=y)
-        first = _cut(rng, parts[0], wishes[: k + 1])
-        second = None if first is None else _cut(rng, parts[1], wishes[k + 1 :])
+        first = _cut(rng, parts[0], wishes[: k + 1], strips)
+        second = None if first is None else _cut(rng, parts[1], wishes[k + 1 :], strips)
         if first is not None and second is not None:
             return first + second
     return None
@@ -124,8 +134,8 @@ def _cut_with_hall(rng: Generator, floor: Rectangle, wishes: Sequence[Wish], hal
     k = len(wishes) // 2 + int(rng.integers(len(wishes) % 2 + 1))
     share = sum(wish.area_m2 for wish in wishes[:k]) / sum(wish.area_m2 for wish in wishes)
     y = floor.y0 + share * (floor.depth - hall_m)
-    south = _cut(rng, floor._replace(y1=y), wishes[:k])
-    north = None if south is None else _cut(rng, floor._replace(y0=y + hall_m), wishes[k:])
+    south = _cut(rng, floor._replace(y1=y), wishes[:k], 0.85)
+    north = None if south is None else _cut(rng, floor._replace(y0=y + hall_m), wishes[k:], 0.85)
     if south is None or north is None:
         return None
     return [*south, *north, floor._replace(y0=y, y1=y + hall_m)]

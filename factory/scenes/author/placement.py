@@ -204,14 +204,14 @@ class FloorPlan:
         """Mounts a model on a wall beside other models, or returns None if no free section is found."""
         for _ in range(6):
             x, y, yaw = wall_pose(model, room, side, along, 0.0)
-            if not self._meets_anything(model, x, y, yaw):
+            if not self.meets(model, x, y, yaw):
                 return self.add(model, x, y, yaw)
             along = float(self.rng.uniform(0.05, 0.95))
         return None
 
     def hang_at(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement | None:
         """Mounts a model at a pose, or returns None if it meets another model."""
-        return None if self._meets_anything(model, x, y, yaw) else self.add(model, x, y, yaw)
+        return None if self.meets(model, x, y, yaw) else self.add(model, x, y, yaw)
 
     def is_free_strip(self, room: Rectangle, side: str, start: float, length: float, depth: float) -> bool:
         """Returns whether the floor along a wall is free from `start` to `start + length` metres, `depth` metres deep."""
@@ -221,7 +221,7 @@ class FloorPlan:
         strip = Rectangle(*low, *high) if side in "NS" else Rectangle(low[1], low[0], high[1], high[0])
         return not any(strip.overlaps(other) for other in (*self.kept_clear, *self.taken))
 
-    def _meets_anything(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
+    def meets(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
         """Returns whether the rotated box of the model, with a margin of 5 cm, intersects the box of a placed model."""
         print_ = footprint(model, x, y, yaw).grown(0.05)
         return any(

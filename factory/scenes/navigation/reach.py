@@ -119,7 +119,7 @@ def _rings(goal: Goal, distances: Floats) -> Floats:
     """Returns points (R * B, 2) at distances from a goal's target."""
     angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.concatenate([goal.ring(circle, float(distance)) for distance in distances])
+    return goal.ring(np.tile(circle, (len(distances), 1)), np.repeat(distances, _BEARINGS))
 
 
 def _toward(goal: Goal, points: Floats) -> Floats:

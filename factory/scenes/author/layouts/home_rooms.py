@@ -28,6 +28,7 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) ->
             _dining_group(furnisher, along_wall=True)
         if room.kind == "bath" and "laundry" not in has:
             furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
+    _complete(plan, rooms)
 
 
 def _living(own: Furnisher) -> None:
@@ -170,12 +171,7 @@ def _bedroom(own: Furnisher) -> None:
     """A bed with its head at a wall and night stands, a wardrobe, a dresser, a lounge chair, a rug."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     variant = look + plan.pick(3)
-    found = None
-    for side in own.sides():
-        for share in (0.5, float(rng.uniform(0.3, 0.7)), 0.35, 0.65):
-            found = found or plan.against(plan.props.model("SM_BedDouble", variant), own.area, side, share, 0.75, 0.01)
-        if found is not None:
-            break
+    found = own.wall_piece("SM_BedDouble", variant, clearance=0.75, gap=0.01)
     if found is not None:
         half = float(found.model.high[0])
         for turn in (-1.0, 1.0):
@@ -233,3 +229,13 @@ def _hall(own: Furnisher) -> None:
         own.small(("SM_Mirror",), 0.5)
     own.corner("SM_Plant_A")
     own.hang("SM_PictureFrame", 2)
+
+
+def _complete(plan: FloorPlan, rooms: Sequence[Chamber]) -> None:
+    """Adds what every home has, where the rooms did not have room for it."""
+    dry = [room.area for room in rooms if room.kind not in {"bath", "laundry", "kitchen"}]
+    for name, least in (
+        ("SM_Plant_A", 2), ("SM_Vase", 2), ("SM_Ottoman", 2), ("SM_TrashCan_A", 2), ("SM_Basket", 2), ("SM_LampFloor", 1),
+        ("SM_Sofa_A", 1), ("SM_Dresser", 1), ("SM_Wardrobe", 1), ("SM_ShelfBook_B", 2), ("SM_Sideboard", 1),
+    ):  # fmt: skip
+        plan.top_up(name, least, dry, "NESW")

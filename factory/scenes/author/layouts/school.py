@@ -39,11 +39,11 @@ def lay_out_school(plan: FloorPlan) -> None:
 def _divide(plan: FloorPlan) -> Division:
     rng = plan.rng
     wishes = [Wish("class", float(rng.uniform(44, 58)), 5.6) for _ in range(2 + plan.pick(2))]
-    wishes.append(Wish("library", float(rng.uniform(32, 46)), 4.8))
-    wishes.append(Wish("staff", float(rng.uniform(22, 30)), 3.9))
-    wishes.append(Wish("wash", float(rng.uniform(12, 16)), 2.9))
+    wishes.append(Wish("library", float(rng.uniform(34, 48)), 4.5))
+    wishes.append(Wish("staff", float(rng.uniform(24, 32)), 3.6))
+    wishes.append(Wish("wash", float(rng.uniform(15, 20)), 2.6))
     if rng.random() < 0.6:
-        wishes.append(Wish("computing", float(rng.uniform(36, 48)), 5.0))
+        wishes.append(Wish("computing", float(rng.uniform(36, 48)), 4.8))
     hall = float(rng.uniform(2.6, 3.6))
     area, ratio = sum(wish.area_m2 for wish in wishes), float(rng.uniform(1.3, 1.9))
     width = math.sqrt(area * ratio)
@@ -178,7 +178,7 @@ def _complete(plan: FloorPlan, rooms: Sequence[Chamber]) -> None:
     """Adds what every school has, where the rooms did not have room for it."""
     areas = [room.area for room in rooms if room.kind != "wash"]
     for name, least in (
-        ("SM_Piano", 1), ("SM_FireExtinguisher_02", 3), ("SM_TrashCan_A", 3), ("SM_Backpack", 3), ("SM_TrafficCone", 2),
+        ("SM_Sofa_A", 1), ("SM_Piano", 1), ("SM_FireExtinguisher_02", 3), ("SM_TrashCan_A", 3), ("SM_Backpack", 3), ("SM_TrafficCone", 2),
         ("SM_ComputerCase", 2), ("SM_Copier", 1), ("SM_Bicycle", 1), ("SM_Locker", 2), ("SM_Whiteboard_A", 2),
         ("SM_VendingMachine", 1), ("SM_WaterDispenser", 1), ("SM_Bench", 1), ("SM_Plant_A", 2), ("SM_ShelfBook_B", 2),
     ):  # fmt: skip

@@ -44,12 +44,12 @@ def _divide(plan: FloorPlan) -> Division:
     rng = plan.rng
     wishes = [
         Wish("sales", float(rng.uniform(85, 130)), 7.0, True),
-        Wish("store", float(rng.uniform(26, 36)), 4.0, True),
-        Wish("office", float(rng.uniform(14, 20)), 3.2),
-        Wish("wash", float(rng.uniform(9, 12)), 2.6),
+        Wish("store", float(rng.uniform(26, 36)), 3.6, True),
+        Wish("office", float(rng.uniform(15, 21)), 2.9),
+        Wish("wash", float(rng.uniform(10, 13)), 2.4),
     ]
     if rng.random() < 0.6:
-        wishes.append(Wish("annex", float(rng.uniform(34, 52)), 4.6, True))
+        wishes.append(Wish("annex", float(rng.uniform(34, 52)), 4.2, True))
     area, ratio = sum(wish.area_m2 for wish in wishes), float(rng.uniform(1.0, 1.5))
     width = math.sqrt(area * ratio)
     doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("sales", "annex")): (2.4, 4.0)}, 0.6)
@@ -171,5 +171,7 @@ def _complete(plan: FloorPlan, rooms: Sequence[Chamber]) -> None:
     storing = [room.area for room in rooms if room.kind in {"store", "sales"}]
     for name in ("SM_CartonSingle", "SM_StepLadder", "SM_Cart", "SM_Basket", "SM_Locker"):
         plan.top_up(name, 1, storing, "NESW")
+    for name, least in (("SM_TableRound_C", 1), ("SM_ChairWaiting_E", 2), ("SM_CounterCheckout", 1)):
+        plan.top_up(name, least, selling, "NESW")
     plan.top_up("SM_Plant_A", 1, selling + storing, "NESW")
     plan.top_up("SM_TrashCan_A", 2, selling + storing, "NESW")

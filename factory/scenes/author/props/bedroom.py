@@ -41,7 +41,6 @@ def bed(variant: int, _rng: Generator) -> list[PropPiece]:
     ]
     mattress = pad((-half, -0.99, 0.30), (half, 0.99, 0.50), 0.04)
     quilt = pad((-half - 0.035, -1.0, 0.33), (half + 0.035, 0.45, 0.54), 0.05)
-    fold = pad((-half - 0.04, 0.30, 0.45), (half + 0.04, 0.48, 0.565), 0.03)
     middles = (0.0,) if half < 0.6 else (-half / 2, half / 2)
     pillows = [
         moved(pad((-0.32, -0.2, 0.0), (0.32, 0.2, 0.14), 0.05, is_loose=True), (x, 0.74, 0.50), roll=0.16)
@@ -51,7 +50,6 @@ def bed(variant: int, _rng: Generator) -> list[PropPiece]:
         *(PropPiece(frame, mesh) for mesh in meshes),
         *(PropPiece(WHITE, mesh) for mesh in (mattress, *pillows)),
         PropPiece(cover, quilt),
-        PropPiece(cover, fold),
     ]
 
 
@@ -104,7 +102,7 @@ def _tub(radius: float, height: float, bottom: float) -> AuthoredMesh:
 
 def basket(variant: int, _rng: Generator) -> list[PropPiece]:
     """A wicker or plastic basket with laundry."""
-    finish: SurfaceMaterial = (WICKER, painted("White", 0.5), WICKER, painted("Teal", 0.5))[variant % 4]
+    finish: SurfaceMaterial = (WICKER, painted("White", 0.5), WICKER, painted("Pink", 0.5))[variant % 4]
     radius, height = ((0.24, 0.42), (0.22, 0.55), (0.20, 0.30), (0.23, 0.48))[variant % 4]
     filling = lathe([(radius - 0.03, height - 0.10), (0.4 * radius, height + 0.01)], sides=10)
     return [

@@ -36,13 +36,13 @@ NIGHTSTANDS = (
     Make((0.45, 0.40, 0.52), 2, 1, wood("Oak"), wood("Oak"), 0.12, BLACK),
     Make((0.42, 0.38, 0.55), 2, 1, WHITE, WHITE, 0.06),
     Make((0.50, 0.40, 0.48), 1, 1, wood("Walnut"), wood("Walnut"), 0.18),
-    Make((0.44, 0.38, 0.54), 3, 1, painted("Teal", 0.5), painted("Teal", 0.5), 0.05),
+    Make((0.44, 0.38, 0.54), 3, 1, painted("SkyBlue", 0.5), painted("SkyBlue", 0.5), 0.05),
 )
 DRESSERS = (
     Make((1.20, 0.46, 0.80), 3, 2, wood("Oak"), wood("Oak"), 0.10, BLACK),
     Make((0.90, 0.45, 1.05), 4, 1, WHITE, WHITE, 0.06),
     Make((1.30, 0.45, 0.76), 3, 3, wood("Walnut"), wood("Walnut"), 0.12),
-    Make((1.00, 0.45, 0.90), 4, 2, painted("SkyBlue", 0.5), painted("SkyBlue", 0.5), 0.08),
+    Make((1.00, 0.45, 0.90), 4, 2, painted("Green", 0.5), painted("Green", 0.5), 0.08),
 )
 WARDROBES = (
     Make((1.20, 0.58, 2.05), 1, 2, wood("Oak"), wood("Oak"), 0.08, BLACK),

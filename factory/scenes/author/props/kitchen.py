@@ -15,7 +15,7 @@ WHITE = painted("White", 0.45)
 BLACK = painted("Black", 0.35)
 STEEL = painted("Steel", 0.35, 1.0)
 CHROME = painted("Chrome", 0.25, 1.0)
-FRONTS = (WHITE, wood("Oak"), painted("Teal", 0.5), painted("LightGrey", 0.5))
+FRONTS = (WHITE, wood("Oak"), painted("SkyBlue", 0.5), painted("LightGrey", 0.5))
 TOPS = (wood("Oak"), tinted("Terrazzo", "TopGranite", "#8f8f8f", 0.5, 0.3), wood("Walnut"), WHITE)
 HALF, BACK, TOP_M = 0.30, 0.30, 0.90
 

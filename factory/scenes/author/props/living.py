@@ -29,7 +29,7 @@ WHITE = painted("White", 0.45)
 BLACK = painted("Black", 0.5)
 BRASS = SurfaceMaterial("Brass", "#b08d4a", roughness=0.35, metallic=1.0)
 STEEL = painted("Steel", 0.35, 1.0)
-SHADE = glowing("LampShade", "#ffe9bd", glow=0.8)
+SHADE = glowing("LampCloth", "#fbf5ea", glow=0.8)
 WOODS = (wood("Oak"), wood("Walnut"), WHITE, wood("Cherry"))
 SCREENS = tuple(glowing(name, "#6aa3dc", name, 0.85) for name in ("ScreenDesktop", "PictureLake", "ViewSea"))
 
