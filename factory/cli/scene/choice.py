@@ -24,13 +24,14 @@ from schemas.terms import BUILTIN_CATEGORIES
 seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 
 
-def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+def complete_scene(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Completes the name of a built-in or imported scene, or a file."""
     known = [*BUILTIN_CATEGORIES, *find_imported(scene_cache())]
     names = [CompletionItem(name) for name in known if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
 
 
-scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=_complete)
+scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=complete_scene)
 """SCENE|PACKAGE: the name of a built-in or imported scene, or a scene package (`*.scene.zip`)."""
 
 
