@@ -6,7 +6,7 @@ Uses the floor plan's tests for free floor. Does not choose what a room contains
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import accumulate
 
 from factory.scenes.author.dwelling import Chamber
@@ -124,3 +124,21 @@ class Furnisher:
         width = float(model.high[0] - model.low[0])
         x, y = self.at_wall(side, start + width / 2, float(model.high[1]) + 0.01)
         return self.plan.stand(model, x, y, FACING[side])
+
+
+def complete(plan: FloorPlan, own: Sequence[Furnisher], wanted: Mapping[str, int], kinds: Collection[str] = ()) -> None:
+    """Adds pieces at walls of rooms in random order until the building has the wanted numbers of them.
+
+    Args:
+        plan: floor plan of the building.
+        own: its rooms.
+        wanted: least number of each piece; random variants are added.
+        kinds: kinds of rooms to use; empty uses all.
+    """
+    rooms = [each for each in own if not kinds or each.room.kind in kinds]
+    for name, least in wanted.items():
+        standing = sum(placement.model.name.startswith(name) for placement in plan.placements)
+        for clearance in (0.35, 0.1, 0.02):
+            for number in plan.rng.permutation(len(rooms)):
+                if standing < least:
+                    standing += rooms[number].wall_piece(name, None, None, clearance, 0.03) is not None

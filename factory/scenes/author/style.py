@@ -22,6 +22,10 @@ _PAINT_TINTS = {
 CEILINGS = ("plain", "plain", "beams", "boards", "panels")
 RUGS = ("RugRed", "RugBlue", "RugCream", "RugGreen", "RugGrey")
 
+_WALLPAPERS = ("Plaster", "Plaster", "Plaster", "WallpaperStripes", "WallpaperDamask")
+PLAIN_WALLS = ("Plaster", "Plaster", "Plaster", "Bricks")
+"""Textures of the walls of a shop or a school."""
+
 
 class Palette(NamedTuple):
     """Style of one building."""
@@ -46,12 +50,12 @@ class Palette(NamedTuple):
     rug: str
 
 
-def draw_palette(rng: Generator) -> Palette:
-    """Draws a style: each part of it independently of the others."""
+def draw_palette(rng: Generator, walls: tuple[str, ...] = _WALLPAPERS) -> Palette:
+    """Draws a style: each part of it independently of the others; `walls` are the textures of the walls."""
     plank = ("Boards", "Boards", "Herringbone")[int(rng.integers(3))]
     stone = ("SquareTiles", "ChequerTiles", "Terrazzo", "SmallTiles")[int(rng.integers(4))]
     names = list(_PAINT_TINTS)
-    paints = [_paint(rng, names[k]) for k in rng.permutation(len(names))[:6]]
+    paints = [_paint(rng, walls, names[k]) for k in rng.permutation(len(names))[:6]]
     return Palette(
         boards=_pick(rng, plank, "Floor", _BOARD_TINTS, 1.6, 0.5),
         stone=_pick(rng, stone, "Stone", _STONE_TINTS, 1.4, 0.35),
@@ -76,7 +80,7 @@ def _pick(
     return tinted(texture, f"{prefix}{texture}{name}", tints[name], tile_m, roughness)
 
 
-def _paint(rng: Generator, name: str) -> SurfaceMaterial:
-    """Returns a wall paint, or in one case of four a wallpaper in its colour."""
-    texture = ("Plaster", "Plaster", "Plaster", "WallpaperStripes", "Plaster", "WallpaperDamask")[int(rng.integers(6))]
-    return tinted(texture, f"Wall{texture}{name}", _PAINT_TINTS[name], 0.8, 0.9)
+def _paint(rng: Generator, walls: tuple[str, ...], name: str) -> SurfaceMaterial:
+    """Returns a wall in a colour, with one of the textures."""
+    texture = walls[int(rng.integers(len(walls)))]
+    return tinted(texture, f"Wall{texture}{name}", _PAINT_TINTS[name], 0.8 if texture != "Bricks" else 1.2, 0.9)

@@ -9,9 +9,14 @@ import math
 from collections.abc import Callable, Sequence
 
 from factory.scenes.author.dwelling import Chamber, rug
-from factory.scenes.author.furnisher import Furnisher
+from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle
 from factory.scenes.author.style import Palette
+_EVERYWHERE = {
+    "SM_Sofa_A": 1, "SM_Wardrobe": 1, "SM_Dresser": 1, "SM_Sideboard": 1, "SM_ShelfBook_B": 2, "SM_LampFloor": 1, "SM_Plant_A": 2,
+    "SM_Vase": 2, "SM_Ottoman": 2, "SM_TrashCan_A": 2, "SM_Basket": 2,
+}  # fmt: skip
+"""Pieces that every home has, with their least numbers."""
 
 
 def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) -> None:
@@ -21,14 +26,16 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) ->
         "study": _study, "laundry": _laundry, "hall": _hall,
     }  # fmt: skip
     has = {room.kind for room in rooms}
-    for room in rooms:
-        furnisher = Furnisher(plan, room, palette)
+    own = [Furnisher(plan, room, palette) for room in rooms]
+    for furnisher in own:
+        room = furnisher.room
         kinds[room.kind](furnisher)
         if room.kind == "living" and "dining" not in has:
             _dining_group(furnisher, along_wall=True)
         if room.kind == "bath" and "laundry" not in has:
             furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
-    _complete(plan, rooms)
+    dry = ("living", "dining", "bedroom", "study", "hall")
+    complete(plan, own, _EVERYWHERE, dry)
 
 
 def _living(own: Furnisher) -> None:
@@ -229,13 +236,3 @@ def _hall(own: Furnisher) -> None:
         own.small(("SM_Mirror",), 0.5)
     own.corner("SM_Plant_A")
     own.hang("SM_PictureFrame", 2)
-
-
-def _complete(plan: FloorPlan, rooms: Sequence[Chamber]) -> None:
-    """Adds what every home has, where the rooms did not have room for it."""
-    dry = [room.area for room in rooms if room.kind not in {"bath", "laundry", "kitchen"}]
-    for name, least in (
-        ("SM_Plant_A", 2), ("SM_Vase", 2), ("SM_Ottoman", 2), ("SM_TrashCan_A", 2), ("SM_Basket", 2), ("SM_LampFloor", 1),
-        ("SM_Sofa_A", 1), ("SM_Dresser", 1), ("SM_Wardrobe", 1), ("SM_ShelfBook_B", 2), ("SM_Sideboard", 1),
-    ):  # fmt: skip
-        plan.top_up(name, least, dry, "NESW")

@@ -6,14 +6,21 @@ The number, sizes and order of the rooms, the rows of desks and the style differ
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-
-from factory.scenes.author.dwelling import Chamber, Fabric, Look, build_rooms
-from factory.scenes.author.furnisher import Furnisher
+from factory.scenes.author.dwelling import Fabric, Look, build_rooms
+from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
-from factory.scenes.author.style import Palette, draw_palette
+from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
 
+_IN_HALL = {
+    "SM_TrafficCone": 2, "SM_Bicycle": 1, "SM_VendingMachine": 1, "SM_Bench": 1, "SM_Locker": 2, "SM_WaterDispenser": 1,
+    "SM_FireExtinguisher_02": 2,
+}  # fmt: skip
+_IN_ROOMS = {
+    "SM_Sofa_A": 1, "SM_Piano": 1, "SM_Whiteboard_A": 2, "SM_Copier": 1, "SM_ComputerCase": 2, "SM_ShelfBook_B": 2,
+    "SM_Plant_A": 2, "SM_TrashCan_A": 3, "SM_Backpack": 3,
+}  # fmt: skip
+"""Pieces that every school has, with their least numbers."""
 _OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
 
 
@@ -23,7 +30,7 @@ def lay_out_school(plan: FloorPlan) -> None:
     Raises:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
-    palette = draw_palette(plan.rng)
+    palette = draw_palette(plan.rng, PLAIN_WALLS)
     plan.texture_seed = 0
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
     fabric = Fabric(_looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.8, 3.3)))
@@ -31,9 +38,11 @@ def lay_out_school(plan: FloorPlan) -> None:
     kinds = {
         "class": _class, "library": _library, "computing": _computing, "staff": _staff, "wash": _wash, "hall": _hall,
     }  # fmt: skip
-    for room in rooms:
-        kinds[room.kind](Furnisher(plan, room, palette))
-    _complete(plan, rooms)
+    own = [Furnisher(plan, room, palette) for room in rooms]
+    for each in own:
+        kinds[each.room.kind](each)
+    complete(plan, own, _IN_HALL, ("hall", "library"))
+    complete(plan, own, _IN_ROOMS, ("class", "library", "computing", "staff"))
 
 
 def _divide(plan: FloorPlan) -> Division:
@@ -67,7 +76,7 @@ def _class(own: Furnisher) -> None:
     """A whiteboard and a teacher's desk at one wall, rows of pupils' desks towards it, shelves and bags."""
     plan, rng = own.plan, own.rng
     front = own.sides()[0]
-    board = plan.against(own.model("SM_Whiteboard_A"), own.area, front, float(rng.uniform(0.4, 0.6)), 0.2, 0.02)
+    board = own.wall_piece("SM_Whiteboard_A", None, front, 0.2)
     depth = own.area.depth if front in "NS" else own.area.width
     along = float(rng.uniform(0.15, 0.85))
     teacher = own.model("SM_TableTeacher_G", own.palette.wood)
@@ -90,13 +99,13 @@ def _desks(own: Furnisher, front: str, depth: float) -> None:
     """Rows of desks for two with two chairs each; aisles of at least 0.9 m."""
     plan, rng = own.plan, own.rng
     width = own.length(front)
-    columns = max(1, int((width - 1.0) // 2.25))
-    rows = max(1, int((depth - 3.6) // 1.85))
+    columns = max(1, int((width - 0.8) // 2.05))
+    rows = max(1, int((depth - 3.1) // 1.7))
     look, chair_look = plan.pick(12), plan.pick(5)
     for column in range(columns):
         for row in range(rows):
             along = (column + 0.5) * width / columns
-            x, y = own.at_wall(front, along, 3.3 + 1.85 * row)
+            x, y = own.at_wall(front, along, 3.2 + 1.7 * row)
             yaw = FACING[_OPPOSITE[front]] + math.pi
             desk = plan.place(own.model("SM_TablePupil_F", look), x, y, yaw, own.area, 0.3)
             if desk is None:
@@ -172,14 +181,3 @@ def _hall(own: Furnisher) -> None:
     own.small(("SM_Backpack", "SM_Backpack", "SM_TrashCan_A", "SM_TrafficCone", "SM_WaterDispenser", "SM_FireExtinguisher_02"), 0.45)
     own.hang("SM_ClockWall")
     own.hang("SM_WallMap", 2)
-
-
-def _complete(plan: FloorPlan, rooms: Sequence[Chamber]) -> None:
-    """Adds what every school has, where the rooms did not have room for it."""
-    areas = [room.area for room in rooms if room.kind != "wash"]
-    for name, least in (
-        ("SM_Sofa_A", 1), ("SM_Piano", 1), ("SM_FireExtinguisher_02", 3), ("SM_TrashCan_A", 3), ("SM_Backpack", 3), ("SM_TrafficCone", 2),
-        ("SM_ComputerCase", 2), ("SM_Copier", 1), ("SM_Bicycle", 1), ("SM_Locker", 2), ("SM_Whiteboard_A", 2),
-        ("SM_VendingMachine", 1), ("SM_WaterDispenser", 1), ("SM_Bench", 1), ("SM_Plant_A", 2), ("SM_ShelfBook_B", 2),
-    ):  # fmt: skip
-        plan.top_up(name, least, areas, "NESW")

@@ -6,19 +6,23 @@ Draws a grocery, a clothes shop or a household shop; the sales floor, the rows a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-
-from factory.scenes.author.dwelling import Chamber, Fabric, Look, build_rooms
-from factory.scenes.author.furnisher import Furnisher
+from factory.scenes.author.dwelling import Fabric, Look, build_rooms
+from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
-from factory.scenes.author.style import Palette, draw_palette
+from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
 
 _GOODS = {
     "grocery": ("SM_ShelfShop_C", "SM_ShelfShop_C", "SM_ProduceStand"),
     "clothes": ("SM_ClothesRail", "SM_ClothesRail", "SM_TableMeeting_B"),
     "household": ("SM_ShelfShop_C", "SM_ShelfSteel_A", "SM_ClothesRail"),
 }
+_ON_SALE = {
+    "SM_CounterCheckout": 1, "SM_FreezerUpright": 1, "SM_VendingMachine": 1, "SM_ShelfShop_C": 1, "SM_ClothesRail": 1,
+    "SM_Mannequin": 1, "SM_TableRound_C": 1, "SM_ChairWaiting_E": 2, "SM_Plant_A": 1, "SM_TrashCan_A": 1,
+}  # fmt: skip
+_STORED = {"SM_CartonSingle": 2, "SM_StepLadder": 1, "SM_Cart": 1, "SM_Basket": 1, "SM_Locker": 1}
+"""Pieces that every shop has, whatever it sells, with their least numbers."""
 _AISLE_M = (1.5, 2.1)
 
 
@@ -28,16 +32,17 @@ def lay_out_shop(plan: FloorPlan) -> None:
     Raises:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
-    palette = draw_palette(plan.rng)
+    palette = draw_palette(plan.rng, PLAIN_WALLS)
     plan.texture_seed = 0
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
     fabric = Fabric(_looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.9, 3.4)))
     rooms = build_rooms(plan, _divide(plan), fabric)
-    for room in rooms:
-        own = Furnisher(plan, room, palette)
-        {"sales": _sales, "annex": _annex, "store": _store, "office": _office, "wash": _wash}[room.kind](own, trade)
-    _complete(plan, rooms)
+    own = [Furnisher(plan, room, palette) for room in rooms]
+    for each in own:
+        {"sales": _sales, "annex": _annex, "store": _store, "office": _office, "wash": _wash}[each.room.kind](each, trade)
+    complete(plan, own, _ON_SALE, ("sales", "annex"))
+    complete(plan, own, _STORED, ("store", "sales"))
 
 
 def _divide(plan: FloorPlan) -> Division:
@@ -69,6 +74,8 @@ def _looks(palette: Palette) -> dict[str, Look]:
 def _sales(own: Furnisher, trade: str) -> None:
     """Checkouts near a wall, cold cases along the walls, rows of goods in the middle, carts and baskets."""
     plan = own.plan
+    for name in ("SM_FreezerUpright", "SM_ClothesRail"):
+        own.wall_piece(name, own.palette.cover, clearance=0.3, gap=0.1)
     for _ in range(2 if own.area.width * own.area.depth > 95 else 1):
         found = own.wall_piece("SM_CounterCheckout", None, clearance=0.9, gap=1.0)
         if found is not None:
@@ -161,17 +168,3 @@ def _wash(own: Furnisher, _trade: str) -> None:
     own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
     own.wall_piece("SM_WashBasin", clearance=0.3, gap=0.0)
     own.small(("SM_TrashCan_A", "SM_Basket"), 0.2)
-
-
-def _complete(plan: FloorPlan, rooms: Sequence[Chamber]) -> None:
-    """Adds what every shop has, whatever it sells."""
-    selling = [room.area for room in rooms if room.kind in {"sales", "annex"}]
-    for name in ("SM_Mannequin", "SM_ClothesRail", "SM_FreezerUpright", "SM_VendingMachine", "SM_ShelfShop_C"):
-        plan.top_up(name, 1, selling, "NESW")
-    storing = [room.area for room in rooms if room.kind in {"store", "sales"}]
-    for name in ("SM_CartonSingle", "SM_StepLadder", "SM_Cart", "SM_Basket", "SM_Locker"):
-        plan.top_up(name, 1, storing, "NESW")
-    for name, least in (("SM_TableRound_C", 1), ("SM_ChairWaiting_E", 2), ("SM_CounterCheckout", 1)):
-        plan.top_up(name, least, selling, "NESW")
-    plan.top_up("SM_Plant_A", 1, selling + storing, "NESW")
-    plan.top_up("SM_TrashCan_A", 2, selling + storing, "NESW")
