@@ -32,6 +32,7 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
+from schemas.taxonomy import category_of
 from schemas.terms import (
     BUILTIN_CATEGORIES,
     CATEGORIES,
@@ -118,7 +119,10 @@ class ScenePlan(Model):
         known = {*CATEGORIES, *(name for group in BUILTIN_CATEGORIES.get(scene, ()) for name in group)}
         unknown = [name for name in categories if name not in known]
         if unknown and others.data.get("usd") is None:
-            raise ValueError(f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}")
+            meant = {name: category_of(name) for name in unknown}
+            hints = [f"{name} is a synonym of {found}" for name, found in meant.items() if found in known]
+            text = f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}"
+            raise ValueError("; ".join([text, *hints]))
         return categories
 
     @field_validator("ceiling_m")

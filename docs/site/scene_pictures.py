@@ -7,17 +7,26 @@ python docs/site/scene_pictures.py [SCENE|FAMILY ...]
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from PIL import Image, ImageOps
 
+from factory.scenes import build_scene, encode_topdown
+from factory.scenes.pictures.sheet import draw_sheet, variants
+from factory.scenes.pictures.viewpoints import EYE, best_views
+from factory.support.settings import scene_cache
+from schemas.errors import WorldError
+from schemas.scene import CompiledScene, decode_scene
+from workers.render.choose import open_renderer
+
 SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
 FAMILIES = ("home", "shop", "school")
-LAYOUTS = 12
+LAYOUTS = 6
 FOLDER = Path(__file__).parents[1] / "scenes"
 GAP_PX = 4
 
@@ -31,8 +40,8 @@ def main(scenes: Sequence[str]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             rendered = Path(folder)
             subprocess.run(["factory", "scene", "render", scene, "-o", folder], check=True, stdout=subprocess.DEVNULL)
-            save(tile(sorted(rendered.glob("eye_*.png")), columns=3, size_px=420), f"{scene}_eye.jpg")
-            save(tile(sorted(rendered.glob("robot_*.png")), columns=4, size_px=320), f"{scene}_robot.jpg")
+            save(tile(opened(rendered, "eye_*.png"), columns=3, size_px=420), f"{scene}_eye.jpg")
+            save(tile(opened(rendered, "robot_*.png"), columns=4, size_px=320), f"{scene}_robot.jpg")
             categories = Image.open(rendered / "categories.png").convert("RGB")
             categories.thumbnail((1600, 1600))
             save(categories, f"{scene}_categories.jpg")
@@ -42,30 +51,51 @@ def main(scenes: Sequence[str]) -> None:
 
 
 def draw_family(family: str) -> None:
-    """Writes the maps and one view of the first layouts of a family, and the categories of the first one."""
-    with tempfile.TemporaryDirectory() as folder:
-        drawn: list[Path] = []
-        for seed in range(2 * LAYOUTS):
-            one = Path(folder) / f"{seed:02d}"
-            command = ["factory", "scene", "render", family, "--seed", str(seed), "-o", str(one), "--views", "2"]
-            done = subprocess.run([*command, "--robot-views", "0"], check=False, stdout=subprocess.DEVNULL)
-            drawn += [one] if done.returncode == 0 else []
-            if len(drawn) == LAYOUTS:
-                break
-        save(tile([one / "map.png" for one in drawn], columns=4, size_px=340, fill="white"), f"{family}_maps.jpg", 80)
-        views = [one / f"eye_{number % 2:02d}.png" for number, one in enumerate(drawn)]
-        save(tile(views, columns=4, size_px=340), f"{family}_views.jpg", 80)
-        categories = Image.open(drawn[0] / "categories.png").convert("RGB")
-        categories.thumbnail((1400, 1600))
-        save(categories, f"{family}_categories.jpg", 80)
+    """Writes the maps and two views of the first layouts of a family, and the categories of the first one."""
+    maps: list[Image.Image] = []
+    views: list[Image.Image] = []
+    for seed in range(3 * LAYOUTS):
+        try:
+            package = build_scene(family, seed, scene_cache())
+        except WorldError as error:
+            print(error)
+            continue
+        with package.open("rb") as file:
+            scene = decode_scene(file)
+        maps.append(Image.open(io.BytesIO(encode_topdown(scene))))
+        views += draw_views(scene)
+        if len(maps) == 1:
+            with open_renderer("auto", 400) as eye:
+                categories = draw_sheet(eye, scene, variants(scene.info.targets))
+            categories.thumbnail((1400, 1600))
+            save(categories, f"{family}_categories.jpg", 80)
+        if len(maps) == LAYOUTS:
+            break
+    save(tile(maps, 3, 440, fill="white"), f"{family}_maps.jpg", 80)
+    save(tile(views, 4, 340), f"{family}_views.jpg", 80)
 
 
-def tile(pictures: Sequence[Path], columns: int, size_px: int, fill: str | None = None) -> Image.Image:
+def draw_views(scene: CompiledScene) -> Iterator[Image.Image]:
+    """Yields the two best views of a scene at eye height."""
+    with open_renderer("auto", 96) as eye:
+        chosen = best_views(eye, scene, EYE, 2)
+    with open_renderer("auto", 2 * 340) as eye:
+        for view in chosen:
+            eye.load(scene, view.camera)
+            yield Image.fromarray(eye.render(view.pose).rgb)
+
+
+def opened(folder: Path, pattern: str) -> list[Image.Image]:
+    """Returns the pictures whose names match, in the order of their names."""
+    return [Image.open(path) for path in sorted(folder.glob(pattern))]
+
+
+def tile(pictures: Sequence[Image.Image], columns: int, size_px: int, fill: str | None = None) -> Image.Image:
     """Returns the pictures in rows of `columns` squares of `size_px`; with `fill`, they keep their proportions."""
     rows, step = -(-len(pictures) // columns), size_px + GAP_PX
     sheet = Image.new("RGB", (columns * step - GAP_PX, rows * step - GAP_PX), fill or "white")
-    for number, path in enumerate(pictures):
-        picture = Image.open(path).convert("RGB")
+    for number, original in enumerate(pictures):
+        picture = original.convert("RGB")
         if fill is None:
             picture = picture.resize((size_px, size_px), Image.Resampling.LANCZOS)
         else:
