@@ -40,7 +40,7 @@ def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, fl
 
 
 def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, NDArray[np.bool_], Floats]:
-    """Returns squared distances (..., K) to the sides, whether points are inside, and vectors (2, ..., K) to the sides."""
+    """Returns squared distances (..., K) to the sides, whether points are inside, and vectors (2, ..., K)."""
     (side_x, side_y) = (np.roll(vertices, -1, axis=0) - vertices).T
     to_x, to_y = vertices[:, 0] - points[..., :1], vertices[:, 1] - points[..., 1:]
     lengths = side_x * side_x + side_y * side_y

@@ -148,15 +148,15 @@ BUILTIN_CATEGORIES = MappingProxyType(
         "warehouse_multiple_shelves": _WAREHOUSE,
         "home": SceneCategories(
             (
-                "chair", "sofa", "table", "bed", "wardrobe", "dresser", "nightstand", "cabinet", "shelf", "plant", "lamp",
-                "television", "refrigerator", "oven", "sink", "toilet", "basket", "picture", "trash_can", "ottoman",
+                "chair", "sofa", "table", "bed", "wardrobe", "dresser", "nightstand", "cabinet", "shelf", "plant",
+                "lamp", "television", "refrigerator", "oven", "sink", "toilet", "basket", "picture", "trash_can", "ottoman",
             ),
             ("bathtub", "washing_machine", "dishwasher", "vase", "microwave"),
         ),
         "shop": SceneCategories(
             (
-                "shelf", "counter", "refrigerator", "clothes_rack", "cart", "chair", "table", "cabinet", "plant", "trash_can",
-                "box", "toilet", "sink",
+                "shelf", "counter", "refrigerator", "clothes_rack", "cart", "chair", "table", "cabinet", "plant",
+                "trash_can", "box", "toilet", "sink",
             ),
             ("mannequin", "vending_machine", "ladder", "basket"),
         ),

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 @click.command("survey")
 @click.argument("scene", metavar="[SCENE|PACKAGE]", required=False, shell_complete=complete_scene)
 @seed_option
-@click.option("--family", metavar="NAME", help="Family whose layouts to compare, instead of one scene. Seeds start at --seed.")
+@click.option(
+    "--family", metavar="NAME", help="Family whose layouts to compare, instead of one scene. Seeds start at --seed."
+)
 @count_option("--layouts", 20, "Number of layouts of --family.", least=1, most=10_000)
 @number_option(
     "METRES", "--within", 2.0, "Floor within this distance of a start point counts as covered, metres.", least=0.1

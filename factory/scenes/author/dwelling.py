@@ -167,12 +167,18 @@ def _hang_leaf(plan: FloorPlan, opening: Opening, division: Division, fabric: Fa
             if a0 < span[0] + 0.04 or a1 > span[1] - 0.04:
                 continue
             c0, c1 = sorted((face + into * 0.02, face + into * 0.06))
-            zone = Rectangle(a0, c0 - 0.04, a1, c1 + 0.04) if opening.is_along_x else Rectangle(c0 - 0.04, a0, c1 + 0.04, a1)
+            zone = (
+                Rectangle(a0, c0 - 0.04, a1, c1 + 0.04)
+                if opening.is_along_x
+                else Rectangle(c0 - 0.04, a0, c1 + 0.04, a1)
+            )
             if any(zone.overlaps(other) for other in plan.taken):
                 continue
             low, high = ((a0, c0), (a1, c1)) if opening.is_along_x else ((c0, a0), (c1, a1))
             leaf = block((*low, 0.01), (*high, door.height - 0.02))
-            plan.build("SM_DoorLeaf", PropPiece(fabric.leaf, leaf), *_leaf_trim(fabric, (low, high), opening.is_along_x, into))
+            plan.build(
+                "SM_DoorLeaf", PropPiece(fabric.leaf, leaf), *_leaf_trim(fabric, (low, high), opening.is_along_x, into)
+            )
             plan.taken.append(zone)
             return
 
@@ -218,7 +224,10 @@ def _ceiling(plan: FloorPlan, area: Rectangle, fabric: Fabric) -> None:
 def _panel_lamp(x: float, y: float, top: float) -> list[PropPiece]:
     z = top - 0.032
     glass = quad([(x - 0.55, y + 0.28, z), (x + 0.55, y + 0.28, z), (x + 0.55, y - 0.28, z), (x - 0.55, y - 0.28, z)])
-    return [PropPiece(LAMP_RIM, block((x - 0.6, y - 0.32, top - 0.03), (x + 0.6, y + 0.32, top))), PropPiece(LAMP, glass)]
+    return [
+        PropPiece(LAMP_RIM, block((x - 0.6, y - 0.32, top - 0.03), (x + 0.6, y + 0.32, top))),
+        PropPiece(LAMP, glass),
+    ]
 
 
 def _round_lamp(x: float, y: float, top: float) -> list[PropPiece]:

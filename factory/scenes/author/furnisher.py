@@ -52,7 +52,9 @@ class Furnisher:
         for side in sides or self.sides():
             for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
                 x, y, yaw = wall_pose(model, self.area, side, share, gap)
-                found = None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
+                found = (
+                    None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
+                )
                 if found is not None:
                     return found
         return None
@@ -62,7 +64,9 @@ class Furnisher:
         c, s = math.cos(below.yaw), math.sin(below.yaw)
         self.plan.add(self.model(name, variant), below.x + c * along, below.y + s * along, below.yaw, height)
 
-    def beside(self, name: str, variant: int | None, of: PropPlacement, along: float, gap: float) -> PropPlacement | None:
+    def beside(
+        self, name: str, variant: int | None, of: PropPlacement, along: float, gap: float
+    ) -> PropPlacement | None:
         """Places a piece at the same wall, `along` metres from the centre of another one."""
         model = self.model(name, variant)
         c, s = math.cos(of.yaw), math.sin(of.yaw)
@@ -110,7 +114,11 @@ class Furnisher:
                 is_inside = 0.0 < start < spare
                 if is_inside and self.plan.is_free_strip(self.area, side, start, sum(widths), _WALL_ROW_DEPTH_M):
                     ends = accumulate(widths, initial=start)
-                    return side, [self._stand(model, side, end) for model, end in zip(models, ends, strict=False)], start
+                    return (
+                        side,
+                        [self._stand(model, side, end) for model, end in zip(models, ends, strict=False)],
+                        start,
+                    )
         return None
 
     def at_wall(self, side: str, along: float, back: float) -> tuple[float, float]:

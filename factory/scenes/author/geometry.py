@@ -163,8 +163,6 @@ def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> AuthoredMesh:
     rings = np.empty((len(points), sides, 3))
     for level, direction in enumerate(along):
         u = np.cross(aside, direction)
-        if float(np.abs(u).max()) < 1e-6:  # a bend by 90 degrees in the plane of `aside`
-            u = np.cross(rings[level - 1, 0] - points[level - 1], direction)
         u /= np.linalg.norm(u[None], axis=1)
         v = np.cross(direction, u)
         rings[level] = points[level] + radius * (portable.cos(angle)[:, None] * u + portable.sin(angle)[:, None] * v)

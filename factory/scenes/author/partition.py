@@ -80,7 +80,8 @@ def divide_floor(
     """
     for _ in range(_TRIES):
         order = tuple(
-            wishes[k]._replace(area_m2=wishes[k].area_m2 * float(rng.uniform(*_GIVE))) for k in rng.permutation(len(wishes))
+            wishes[k]._replace(area_m2=wishes[k].area_m2 * float(rng.uniform(*_GIVE)))
+            for k in rng.permutation(len(wishes))
         )
         areas = _cut(rng, floor, order) if hall_m is None else _cut_with_hall(rng, floor, order, hall_m)
         if areas is None:
@@ -100,9 +101,7 @@ def _suits(area: Rectangle, wish: Wish) -> bool:
     return short >= wish.least_m and long <= _SLENDER * short
 
 
-def _cut(
-    rng: Generator, floor: Rectangle, wishes: Sequence[Wish], strips: float = 0.0
-) -> list[Rectangle] | None:
+def _cut(rng: Generator, floor: Rectangle, wishes: Sequence[Wish], strips: float = 0.0) -> list[Rectangle] | None:
     """Cuts a rectangle in two until each wish has a room of about its floor that suits it; `None` if that fails.
 
     `strips` is the probability with which cuts across x are tried first, so that the rooms form a row.

@@ -17,7 +17,8 @@ _PILE_TINTS = {"Oat": "#c9bca4", "Slate": "#7f8892", "Moss": "#7f8a6c", "Plum": 
 _STONE_TINTS = {"Chalk": "#dcd8ce", "Clay": "#b9805c", "Graphite": "#75787c", "Fog": "#b7bcbf", "Sage": "#a9b5a2"}
 _PAINT_TINTS = {
     "Chalk": "#e4e0d6", "Linen": "#dccfb4", "Sky": "#a9c1cf", "Sage": "#a8b79b", "Rose": "#d3aea0", "Butter": "#e2cf98",
-    "Lilac": "#b9aec6", "Ocean": "#6f93a6", "Olive": "#8d9372", "Terracotta": "#bd8468", "Stone": "#b9b4aa", "Mint": "#b2cdbf",
+    "Lilac": "#b9aec6", "Ocean": "#6f93a6", "Olive": "#8d9372", "Terracotta": "#bd8468",
+    "Stone": "#b9b4aa", "Mint": "#b2cdbf",
 }  # fmt: skip
 CEILINGS = ("plain", "plain", "beams", "boards", "panels")
 RUGS = ("RugRed", "RugBlue", "RugCream", "RugGreen", "RugGrey")

@@ -12,6 +12,7 @@ from factory.scenes.author.dwelling import Chamber, rug
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle
 from factory.scenes.author.style import Palette
+
 _EVERYWHERE = {
     "SM_Sofa_A": 1, "SM_Wardrobe": 1, "SM_Dresser": 1, "SM_Sideboard": 1, "SM_ShelfBook_B": 2, "SM_LampFloor": 1, "SM_Plant_A": 2,
     "SM_Vase": 2, "SM_Ottoman": 2, "SM_TrashCan_A": 2, "SM_Basket": 2,

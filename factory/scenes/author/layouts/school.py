@@ -6,6 +6,7 @@ The number, sizes and order of the rooms, the rows of desks and the style differ
 from __future__ import annotations
 
 import math
+
 from factory.scenes.author.dwelling import Fabric, Look, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
@@ -33,7 +34,9 @@ def lay_out_school(plan: FloorPlan) -> None:
     palette = draw_palette(plan.rng, PLAIN_WALLS)
     plan.texture_seed = 0
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
-    fabric = Fabric(_looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.8, 3.3)))
+    fabric = Fabric(
+        _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.8, 3.3))
+    )
     rooms = build_rooms(plan, _divide(plan), fabric)
     kinds = {
         "class": _class, "library": _library, "computing": _computing, "staff": _staff, "wash": _wash, "hall": _hall,
@@ -112,7 +115,10 @@ def _desks(own: Furnisher, front: str, depth: float) -> None:
                 continue
             for shift in (-0.3, 0.3):
                 if rng.random() < 0.88:
-                    seat = (x + 0.42 * math.sin(yaw) + shift * math.cos(yaw), y - 0.42 * math.cos(yaw) + shift * math.sin(yaw))
+                    seat = (
+                        x + 0.42 * math.sin(yaw) + shift * math.cos(yaw),
+                        y - 0.42 * math.cos(yaw) + shift * math.sin(yaw),
+                    )
                     turn = yaw + math.pi + float(rng.uniform(-0.15, 0.15))
                     plan.place(own.model("SM_ChairWaiting_E", chair_look), *seat, turn, own.area, 0.0, True)
 
@@ -178,6 +184,16 @@ def _hall(own: Furnisher) -> None:
     own.wall_piece("SM_Bench", own.palette.wood, clearance=0.4)
     own.wall_piece("SM_Bench", own.palette.wood, clearance=0.4)
     own.wall_piece("SM_Bicycle", clearance=0.3, gap=0.1)
-    own.small(("SM_Backpack", "SM_Backpack", "SM_TrashCan_A", "SM_TrafficCone", "SM_WaterDispenser", "SM_FireExtinguisher_02"), 0.45)
+    own.small(
+        (
+            "SM_Backpack",
+            "SM_Backpack",
+            "SM_TrashCan_A",
+            "SM_TrafficCone",
+            "SM_WaterDispenser",
+            "SM_FireExtinguisher_02",
+        ),
+        0.45,
+    )
     own.hang("SM_ClockWall")
     own.hang("SM_WallMap", 2)

@@ -6,6 +6,7 @@ Draws a grocery, a clothes shop or a household shop; the sales floor, the rows a
 from __future__ import annotations
 
 import math
+
 from factory.scenes.author.dwelling import Fabric, Look, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
@@ -36,11 +37,15 @@ def lay_out_shop(plan: FloorPlan) -> None:
     plan.texture_seed = 0
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
-    fabric = Fabric(_looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.9, 3.4)))
+    fabric = Fabric(
+        _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.9, 3.4))
+    )
     rooms = build_rooms(plan, _divide(plan), fabric)
     own = [Furnisher(plan, room, palette) for room in rooms]
     for each in own:
-        {"sales": _sales, "annex": _annex, "store": _store, "office": _office, "wash": _wash}[each.room.kind](each, trade)
+        {"sales": _sales, "annex": _annex, "store": _store, "office": _office, "wash": _wash}[each.room.kind](
+            each, trade
+        )
     complete(plan, own, _ON_SALE, ("sales", "annex"))
     complete(plan, own, _STORED, ("store", "sales"))
 
@@ -148,7 +153,9 @@ def _store(own: Furnisher, _trade: str) -> None:
     """Steel shelves, cartons, crates, a ladder and a trolley."""
     for number in range(3):
         own.wall_piece("SM_ShelfSteel_A", number, clearance=0.1)
-    own.small(("SM_CartonSingle", "SM_CartonSingle", "SM_CratePlastic_A", "SM_StepLadder", "SM_Cart", "SM_CartonSingle"), 0.3)
+    own.small(
+        ("SM_CartonSingle", "SM_CartonSingle", "SM_CratePlastic_A", "SM_StepLadder", "SM_Cart", "SM_CartonSingle"), 0.3
+    )
     own.wall_piece("SM_Locker", clearance=0.2)
 
 

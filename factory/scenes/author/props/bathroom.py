@@ -8,7 +8,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import AuthoredMesh, block, cushion, cylinder, lathe, loft, moved, open_block, pad, quad, rod, tube
+from factory.scenes.author.geometry import (
+    AuthoredMesh,
+    block,
+    cushion,
+    cylinder,
+    lathe,
+    loft,
+    moved,
+    open_block,
+    pad,
+    quad,
+    rod,
+    tube,
+)
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, cloth, painted, wood
 
 CERAMIC = painted("White", 0.2)
@@ -26,14 +39,18 @@ def _oval(z: float, half_x: float, y0: float, y1: float, sides: int = 14) -> lis
 
 def toilet(variant: int, _rng: Generator) -> list[PropPiece]:
     """A toilet with a cistern, or a wall-hung one before a boxed cistern; the lid is closed or open."""
-    bowl = loft(np.array([_oval(0.0, 0.11, -0.22, 0.16), _oval(0.16, 0.12, -0.24, 0.18), _oval(0.38, 0.19, -0.34, 0.20)]))
+    bowl = loft(
+        np.array([_oval(0.0, 0.11, -0.22, 0.16), _oval(0.16, 0.12, -0.24, 0.18), _oval(0.38, 0.19, -0.34, 0.20)])
+    )
     lid = loft(np.array([_oval(0.385, 0.195, -0.35, 0.19), _oval(0.42, 0.19, -0.34, 0.18)]))
     tank = cushion((-0.20, 0.18, 0.36), (0.20, 0.36, 0.80), 0.03)
     foot = block((-0.10, 0.10, 0.0), (0.10, 0.34, 0.36))
     button = cylinder(0.03, 0.80, 0.812, (0.0, 0.27), 10)
     pieces = [PropPiece(CERAMIC, mesh) for mesh in (bowl, tank, foot)]
     if variant % 3 == 1:
-        raised = moved(loft(np.array([_oval(0.0, 0.19, 0.0, 0.50), _oval(0.03, 0.185, 0.0, 0.49)])), (0.0, 0.16, 0.41), roll=1.45)
+        raised = moved(
+            loft(np.array([_oval(0.0, 0.19, 0.0, 0.50), _oval(0.03, 0.185, 0.0, 0.49)])), (0.0, 0.16, 0.41), roll=1.45
+        )
         water = quad([(-0.09, -0.24, 0.382), (0.09, -0.24, 0.382), (0.09, 0.10, 0.382), (-0.09, 0.10, 0.382)])
         pieces += [PropPiece(CERAMIC, raised), PropPiece(painted("SkyBlue", 0.1), water)]
     else:
@@ -53,9 +70,24 @@ def bathtub(variant: int, _rng: Generator) -> list[PropPiece]:
     outline = ((0.0, 0.0), (0.0, 0.56), (0.07, 0.56), (0.14, 0.22))
     rings = [[(x, y, z) for x, y in ((-half_x + i, -half_y + i), (half_x - i, -half_y + i), (half_x - i, half_y - i), (-half_x + i, half_y - i))]
              for i, z in outline]  # fmt: skip
-    tap = tube([(-half_x + 0.05, 0.0, 0.56), (-half_x + 0.05, 0.0, 0.74), (-half_x + 0.2, 0.0, 0.74), (-half_x + 0.22, 0.0, 0.70)], 0.016)
+    tap = tube(
+        [
+            (-half_x + 0.05, 0.0, 0.56),
+            (-half_x + 0.05, 0.0, 0.74),
+            (-half_x + 0.2, 0.0, 0.74),
+            (-half_x + 0.22, 0.0, 0.70),
+        ],
+        0.016,
+    )
     pieces = [PropPiece(CERAMIC, loft(np.array(rings))), PropPiece(CHROME, tap)]
-    water = quad([(-half_x + 0.13, -half_y + 0.13, 0.24), (half_x - 0.13, -half_y + 0.13, 0.24), (half_x - 0.13, half_y - 0.13, 0.24), (-half_x + 0.13, half_y - 0.13, 0.24)])
+    water = quad(
+        [
+            (-half_x + 0.13, -half_y + 0.13, 0.24),
+            (half_x - 0.13, -half_y + 0.13, 0.24),
+            (half_x - 0.13, half_y - 0.13, 0.24),
+            (-half_x + 0.13, half_y - 0.13, 0.24),
+        ]
+    )
     return [*pieces, PropPiece(painted("SkyBlue", 0.1), water)]
 
 
@@ -66,7 +98,16 @@ def basin(variant: int, _rng: Generator) -> list[PropPiece]:
     pieces = [PropPiece(MIRROR, mirror), PropPiece(CHROME, tap)]
     if variant % 3 == 1:
         column = lathe([(0.11, 0.0), (0.08, 0.10), (0.08, 0.60), (0.14, 0.72)], (0.0, 0.06), 12)
-        bowl = loft(np.array([_oval(0.70, 0.20, -0.14, 0.20), _oval(0.86, 0.29, -0.22, 0.22), _oval(0.86, 0.25, -0.18, 0.14), _oval(0.78, 0.12, -0.08, 0.06)]))
+        bowl = loft(
+            np.array(
+                [
+                    _oval(0.70, 0.20, -0.14, 0.20),
+                    _oval(0.86, 0.29, -0.22, 0.22),
+                    _oval(0.86, 0.25, -0.18, 0.14),
+                    _oval(0.78, 0.12, -0.08, 0.06),
+                ]
+            )
+        )
         return [*pieces, PropPiece(CERAMIC, column), PropPiece(CERAMIC, bowl)]
     front = (CERAMIC, None, wood("Walnut"))[variant % 3] or CERAMIC
     chest = block((-0.33, -0.20, 0.12), (0.33, 0.22, 0.78))

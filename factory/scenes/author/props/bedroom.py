@@ -88,16 +88,16 @@ def armchair(variant: int, _rng: Generator) -> list[PropPiece]:
     if variant % 2 == 0:
         arms = [cushion((x - 0.07, -0.36, 0.14), (x + 0.07, 0.30, 0.58), 0.035) for x in (-0.33, 0.33)]
         return [*(PropPiece(cover, m) for m in (seat, back, *arms)), *(PropPiece(wood("Oak"), leg) for leg in legs)]
-    frame = [tube([(x, -0.32, 0.0), (x, -0.34, 0.55), (x, 0.30, 0.50), (x, 0.36, 0.0)], 0.022, 5) for x in (-0.33, 0.33)]
+    frame = [
+        tube([(x, -0.32, 0.0), (x, -0.34, 0.55), (x, 0.30, 0.50), (x, 0.36, 0.0)], 0.022, 5) for x in (-0.33, 0.33)
+    ]
     bars = [rod((-0.33, y, 0.26), (0.33, y, 0.26), 0.018, 5) for y in (-0.30, 0.24)]
     return [PropPiece(cover, seat), PropPiece(cover, back), *(PropPiece(wood("Walnut"), m) for m in (*frame, *bars))]
 
 
 def _tub(radius: float, height: float, bottom: float) -> AuthoredMesh:
     """An open round container with a visible inside."""
-    return lathe(
-        [(bottom, 0.0), (radius, height), (radius - 0.02, height), (bottom - 0.02, 0.04)], sides=16
-    )
+    return lathe([(bottom, 0.0), (radius, height), (radius - 0.02, height), (bottom - 0.02, 0.04)], sides=16)
 
 
 def basket(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -117,13 +117,14 @@ def suitcase(variant: int, _rng: Generator) -> list[PropPiece]:
     height = (0.62, 0.72, 0.54, 0.66)[variant % 4]
     body = cushion((-0.22, -0.13, 0.05), (0.22, 0.13, height), 0.04)
     ribs = [block((x - 0.015, -0.138, 0.12), (x + 0.015, 0.138, height - 0.07)) for x in (-0.13, 0.0, 0.13)]
-    handle = tube([(-0.09, 0.08, height - 0.02), (-0.09, 0.08, height + 0.3), (0.09, 0.08, height + 0.3),
-                   (0.09, 0.08, height - 0.02)], 0.009, 5)  # fmt: skip
+    grip = height + 0.3
+    handle = [rod((x, 0.08, height - 0.02), (x, 0.08, grip), 0.009, 5) for x in (-0.09, 0.09)]
+    handle.append(rod((-0.1, 0.08, grip), (0.1, 0.08, grip), 0.014, 5))
     wheels = [cylinder(0.025, 0.0, 0.05, (x, y), 8) for x in (-0.17, 0.17) for y in (-0.09, 0.09)]
     return [
         PropPiece(shell, body),
         *(PropPiece(shell, rib) for rib in ribs),
-        PropPiece(CHROME, handle),
+        *(PropPiece(CHROME, mesh) for mesh in handle),
         *(PropPiece(BLACK, wheel) for wheel in wheels),
     ]
 

@@ -26,7 +26,11 @@ def _unit(variant: int, width: float = 2 * HALF) -> list[PropPiece]:
     plinth = block((-half, -BACK + 0.07, 0.0), (half, BACK, 0.10))
     body = block((-half, -BACK + 0.02, 0.10), (half, BACK, TOP_M - 0.04))
     top = block((-half, -BACK - 0.015, TOP_M - 0.04), (half, BACK, TOP_M))
-    return [PropPiece(painted("Charcoal"), plinth), PropPiece(FRONTS[variant % 4], body), PropPiece(TOPS[variant % 4], top)]
+    return [
+        PropPiece(painted("Charcoal"), plinth),
+        PropPiece(FRONTS[variant % 4], body),
+        PropPiece(TOPS[variant % 4], top),
+    ]
 
 
 def _panel(material: SurfaceMaterial, low: tuple[float, float], high: tuple[float, float]) -> list[PropPiece]:
@@ -68,7 +72,14 @@ def sink_unit(variant: int, _rng: Generator) -> list[PropPiece]:
     for x0, x1 in ((-0.40, 0.0), (0.0, 0.40)):
         pieces += _panel(FRONTS[variant % 4], (x0, 0.11), (x1, 0.85))
     rim = open_block((-0.34, -0.22, TOP_M), (0.34, 0.20, TOP_M + 0.012), "SENWT")
-    bowl = quad([(-0.28, -0.17, TOP_M + 0.015), (0.06, -0.17, TOP_M + 0.015), (0.06, 0.13, TOP_M + 0.015), (-0.28, 0.13, TOP_M + 0.015)])
+    bowl = quad(
+        [
+            (-0.28, -0.17, TOP_M + 0.015),
+            (0.06, -0.17, TOP_M + 0.015),
+            (0.06, 0.13, TOP_M + 0.015),
+            (-0.28, 0.13, TOP_M + 0.015),
+        ]
+    )
     tap = tube([(-0.11, 0.17, TOP_M), (-0.11, 0.17, 1.20), (-0.11, 0.06, 1.23), (-0.11, -0.02, 1.16)], 0.014)
     return [*pieces, PropPiece(STEEL, rim), PropPiece(painted("Charcoal", 0.4), bowl), PropPiece(CHROME, tap)]
 
@@ -78,11 +89,17 @@ def oven(variant: int, _rng: Generator) -> list[PropPiece]:
     case = (WHITE, painted("LightGrey", 0.4), BLACK)[variant % 3]
     body = block((-HALF, -BACK + 0.02, 0.05), (HALF, BACK, TOP_M - 0.02))
     hob = block((-HALF, -BACK, TOP_M - 0.02), (HALF, BACK, TOP_M))
-    plates = [cylinder(r, TOP_M, TOP_M + 0.006, (x, y), 14) for r, x, y in ((0.10, -0.14, -0.12), (0.08, 0.14, -0.12), (0.08, -0.14, 0.13), (0.10, 0.14, 0.13))]
+    plates = [
+        cylinder(r, TOP_M, TOP_M + 0.006, (x, y), 14)
+        for r, x, y in ((0.10, -0.14, -0.12), (0.08, 0.14, -0.12), (0.08, -0.14, 0.13), (0.10, 0.14, 0.13))
+    ]
     door = open_block((-0.28, -BACK, 0.18), (0.28, -BACK + 0.02, 0.70), "SEWBT")
     glass = open_block((-0.20, -BACK - 0.004, 0.28), (0.20, -BACK, 0.58), "SEWBT")
     bar = block((-0.22, -BACK - 0.04, 0.63), (0.22, -BACK - 0.005, 0.65))
-    knobs = [open_block((x - 0.02, -BACK + 0.0, 0.77), (x + 0.02, -BACK + 0.02, 0.81), "SEWBT") for x in (-0.22, -0.11, 0.0, 0.11, 0.22)]
+    knobs = [
+        open_block((x - 0.02, -BACK + 0.0, 0.77), (x + 0.02, -BACK + 0.02, 0.81), "SEWBT")
+        for x in (-0.22, -0.11, 0.0, 0.11, 0.22)
+    ]
     feet = block((-HALF + 0.04, -BACK + 0.06, 0.0), (HALF - 0.04, BACK - 0.02, 0.05))
     pan = cylinder(0.10, TOP_M + 0.006, TOP_M + 0.11, (-0.14, 0.13), 14)
     return [
@@ -114,8 +131,14 @@ def refrigerator(variant: int, _rng: Generator) -> list[PropPiece]:
     paint = (WHITE, painted("LightGrey", 0.4), painted("Red", 0.35), BLACK)[variant % 4]
     high, split = ((1.80, 0.68), (1.90, 0.75), (1.65, 1.18), (1.85, 0.70))[variant % 4]
     body = cushion((-0.31, -0.30, 0.03), (0.31, 0.33, high), 0.02)
-    doors = [cushion((-0.305, -0.345, z0), (0.305, -0.30, z1), 0.012) for z0, z1 in ((0.06, split - 0.01), (split + 0.01, high - 0.01))]
-    grips = [block((0.235, -0.385, z0), (0.26, -0.345, z1)) for z0, z1 in ((split - 0.32, split - 0.06), (split + 0.06, split + 0.36))]
+    doors = [
+        cushion((-0.305, -0.345, z0), (0.305, -0.30, z1), 0.012)
+        for z0, z1 in ((0.06, split - 0.01), (split + 0.01, high - 0.01))
+    ]
+    grips = [
+        block((0.235, -0.385, z0), (0.26, -0.345, z1))
+        for z0, z1 in ((split - 0.32, split - 0.06), (split + 0.06, split + 0.36))
+    ]
     foot = block((-0.28, -0.25, 0.0), (0.28, 0.30, 0.03))
     return [*(PropPiece(paint, mesh) for mesh in (body, *doors)), *(PropPiece(STEEL, grip) for grip in grips),
             PropPiece(painted("Charcoal"), foot)]  # fmt: skip
@@ -141,7 +164,13 @@ def coffee_machine(variant: int, _rng: Generator) -> list[PropPiece]:
     tray = block((-0.11, -0.15, 0.0), (0.11, 0.0, 0.03))
     spout = block((-0.03, -0.10, 0.205), (0.03, -0.05, 0.245))
     cup = cylinder(0.032, 0.031, 0.10, (0.0, -0.08), 10)
-    return [PropPiece(case, back), PropPiece(case, head), PropPiece(STEEL, tray), PropPiece(STEEL, spout), PropPiece(WHITE, cup)]
+    return [
+        PropPiece(case, back),
+        PropPiece(case, head),
+        PropPiece(STEEL, tray),
+        PropPiece(STEEL, spout),
+        PropPiece(WHITE, cup),
+    ]
 
 
 def island(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -150,7 +179,9 @@ def island(variant: int, _rng: Generator) -> list[PropPiece]:
     body = block((-half + 0.05, -0.28, 0.06), (half - 0.05, 0.28, 0.88))
     foot = block((-half + 0.08, -0.24, 0.0), (half - 0.08, 0.24, 0.06))
     top = block((-half, -0.36, 0.88), (half, 0.36, 0.92))
-    panels = [open_block((x + 0.01, -0.292, 0.12), (x + half - 0.06, -0.28, 0.82), "SEWBT") for x in (-half + 0.05, 0.0)]
+    panels = [
+        open_block((x + 0.01, -0.292, 0.12), (x + half - 0.06, -0.28, 0.82), "SEWBT") for x in (-half + 0.05, 0.0)
+    ]
     board = block((-0.2, -0.12, 0.92), (0.12, 0.10, 0.94))
     return [PropPiece(FRONTS[variant % 3], body), PropPiece(painted("Charcoal"), foot), PropPiece(TOPS[(variant + 2) % 4], top),
             *(PropPiece(FRONTS[variant % 3], panel) for panel in panels), PropPiece(wood("Pale"), board)]  # fmt: skip

@@ -71,16 +71,21 @@ def television(variant: int, _rng: Generator) -> list[PropPiece]:
 
 def fireplace(variant: int, _rng: Generator) -> list[PropPiece]:
     """A chimney piece with a dark hearth, logs and embers."""
-    stone = (tinted("Bricks", "HearthBrick", "#b06a4c", 0.6, 0.9), WHITE, tinted("SquareTiles", "HearthSlate", "#7c8084", 0.5))[
-        variant % 3
-    ]
+    stone = (
+        tinted("Bricks", "HearthBrick", "#b06a4c", 0.6, 0.9),
+        WHITE,
+        tinted("SquareTiles", "HearthSlate", "#7c8084", 0.5),
+    )[variant % 3]
     shelf = wood(("Oak", "Walnut", "Ebony")[variant % 3])
     sides = [block((x - 0.19, -0.20, 0.0), (x + 0.19, 0.20, 0.95)) for x in (-0.51, 0.51)]
     lintel = block((-0.32, -0.199, 0.70), (0.32, 0.20, 0.95))
     back = block((-0.32, 0.12, 0.0), (0.32, 0.199, 0.70))
     mantel = block((-0.78, -0.27, 0.95), (0.78, 0.20, 1.01))
     hearth = block((-0.32, -0.19, 0.0), (0.32, 0.12, 0.03))
-    logs = [moved(cylinder(0.05, -0.2, 0.2, sides=8), (0.0, y, z), pitch=1.5708) for y, z in ((-0.07, 0.09), (0.05, 0.09), (-0.01, 0.17))]
+    logs = [
+        moved(cylinder(0.05, -0.2, 0.2, sides=8), (0.0, y, z), pitch=1.5708)
+        for y, z in ((-0.07, 0.09), (0.05, 0.09), (-0.01, 0.17))
+    ]
     embers = block((-0.19, -0.12, 0.03), (0.19, 0.10, 0.045))
     return [
         *(PropPiece(stone, mesh) for mesh in (*sides, lintel)),
@@ -125,10 +130,14 @@ def fan(variant: int, _rng: Generator) -> list[PropPiece]:
     blades = []
     for step in range(4):
         angle = step * math.pi / 2 + 0.4
-        blade = moved(card([(0.03, 0.0, -0.02), (0.17, -0.02, -0.06), (0.18, 0.02, 0.05), (0.03, 0.0, 0.02)]), pitch=angle)
+        blade = moved(
+            card([(0.03, 0.0, -0.02), (0.17, -0.02, -0.06), (0.18, 0.02, 0.05), (0.03, 0.0, 0.02)]), pitch=angle
+        )
         blades.append(moved(blade, (0.0, -0.12, top + 0.04)))
     rings = [
-        tube([(r * math.cos(a), y, top + 0.04 + r * math.sin(a)) for a in [k * math.pi / 8 for k in range(17)]], 0.005, 3)
+        tube(
+            [(r * math.cos(a), y, top + 0.04 + r * math.sin(a)) for a in [k * math.pi / 8 for k in range(17)]], 0.005, 3
+        )
         for r, y in ((0.20, -0.17), (0.21, -0.12), (0.11, -0.18), (0.20, -0.07))
     ]
     spokes = [rod((0.0, -0.18, top + 0.04), (0.2 * math.cos(a), -0.17, top + 0.04 + 0.2 * math.sin(a)), 0.004, 3)
@@ -141,7 +150,10 @@ def radiator(variant: int, _rng: Generator) -> list[PropPiece]:
     paint = painted(("White", "LightGrey", "Charcoal")[variant % 3], 0.4)
     ribs, high = ((12, 0.62), (16, 0.55), (9, 0.80))[variant % 3]
     half = 0.04 * ribs
-    meshes = [cushion((-half + 0.08 * k + 0.01, -0.05, 0.12), (-half + 0.08 * k + 0.07, 0.05, high), 0.015) for k in range(ribs)]
+    meshes = [
+        cushion((-half + 0.08 * k + 0.01, -0.05, 0.12), (-half + 0.08 * k + 0.07, 0.05, high), 0.015)
+        for k in range(ribs)
+    ]
     meshes += [rod((-half + 0.02, 0.0, z), (half - 0.02, 0.0, z), 0.02, 6) for z in (0.18, high - 0.06)]
     meshes += [block((x - 0.015, -0.02, 0.0), (x + 0.015, 0.02, 0.13)) for x in (-half + 0.12, half - 0.12)]
     valve = moved(cylinder(0.02, 0.0, 0.06, sides=8), (half - 0.03, 0.0, high - 0.06), pitch=1.5708)
@@ -169,11 +181,21 @@ def vase(variant: int, rng: Generator) -> list[PropPiece]:
     glaze = painted(("Blue", "White", "Terracotta", "Green")[variant % 4], 0.25)
     high = (0.50, 0.42, 0.60, 0.45)[variant % 4]
     belly = (0.15, 0.17, 0.13, 0.16)[variant % 4]
-    body = lathe([(0.09, 0.0), (belly, 0.4 * high), (0.8 * belly, 0.7 * high), (0.06, 0.9 * high), (0.08, high), (0.05, high)], sides=16)
+    body = lathe(
+        [(0.09, 0.0), (belly, 0.4 * high), (0.8 * belly, 0.7 * high), (0.06, 0.9 * high), (0.08, high), (0.05, high)],
+        sides=16,
+    )
     stems: list[AuthoredMesh] = []
     for step in range(7):
         a, lean = step * 2.4, float(rng.uniform(0.03, 0.16))
-        stems.append(rod((0.0, 0.0, high - 0.05), (lean * math.cos(a), lean * math.sin(a), high + float(rng.uniform(0.2, 0.42))), 0.005, 3))
+        stems.append(
+            rod(
+                (0.0, 0.0, high - 0.05),
+                (lean * math.cos(a), lean * math.sin(a), high + float(rng.uniform(0.2, 0.42))),
+                0.005,
+                3,
+            )
+        )
     return [PropPiece(glaze, body), *(PropPiece(painted("Brown", 0.9), stem) for stem in stems)]
 
 
@@ -186,7 +208,9 @@ def mirror(variant: int, _rng: Generator) -> list[PropPiece]:
     tilt = -0.10
     return [
         PropPiece(frame, moved(plate, (0.0, -0.02, 0.003), roll=tilt)),
-        PropPiece(SurfaceMaterial("MirrorGlass", "#c4d3da", roughness=0.05), moved(glass, (0.0, -0.02, 0.003), roll=tilt)),
+        PropPiece(
+            SurfaceMaterial("MirrorGlass", "#c4d3da", roughness=0.05), moved(glass, (0.0, -0.02, 0.003), roll=tilt)
+        ),
     ]
 
 
@@ -199,8 +223,15 @@ def dining_table(variant: int, rng: Generator) -> list[PropPiece]:
             for x in (-half_x + 0.07, half_x - 0.07) for y in (-half_y + 0.07, half_y - 0.07)]  # fmt: skip
     bowl = lathe([(0.06, 0.755), (0.15, 0.82), (0.13, 0.82), (0.05, 0.765)], sides=14)
     fruit = painted(("Red", "Green", "Orange")[int(rng.integers(3))], 0.4)
-    pile = [lathe([(0.01, 0.78), (0.04, 0.80), (0.04, 0.83), (0.01, 0.86)], (x, y), 8) for x, y in ((0.04, 0.0), (-0.05, 0.03), (0.0, -0.06))]
-    return [*(PropPiece(finish, mesh) for mesh in (top, *legs)), PropPiece(WHITE, bowl), *(PropPiece(fruit, m) for m in pile)]
+    pile = [
+        lathe([(0.01, 0.78), (0.04, 0.80), (0.04, 0.83), (0.01, 0.86)], (x, y), 8)
+        for x, y in ((0.04, 0.0), (-0.05, 0.03), (0.0, -0.06))
+    ]
+    return [
+        *(PropPiece(finish, mesh) for mesh in (top, *legs)),
+        PropPiece(WHITE, bowl),
+        *(PropPiece(fruit, m) for m in pile),
+    ]
 
 
 def framed_picture(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -233,4 +264,7 @@ def toy_pile(variant: int, rng: Generator) -> list[PropPiece]:
     meshes = [moved(fitted_block((-0.05, -0.05, 0.0), (0.05, 0.05, 0.09 + 0.006 * k)), (float(rng.uniform(-0.22, 0.22)), float(rng.uniform(-0.2, 0.2)), 0.0),
                     yaw=float(rng.uniform(0, 3))) for k in range(4)]  # fmt: skip
     ball = lathe([(0.02, 0.0), (0.10, 0.05), (0.12, 0.12), (0.10, 0.19), (0.02, 0.24)], (0.0, 0.0), 12)
-    return [*(PropPiece(painted(paints[(k + variant) % 5]), mesh) for k, mesh in enumerate(meshes)), PropPiece(cloth("Red"), ball)]
+    return [
+        *(PropPiece(painted(paints[(k + variant) % 5]), mesh) for k, mesh in enumerate(meshes)),
+        PropPiece(cloth("Red"), ball),
+    ]

@@ -34,7 +34,9 @@ BLACK = painted("Black", 0.5)
 STEEL = painted("Steel", 0.35, 1.0)
 CHROME = painted("Chrome", 0.25, 1.0)
 GREY = painted("LightGrey", 0.5)
-GOODS = tuple(painted(paint, 0.5) for paint in ("Red", "Yellow", "Green", "Blue", "Orange", "White", "Purple", "SkyBlue", "Pink"))
+GOODS = tuple(
+    painted(paint, 0.5) for paint in ("Red", "Yellow", "Green", "Blue", "Orange", "White", "Purple", "SkyBlue", "Pink")
+)
 LIT = glowing("CaseLight", "#f4f8fa", glow=0.7)
 
 
@@ -105,13 +107,17 @@ def freezer(variant: int, rng: Generator) -> list[PropPiece]:
         *(block((x - 0.03, -0.32, 0.30), (x + 0.03, 0.26, 1.72)) for x in (-0.59, 0.59)),
     ]
     pieces = [PropPiece(case, mesh) for mesh in shell]
-    pieces.append(PropPiece(LIT, quad([(-0.55, 0.255, 0.31), (0.55, 0.255, 0.31), (0.55, 0.255, 1.71), (-0.55, 0.255, 1.71)])))
+    pieces.append(
+        PropPiece(LIT, quad([(-0.55, 0.255, 0.31), (0.55, 0.255, 0.31), (0.55, 0.255, 1.71), (-0.55, 0.255, 1.71)]))
+    )
     for z in (0.32, 0.68, 1.04, 1.40):
         pieces.append(PropPiece(GREY, block((-0.555, -0.26, z - 0.015), (0.555, 0.24, z))))
         for column in range(9):
             x = -0.49 + 0.1225 * column
             paint = GOODS[int(rng.integers(len(GOODS)))]
-            pieces.append(PropPiece(paint, uncapped(lathe([(0.04, z), (0.04, z + 0.18), (0.015, z + 0.26)], (x, -0.16), 7))))
+            pieces.append(
+                PropPiece(paint, uncapped(lathe([(0.04, z), (0.04, z + 0.18), (0.015, z + 0.26)], (x, -0.16), 7)))
+            )
     mullion = block((-0.02, -0.318, 0.302), (0.02, -0.28, 1.718))
     return [*pieces, PropPiece(BLACK, mullion)]
 
@@ -178,20 +184,39 @@ def shopping_cart(variant: int, _rng: Generator) -> list[PropPiece]:
     corners = [(-0.22, -0.42), (0.22, -0.42), (0.27, 0.36), (-0.27, 0.36)]
     low = [(x * 0.85, y * 0.9) for x, y in corners]
     wires: list[AuthoredMesh] = []
-    for z, ring in ((0.55, low), (0.72, [((a[0] + b[0]) / 2, (a[1] + b[1]) / 2) for a, b in zip(low, corners, strict=True)]), (0.92, corners)):
+    for z, ring in (
+        (0.55, low),
+        (0.72, [((a[0] + b[0]) / 2, (a[1] + b[1]) / 2) for a, b in zip(low, corners, strict=True)]),
+        (0.92, corners),
+    ):
         for (x0, y0), (x1, y1) in zip(ring, ring[1:] + ring[:1], strict=True):
             wires.append(rod((x0, y0, z), (x1, y1, z), 0.009, 4))
-    for (x0, y0), (x1, y1), (u0, v0), (u1, v1) in zip(low, low[1:] + low[:1], corners, corners[1:] + corners[:1], strict=True):
+    for (x0, y0), (x1, y1), (u0, v0), (u1, v1) in zip(
+        low, low[1:] + low[:1], corners, corners[1:] + corners[:1], strict=True
+    ):
         for k in range(6):
             s = k / 6
-            wires.append(rod((x0 + s * (x1 - x0), y0 + s * (y1 - y0), 0.55), (u0 + s * (u1 - u0), v0 + s * (v1 - v0), 0.92), 0.005, 3))
+            wires.append(
+                rod(
+                    (x0 + s * (x1 - x0), y0 + s * (y1 - y0), 0.55),
+                    (u0 + s * (u1 - u0), v0 + s * (v1 - v0), 0.92),
+                    0.005,
+                    3,
+                )
+            )
     floor_ = open_block((-0.19, -0.36, 0.545), (0.19, 0.31, 0.555), "SENWBT")
     frame = [tube([(x, 0.34, 0.92), (x, 0.36, 0.14), (x, -0.34, 0.14)], 0.014, 5) for x in (-0.22, 0.22)]
     posts = [rod((x, -0.30, 0.14), (x, -0.36, 0.56), 0.012, 4) for x in (-0.18, 0.18)]
     handle = rod((-0.27, 0.45, 1.00), (0.27, 0.45, 1.00), 0.018, 6)
     grips = [rod((x, 0.36, 0.92), (x, 0.45, 1.0), 0.012, 4) for x in (-0.26, 0.26)]
-    wheels = [moved(cylinder(0.055, -0.014, 0.014, sides=10), (x, y, 0.055), pitch=1.5708) for x in (-0.22, 0.22) for y in (-0.32, 0.34)]
-    forks = [block((x - 0.012, y - 0.012, 0.06), (x + 0.012, y + 0.012, 0.14)) for x in (-0.22, 0.22) for y in (-0.32, 0.34)]
+    wheels = [
+        moved(cylinder(0.055, -0.014, 0.014, sides=10), (x, y, 0.055), pitch=1.5708)
+        for x in (-0.22, 0.22)
+        for y in (-0.32, 0.34)
+    ]
+    forks = [
+        block((x - 0.012, y - 0.012, 0.06), (x + 0.012, y + 0.012, 0.14)) for x in (-0.22, 0.22) for y in (-0.32, 0.34)
+    ]
     return [*(PropPiece(CHROME, mesh) for mesh in (*wires, *frame, *posts, *grips, *forks, floor_)), PropPiece(paint, handle),
             PropPiece(paint, open_block((-0.20, 0.30, 0.75), (0.20, 0.325, 0.90), "SENWBT")),
             *(PropPiece(BLACK, wheel) for wheel in wheels)]  # fmt: skip
