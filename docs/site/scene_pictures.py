@@ -1,4 +1,4 @@
-"""Renders the pictures of docs/scenes: views, frames, categories and map of every scene; maps and views of every family.
+"""Renders the pictures of docs/scenes: views, frames, categories and map of a scene; maps and views of a family.
 
 A family has one sheet of maps and one of views, with one layout of each seed. Seeds without a layout are left out.
 

@@ -1,4 +1,4 @@
-"""`factory scene survey --family`: builds layouts of a family and prints how much they differ. Prints, computes nothing."""
+"""`factory scene survey --family`: builds layouts of a family and prints how much they differ. Computes nothing."""
 
 from __future__ import annotations
 

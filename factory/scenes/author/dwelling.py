@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 from factory.scenes.author.geometry import AuthoredMesh, block, lathe, open_block, quad
@@ -122,7 +123,7 @@ def _wall_runs(areas: Sequence[Rectangle]) -> Iterator[_Run]:
         for at in sorted({round(value, 6) for edge in edges for value in edge[:2]}):
             marks = sorted({round(v, 6) for e in edges if min(abs(e[0] - at), abs(e[1] - at)) < 1e-5 for v in e[2:]})
             run: _Run | None = None
-            for low, high in zip(marks, marks[1:], strict=False):
+            for low, high in pairwise(marks):
                 middle = (low + high) / 2
                 inside = [k for k, e in enumerate(edges) if e[2] < middle < e[3]]
                 below = next((k for k in inside if abs(edges[k][1] - at) < 1e-5), None)

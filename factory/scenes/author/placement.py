@@ -214,7 +214,7 @@ class FloorPlan:
         return None if self.meets(model, x, y, yaw) else self.add(model, x, y, yaw)
 
     def is_free_strip(self, room: Rectangle, side: str, start: float, length: float, depth: float) -> bool:
-        """Returns whether the floor along a wall is free from `start` to `start + length` metres, `depth` metres deep."""
+        """Returns whether a strip of floor along a wall, `depth` metres deep, is free from `start` on."""
         a, b = (room.x0, room.y0) if side in "NS" else (room.y0, room.x0)
         across = {"N": (room.y1 - depth, room.y1), "E": (room.x1 - depth, room.x1)}.get(side, (b, b + depth))
         low, high = (a + start, across[0]), (a + start + length, across[1])

@@ -14,18 +14,33 @@ from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Re
 from factory.scenes.author.style import Palette
 
 _EVERYWHERE = {
-    "SM_Sofa_A": 1, "SM_Wardrobe": 1, "SM_Dresser": 1, "SM_Sideboard": 1, "SM_ShelfBook_B": 2, "SM_LampFloor": 1, "SM_Plant_A": 2,
-    "SM_Vase": 2, "SM_Ottoman": 2, "SM_TrashCan_A": 2, "SM_Basket": 2,
-}  # fmt: skip
+    "SM_Sofa_A": 1,
+    "SM_Wardrobe": 1,
+    "SM_Dresser": 1,
+    "SM_Sideboard": 1,
+    "SM_ShelfBook_B": 2,
+    "SM_LampFloor": 1,
+    "SM_Plant_A": 2,
+    "SM_Vase": 2,
+    "SM_Ottoman": 2,
+    "SM_TrashCan_A": 2,
+    "SM_Basket": 2,
+}
 """Pieces that every home has, with their least numbers."""
 
 
 def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) -> None:
     """Furnishes every room by its kind."""
     kinds: dict[str, Callable[[Furnisher], None]] = {
-        "living": _living, "dining": _dining, "kitchen": _kitchen, "bedroom": _bedroom, "bath": _bath,
-        "study": _study, "laundry": _laundry, "hall": _hall,
-    }  # fmt: skip
+        "living": _living,
+        "dining": _dining,
+        "kitchen": _kitchen,
+        "bedroom": _bedroom,
+        "bath": _bath,
+        "study": _study,
+        "laundry": _laundry,
+        "hall": _hall,
+    }
     has = {room.kind for room in rooms}
     own = [Furnisher(plan, room, palette) for room in rooms]
     for furnisher in own:

@@ -61,15 +61,30 @@ def toilet(variant: int, _rng: Generator) -> list[PropPiece]:
 def bathtub(variant: int, _rng: Generator) -> list[PropPiece]:
     """A built-in tub with a panel, or a free-standing oval tub; with a tap."""
     if variant % 3 == 1:
-        rings = [_oval(0.0, 0.30, -0.62, 0.62), _oval(0.15, 0.33, -0.70, 0.70), _oval(0.58, 0.40, -0.82, 0.82),
-                 _oval(0.58, 0.36, -0.78, 0.78), _oval(0.30, 0.28, -0.66, 0.66)]  # fmt: skip
+        rings = [
+            _oval(0.0, 0.30, -0.62, 0.62),
+            _oval(0.15, 0.33, -0.70, 0.70),
+            _oval(0.58, 0.40, -0.82, 0.82),
+            _oval(0.58, 0.36, -0.78, 0.78),
+            _oval(0.30, 0.28, -0.66, 0.66),
+        ]
         tub = moved(loft(np.array(rings)), yaw=np.pi / 2)
         tap = tube([(0.86, 0.0, 0.0), (0.86, 0.0, 0.82), (0.74, 0.0, 0.84), (0.70, 0.0, 0.78)], 0.016)
         return [PropPiece(CERAMIC, tub), PropPiece(CHROME, tap)]
     half_x, half_y = (0.85, 0.38) if variant % 3 == 0 else (0.80, 0.40)
     outline = ((0.0, 0.0), (0.0, 0.56), (0.07, 0.56), (0.14, 0.22))
-    rings = [[(x, y, z) for x, y in ((-half_x + i, -half_y + i), (half_x - i, -half_y + i), (half_x - i, half_y - i), (-half_x + i, half_y - i))]
-             for i, z in outline]  # fmt: skip
+    rings = [
+        [
+            (x, y, z)
+            for x, y in (
+                (-half_x + i, -half_y + i),
+                (half_x - i, -half_y + i),
+                (half_x - i, half_y - i),
+                (-half_x + i, half_y - i),
+            )
+        ]
+        for i, z in outline
+    ]
     tap = tube(
         [
             (-half_x + 0.05, 0.0, 0.56),
@@ -115,8 +130,14 @@ def basin(variant: int, _rng: Generator) -> list[PropPiece]:
     foot = block((-0.29, -0.14, 0.0), (0.29, 0.22, 0.12))
     top = pad((-0.35, -0.24, 0.78), (0.35, 0.22, 0.86), 0.02)
     hollow = quad([(-0.2, -0.16, 0.863), (0.2, -0.16, 0.863), (0.2, 0.09, 0.863), (-0.2, 0.09, 0.863)])
-    return [*pieces, PropPiece(front, chest), *(PropPiece(front, door) for door in doors), PropPiece(BLACK, foot),
-            PropPiece(CERAMIC, top), PropPiece(painted("LightGrey", 0.3), hollow)]  # fmt: skip
+    return [
+        *pieces,
+        PropPiece(front, chest),
+        *(PropPiece(front, door) for door in doors),
+        PropPiece(BLACK, foot),
+        PropPiece(CERAMIC, top),
+        PropPiece(painted("LightGrey", 0.3), hollow),
+    ]
 
 
 def washing_machine(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -128,8 +149,14 @@ def washing_machine(variant: int, _rng: Generator) -> list[PropPiece]:
     panel = open_block((0.02, -0.286, 0.74), (0.26, -0.28, 0.82), "SEWBT")
     drawer = open_block((-0.27, -0.288, 0.73), (-0.04, -0.28, 0.83), "SEWBT")
     foot = block((-0.26, -0.22, 0.0), (0.26, 0.26, 0.02))
-    return [PropPiece(case, body), PropPiece(CHROME, rim), PropPiece(painted("Charcoal", 0.2), glass),
-            PropPiece(painted("Charcoal"), panel), PropPiece(case, drawer), PropPiece(BLACK, foot)]  # fmt: skip
+    return [
+        PropPiece(case, body),
+        PropPiece(CHROME, rim),
+        PropPiece(painted("Charcoal", 0.2), glass),
+        PropPiece(painted("Charcoal"), panel),
+        PropPiece(case, drawer),
+        PropPiece(BLACK, foot),
+    ]
 
 
 def towel_rail(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -137,5 +164,8 @@ def towel_rail(variant: int, _rng: Generator) -> list[PropPiece]:
     rail = rod((-0.32, -0.08, 1.25), (0.32, -0.08, 1.25), 0.012, 6)
     holds: list[AuthoredMesh] = [rod((x, 0.0, 1.25), (x, -0.08, 1.25), 0.010, 5) for x in (-0.31, 0.31)]
     towel = block((-0.22, -0.105, 0.75), (0.18, -0.055, 1.27))
-    return [PropPiece(CHROME, rail), *(PropPiece(CHROME, hold) for hold in holds),
-            PropPiece(cloth(("Teal", "White", "Pink", "Navy")[variant % 4]), towel)]  # fmt: skip
+    return [
+        PropPiece(CHROME, rail),
+        *(PropPiece(CHROME, hold) for hold in holds),
+        PropPiece(cloth(("Teal", "White", "Pink", "Navy")[variant % 4]), towel),
+    ]

@@ -70,7 +70,8 @@ LOCKERS = tuple(
 
 def carcass(make: Make) -> list[PropPiece]:
     """A body on a plinth or feet with a grid of fronts; each front has a grip."""
-    (width, depth, height), half, back = make.size, make.size[0] / 2, make.size[1] / 2
+    width, depth, height = make.size
+    half, back = width / 2, depth / 2
     front = -back + FRONT_M
     body = block((-half, front, make.foot_m), (half, back, height))
     feet = [

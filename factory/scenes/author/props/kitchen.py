@@ -121,9 +121,13 @@ def dishwasher(variant: int, _rng: Generator) -> list[PropPiece]:
     panel = open_block((0.05, -BACK - 0.003, 0.78), (0.22, -BACK, 0.82), "SEWBT")
     bar = block((-0.22, -BACK - 0.035, 0.68), (0.22, -BACK - 0.005, 0.70))
     foot = block((-HALF + 0.03, -BACK + 0.07, 0.0), (HALF - 0.03, BACK, 0.08))
-    return [*(PropPiece(finish, mesh) for mesh in (body, front, strip)), PropPiece(painted("Charcoal"), panel),
-            PropPiece(STEEL, bar), PropPiece(painted("Charcoal"), foot),
-            PropPiece(TOPS[variant % 3], block((-HALF, -BACK - 0.015, 0.86), (HALF, BACK, TOP_M)))]  # fmt: skip
+    return [
+        *(PropPiece(finish, mesh) for mesh in (body, front, strip)),
+        PropPiece(painted("Charcoal"), panel),
+        PropPiece(STEEL, bar),
+        PropPiece(painted("Charcoal"), foot),
+        PropPiece(TOPS[variant % 3], block((-HALF, -BACK - 0.015, 0.86), (HALF, BACK, TOP_M))),
+    ]
 
 
 def refrigerator(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -140,8 +144,11 @@ def refrigerator(variant: int, _rng: Generator) -> list[PropPiece]:
         for z0, z1 in ((split - 0.32, split - 0.06), (split + 0.06, split + 0.36))
     ]
     foot = block((-0.28, -0.25, 0.0), (0.28, 0.30, 0.03))
-    return [*(PropPiece(paint, mesh) for mesh in (body, *doors)), *(PropPiece(STEEL, grip) for grip in grips),
-            PropPiece(painted("Charcoal"), foot)]  # fmt: skip
+    return [
+        *(PropPiece(paint, mesh) for mesh in (body, *doors)),
+        *(PropPiece(STEEL, grip) for grip in grips),
+        PropPiece(painted("Charcoal"), foot),
+    ]
 
 
 def microwave(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -152,8 +159,13 @@ def microwave(variant: int, _rng: Generator) -> list[PropPiece]:
     panel = open_block((0.13, -0.174, 0.05), (0.235, -0.17, 0.26), "SEWBT")
     bar = block((0.098, -0.20, 0.06), (0.112, -0.177, 0.25))
     foot = block((-0.22, -0.14, 0.0), (0.22, 0.15, 0.01))
-    return [PropPiece(case, body), PropPiece(painted("Charcoal", 0.2), glass), PropPiece(painted("Charcoal"), panel),
-            PropPiece(STEEL, bar), PropPiece(BLACK, foot)]  # fmt: skip
+    return [
+        PropPiece(case, body),
+        PropPiece(painted("Charcoal", 0.2), glass),
+        PropPiece(painted("Charcoal"), panel),
+        PropPiece(STEEL, bar),
+        PropPiece(BLACK, foot),
+    ]
 
 
 def coffee_machine(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -183,5 +195,10 @@ def island(variant: int, _rng: Generator) -> list[PropPiece]:
         open_block((x + 0.01, -0.292, 0.12), (x + half - 0.06, -0.28, 0.82), "SEWBT") for x in (-half + 0.05, 0.0)
     ]
     board = block((-0.2, -0.12, 0.92), (0.12, 0.10, 0.94))
-    return [PropPiece(FRONTS[variant % 3], body), PropPiece(painted("Charcoal"), foot), PropPiece(TOPS[(variant + 2) % 4], top),
-            *(PropPiece(FRONTS[variant % 3], panel) for panel in panels), PropPiece(wood("Pale"), board)]  # fmt: skip
+    return [
+        PropPiece(FRONTS[variant % 3], body),
+        PropPiece(painted("Charcoal"), foot),
+        PropPiece(TOPS[(variant + 2) % 4], top),
+        *(PropPiece(FRONTS[variant % 3], panel) for panel in panels),
+        PropPiece(wood("Pale"), board),
+    ]

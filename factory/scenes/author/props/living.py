@@ -61,12 +61,21 @@ def television(variant: int, _rng: Generator) -> list[PropPiece]:
     half, high = ((0.55, 0.66), (0.62, 0.74), (0.48, 0.58))[variant % 3]
     low = 0.06
     case = cushion((-half, -0.02, low), (half, 0.02, low + high), 0.008)
-    screen = quad([(-half + 0.015, -0.0215, low + 0.02), (half - 0.015, -0.0215, low + 0.02),
-                   (half - 0.015, -0.0215, low + high - 0.015), (-half + 0.015, -0.0215, low + high - 0.015)])  # fmt: skip
+    screen = quad(
+        [
+            (-half + 0.015, -0.0215, low + 0.02),
+            (half - 0.015, -0.0215, low + 0.02),
+            (half - 0.015, -0.0215, low + high - 0.015),
+            (-half + 0.015, -0.0215, low + high - 0.015),
+        ]
+    )
     feet = [block((x - 0.02, -0.11, 0.0), (x + 0.02, 0.11, 0.012)) for x in (-0.3, 0.3)]
     necks = [block((x - 0.012, -0.012, 0.012), (x + 0.012, 0.012, low + 0.03)) for x in (-0.3, 0.3)]
-    return [PropPiece(BLACK, case), PropPiece(SCREENS[variant % 3], screen),
-            *(PropPiece(STEEL, mesh) for mesh in (*feet, *necks))]  # fmt: skip
+    return [
+        PropPiece(BLACK, case),
+        PropPiece(SCREENS[variant % 3], screen),
+        *(PropPiece(STEEL, mesh) for mesh in (*feet, *necks)),
+    ]
 
 
 def fireplace(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -116,9 +125,12 @@ def piano(variant: int, _rng: Generator) -> list[PropPiece]:
         for x in (-0.645 + step * 0.036,)
     ]
     pedals = [block((x - 0.02, -0.10, 0.05), (x + 0.02, 0.0, 0.065)) for x in (-0.1, 0.0, 0.1)]
-    return [*(PropPiece(finish, mesh) for mesh in meshes), PropPiece(WHITE, keys),
-            *(PropPiece(BLACK if variant % 4 else painted("Charcoal"), mesh) for mesh in black),
-            *(PropPiece(BRASS, pedal) for pedal in pedals)]  # fmt: skip
+    return [
+        *(PropPiece(finish, mesh) for mesh in meshes),
+        PropPiece(WHITE, keys),
+        *(PropPiece(BLACK if variant % 4 else painted("Charcoal"), mesh) for mesh in black),
+        *(PropPiece(BRASS, pedal) for pedal in pedals),
+    ]
 
 
 def fan(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -140,8 +152,10 @@ def fan(variant: int, _rng: Generator) -> list[PropPiece]:
         )
         for r, y in ((0.20, -0.17), (0.21, -0.12), (0.11, -0.18), (0.20, -0.07))
     ]
-    spokes = [rod((0.0, -0.18, top + 0.04), (0.2 * math.cos(a), -0.17, top + 0.04 + 0.2 * math.sin(a)), 0.004, 3)
-              for a in [k * math.pi / 6 for k in range(12)]]  # fmt: skip
+    spokes = [
+        rod((0.0, -0.18, top + 0.04), (0.2 * math.cos(a), -0.17, top + 0.04 + 0.2 * math.sin(a)), 0.004, 3)
+        for a in [k * math.pi / 6 for k in range(12)]
+    ]
     return [PropPiece(paint, mesh) for mesh in (pole, motor, *blades, *rings, *spokes)]
 
 
@@ -163,17 +177,28 @@ def radiator(variant: int, _rng: Generator) -> list[PropPiece]:
 def tall_clock(variant: int, _rng: Generator) -> list[PropPiece]:
     """A long-case clock with a glazed pendulum."""
     finish = wood(("Walnut", "Cherry", "Oak")[variant % 3])
-    meshes = [block((-0.24, -0.14, 0.0), (0.24, 0.14, 0.30)), block((-0.18, -0.11, 0.30), (0.18, 0.12, 1.35)),
-              block((-0.23, -0.13, 1.35), (0.23, 0.13, 1.85)), block((-0.26, -0.15, 1.85), (0.26, 0.15, 1.90))]  # fmt: skip
+    meshes = [
+        block((-0.24, -0.14, 0.0), (0.24, 0.14, 0.30)),
+        block((-0.18, -0.11, 0.30), (0.18, 0.12, 1.35)),
+        block((-0.23, -0.13, 1.35), (0.23, 0.13, 1.85)),
+        block((-0.26, -0.15, 1.85), (0.26, 0.15, 1.90)),
+    ]
     face = moved(cylinder(0.17, 0.0, 0.008, sides=20), (0.0, -0.13, 1.6), roll=1.5708)
-    hands = [open_block((-0.006, -0.143, 1.59), (0.006, -0.139, 1.73), "SEWBT"),
-             open_block((0.0, -0.143, 1.594), (0.10, -0.139, 1.606), "SEWBT")]  # fmt: skip
+    hands = [
+        open_block((-0.006, -0.143, 1.59), (0.006, -0.139, 1.73), "SEWBT"),
+        open_block((0.0, -0.143, 1.594), (0.10, -0.139, 1.606), "SEWBT"),
+    ]
     glass = open_block((-0.11, -0.115, 0.42), (0.11, -0.11, 1.26), "SEWBT")
     bob = moved(cylinder(0.06, 0.0, 0.006, sides=14), (0.0, -0.115, 0.62), roll=1.5708)
     pole = open_block((-0.006, -0.119, 0.66), (0.006, -0.115, 1.2), "SEWBT")
-    return [*(PropPiece(finish, mesh) for mesh in meshes), PropPiece(WHITE, face),
-            *(PropPiece(BLACK, mesh) for mesh in hands), PropPiece(painted("Charcoal", 0.2), glass),
-            PropPiece(BRASS, bob), PropPiece(BRASS, pole)]  # fmt: skip
+    return [
+        *(PropPiece(finish, mesh) for mesh in meshes),
+        PropPiece(WHITE, face),
+        *(PropPiece(BLACK, mesh) for mesh in hands),
+        PropPiece(painted("Charcoal", 0.2), glass),
+        PropPiece(BRASS, bob),
+        PropPiece(BRASS, pole),
+    ]
 
 
 def vase(variant: int, rng: Generator) -> list[PropPiece]:
@@ -219,8 +244,11 @@ def dining_table(variant: int, rng: Generator) -> list[PropPiece]:
     finish = WOODS[variant % 4]
     half_x, half_y = ((0.80, 0.45), (0.90, 0.45), (0.60, 0.40), (0.70, 0.42))[variant % 4]
     top = cushion((-half_x, -half_y, 0.72), (half_x, half_y, 0.755), 0.008)
-    legs = [block((x - 0.035, y - 0.035, 0.0), (x + 0.035, y + 0.035, 0.72))
-            for x in (-half_x + 0.07, half_x - 0.07) for y in (-half_y + 0.07, half_y - 0.07)]  # fmt: skip
+    legs = [
+        block((x - 0.035, y - 0.035, 0.0), (x + 0.035, y + 0.035, 0.72))
+        for x in (-half_x + 0.07, half_x - 0.07)
+        for y in (-half_y + 0.07, half_y - 0.07)
+    ]
     bowl = lathe([(0.06, 0.755), (0.15, 0.82), (0.13, 0.82), (0.05, 0.765)], sides=14)
     fruit = painted(("Red", "Green", "Orange")[int(rng.integers(3))], 0.4)
     pile = [
@@ -234,35 +262,17 @@ def dining_table(variant: int, rng: Generator) -> list[PropPiece]:
     ]
 
 
-def framed_picture(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A painting at eye height; the wall plane is y = 0."""
-    names = ("PictureAbstract", "PictureStillLife", "PictureLake", "PosterHills", "PosterCity", "PosterArcs")
-    name = names[variant % 6]
-    frame = (BLACK, wood("Oak"), WHITE)[variant % 3]
-    half = (0.40, 0.30, 0.50)[variant % 3]
-    low, high = 1.50 - half, 1.50 + half
-    border = block((-half - 0.03, -0.03, low - 0.03), (half + 0.03, 0.0, high + 0.03))
-    art = quad([(-half, -0.0315, low), (half, -0.0315, low), (half, -0.0315, high), (-half, -0.0315, high)])
-    return [PropPiece(frame, border), PropPiece(SurfaceMaterial(name, "#dcd2c0", name, roughness=0.5), art)]
-
-
-def home_window(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A casement window with one of five views, 1.6 m wide, white or wooden."""
-    name = ("ViewGarden", "ViewSuburb", "ViewHills", "ViewSea", "ViewStreet", "WindowView")[variant % 6]
-    view, frame = glowing(name, "#cfe2f2", name, 0.9), (WHITE, wood("Pale"))[variant // 6 % 2]
-    half, low, high = 0.8, 0.9, 2.15
-    bars = [block((x - 0.03, -0.06, low), (x + 0.03, 0.0, high)) for x in (-half, 0.0, half)]
-    bars += [block((-half - 0.03, -0.061, z - 0.03), (half + 0.03, 0.0, z + 0.03)) for z in (low, high)]
-    sill = block((-half - 0.08, -0.14, low - 0.05), (half + 0.08, 0.0, low - 0.031))
-    panes = quad([(-half, -0.02, low), (half, -0.02, low), (half, -0.02, high), (-half, -0.02, high)])
-    return [PropPiece(view, panes), *(PropPiece(frame, bar) for bar in (*bars, sill))]
-
-
 def toy_pile(variant: int, rng: Generator) -> list[PropPiece]:
     """Toy blocks and a ball on the floor."""
     paints = ("Red", "Yellow", "Blue", "Green", "Orange")
-    meshes = [moved(fitted_block((-0.05, -0.05, 0.0), (0.05, 0.05, 0.09 + 0.006 * k)), (float(rng.uniform(-0.22, 0.22)), float(rng.uniform(-0.2, 0.2)), 0.0),
-                    yaw=float(rng.uniform(0, 3))) for k in range(4)]  # fmt: skip
+    meshes = [
+        moved(
+            fitted_block((-0.05, -0.05, 0.0), (0.05, 0.05, 0.09 + 0.006 * k)),
+            (float(rng.uniform(-0.22, 0.22)), float(rng.uniform(-0.2, 0.2)), 0.0),
+            yaw=float(rng.uniform(0, 3)),
+        )
+        for k in range(4)
+    ]
     ball = lathe([(0.02, 0.0), (0.10, 0.05), (0.12, 0.12), (0.10, 0.19), (0.02, 0.24)], (0.0, 0.0), 12)
     return [
         *(PropPiece(painted(paints[(k + variant) % 5]), mesh) for k, mesh in enumerate(meshes)),

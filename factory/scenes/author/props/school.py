@@ -69,8 +69,12 @@ def laptop(variant: int, _rng: Generator) -> list[PropPiece]:
         (0.0, 0.11, 0.016),
         roll=-0.3,
     )
-    return [PropPiece(case, deck), PropPiece(painted("Charcoal"), keys), PropPiece(case, lid),
-            PropPiece(glowing(name, "#6aa3dc", name, 0.85), screen)]  # fmt: skip
+    return [
+        PropPiece(case, deck),
+        PropPiece(painted("Charcoal"), keys),
+        PropPiece(case, lid),
+        PropPiece(glowing(name, "#6aa3dc", name, 0.85), screen),
+    ]
 
 
 def computer_case(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -85,8 +89,12 @@ def computer_case(variant: int, _rng: Generator) -> list[PropPiece]:
         for x in (-half + 0.03, half - 0.03)
         for y in (-0.17, 0.17)
     ]
-    return [PropPiece(case, body), PropPiece(painted("Grey"), drive), PropPiece(glowing("PanelLit", "#5fb4e6", glow=0.8), ring),
-            *(PropPiece(BLACK, foot) for foot in feet)]  # fmt: skip
+    return [
+        PropPiece(case, body),
+        PropPiece(painted("Grey"), drive),
+        PropPiece(glowing("PanelLit", "#5fb4e6", glow=0.8), ring),
+        *(PropPiece(BLACK, foot) for foot in feet),
+    ]
 
 
 def copier(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -100,8 +108,13 @@ def copier(variant: int, _rng: Generator) -> list[PropPiece]:
     lid = cushion((-0.29, -0.20, high), (0.29, 0.29, high + 0.10), 0.02)
     panel = open_block((-0.12, -0.275, high), (0.14, -0.205, high + 0.03), "SENWT")
     foot = block((-0.25, -0.25, 0.0), (0.25, 0.25, 0.05))
-    return [PropPiece(case, body), *(PropPiece(WHITE if variant % 3 < 2 else GREY, tray) for tray in trays), PropPiece(case, lid),
-            PropPiece(painted("SkyBlue", 0.3), panel), PropPiece(BLACK, foot)]  # fmt: skip
+    return [
+        PropPiece(case, body),
+        *(PropPiece(WHITE if variant % 3 < 2 else GREY, tray) for tray in trays),
+        PropPiece(case, lid),
+        PropPiece(painted("SkyBlue", 0.3), panel),
+        PropPiece(BLACK, foot),
+    ]
 
 
 def bicycle(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -131,9 +144,14 @@ def bicycle(variant: int, _rng: Generator) -> list[PropPiece]:
     handle = tube(
         [(0.28, -0.26, 1.00), (0.36, -0.20, 1.02), (0.34, 0.0, 1.00), (0.36, 0.20, 1.02), (0.28, 0.26, 1.00)], 0.013, 5
     )
-    parts = [handle, cushion((-0.32, -0.08, 0.88), (-0.06, 0.08, 0.94), 0.02), rod((-0.18, 0.0, 0.80), (-0.19, 0.0, 0.89), 0.013, 5),
-             rod((0.36, 0.0, 0.79), (0.34, 0.0, 1.0), 0.014, 5), rod((-0.45, 0.02, 0.33), (-0.42, 0.18, 0.0), 0.010, 4),
-             moved(cylinder(0.09, -0.008, 0.008, sides=12), crank, roll=1.5708)]  # fmt: skip
+    parts = [
+        handle,
+        cushion((-0.32, -0.08, 0.88), (-0.06, 0.08, 0.94), 0.02),
+        rod((-0.18, 0.0, 0.80), (-0.19, 0.0, 0.89), 0.013, 5),
+        rod((0.36, 0.0, 0.79), (0.34, 0.0, 1.0), 0.014, 5),
+        rod((-0.45, 0.02, 0.33), (-0.42, 0.18, 0.0), 0.010, 4),
+        moved(cylinder(0.09, -0.008, 0.008, sides=12), crank, roll=1.5708),
+    ]
     pieces += [PropPiece(BLACK, mesh) for mesh in parts]
     if variant % 3 == 1:
         carrier = [rod((-0.75, y, 0.72), (-0.25, y, 0.72), 0.008, 4) for y in (-0.07, 0.0, 0.07)]
@@ -174,8 +192,13 @@ def water_dispenser(variant: int, _rng: Generator) -> list[PropPiece]:
         ],
         sides=14,
     )
-    return [PropPiece(case, body), PropPiece(painted("Charcoal"), niche), PropPiece(painted("Red"), taps[0]), PropPiece(painted("Blue"), taps[1]),
-            PropPiece(painted("SkyBlue", 0.2), bottle)]  # fmt: skip
+    return [
+        PropPiece(case, body),
+        PropPiece(painted("Charcoal"), niche),
+        PropPiece(painted("Red"), taps[0]),
+        PropPiece(painted("Blue"), taps[1]),
+        PropPiece(painted("SkyBlue", 0.2), bottle),
+    ]
 
 
 def wall_clock(variant: int, _rng: Generator) -> list[PropPiece]:

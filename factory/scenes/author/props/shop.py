@@ -93,8 +93,15 @@ def checkout(variant: int, _rng: Generator) -> list[PropPiece]:
     till = cushion((0.35, -0.15, 0.90), (0.70, 0.20, 1.02), 0.02)
     screen = moved(block((-0.16, -0.012, 0.0), (0.16, 0.012, 0.24)), (0.52, 0.05, 1.08), yaw=math.pi)
     neck = block((0.50, 0.035, 1.02), (0.54, 0.065, 1.09))
-    return [PropPiece(stripe, body), PropPiece(WHITE, band), PropPiece(GREY, top), PropPiece(painted("Rubber"), belt),
-            PropPiece(BLACK, till), PropPiece(BLACK, screen), PropPiece(BLACK, neck)]  # fmt: skip
+    return [
+        PropPiece(stripe, body),
+        PropPiece(WHITE, band),
+        PropPiece(GREY, top),
+        PropPiece(painted("Rubber"), belt),
+        PropPiece(BLACK, till),
+        PropPiece(BLACK, screen),
+        PropPiece(BLACK, neck),
+    ]
 
 
 def freezer(variant: int, rng: Generator) -> list[PropPiece]:
@@ -174,8 +181,14 @@ def mannequin(variant: int, _rng: Generator) -> list[PropPiece]:
     body = lathe([(0.135, 1.0), (0.16, 1.22), (0.19, 1.38), (0.06, 1.48)], sides=12)
     head = lathe([(0.04, 1.48), (0.05, 1.52), (0.085, 1.60), (0.09, 1.67), (0.05, 1.75), (0.01, 1.765)], sides=10)
     arms = [tube([(x, 0.0, 1.40), (x * 1.3, -0.02, 1.18), (x * 1.22, -0.08, 0.95)], 0.035, 6) for x in (-0.19, 0.19)]
-    return [PropPiece(CHROME, base), PropPiece(CHROME, pole), *(PropPiece(skin, mesh) for mesh in (*legs, head)),
-            PropPiece(skirt, dress), PropPiece(top, body), *(PropPiece(top, arm) for arm in arms)]  # fmt: skip
+    return [
+        PropPiece(CHROME, base),
+        PropPiece(CHROME, pole),
+        *(PropPiece(skin, mesh) for mesh in (*legs, head)),
+        PropPiece(skirt, dress),
+        PropPiece(top, body),
+        *(PropPiece(top, arm) for arm in arms),
+    ]
 
 
 def shopping_cart(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -217,9 +230,12 @@ def shopping_cart(variant: int, _rng: Generator) -> list[PropPiece]:
     forks = [
         block((x - 0.012, y - 0.012, 0.06), (x + 0.012, y + 0.012, 0.14)) for x in (-0.22, 0.22) for y in (-0.32, 0.34)
     ]
-    return [*(PropPiece(CHROME, mesh) for mesh in (*wires, *frame, *posts, *grips, *forks, floor_)), PropPiece(paint, handle),
-            PropPiece(paint, open_block((-0.20, 0.30, 0.75), (0.20, 0.325, 0.90), "SENWBT")),
-            *(PropPiece(BLACK, wheel) for wheel in wheels)]  # fmt: skip
+    return [
+        *(PropPiece(CHROME, mesh) for mesh in (*wires, *frame, *posts, *grips, *forks, floor_)),
+        PropPiece(paint, handle),
+        PropPiece(paint, open_block((-0.20, 0.30, 0.75), (0.20, 0.325, 0.90), "SENWBT")),
+        *(PropPiece(BLACK, wheel) for wheel in wheels),
+    ]
 
 
 def produce_stand(variant: int, rng: Generator) -> list[PropPiece]:
