@@ -18,7 +18,7 @@ from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile, replace_unusable_ledger
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.checkpoint import is_checkpoint_owed
-from coordinator.transfer.contract import Judge
+from coordinator.transfer.contract import BundleValidator
 from coordinator.validation.validator import Validator
 
 
@@ -34,7 +34,7 @@ class RunContext:
     """Exclusively opened dataset: no other coordinator can open it."""
     ledger: RunLedger
     """Ledger whose writer has been started."""
-    checker: Judge
+    checker: BundleValidator
     """Validator of bundles."""
     clock: Callable[[], datetime]
     """Wall clock."""
@@ -69,7 +69,9 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     )
 
 
-def _reconcile(archive: Archive, ledger: RunLedger, terms: Terms, checker: Judge, options: CoordinatorOptions) -> bool:
+def _reconcile(
+    archive: Archive, ledger: RunLedger, terms: Terms, checker: BundleValidator, options: CoordinatorOptions
+) -> bool:
     planned = terms.evaluation.planned if terms.evaluation is not None else None
     is_new = open_run(ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned)
     for name, entry in terms.catalog.items():

@@ -11,7 +11,7 @@ from coordinator.expansion.evaluation import EvalJobs
 from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import Judge, Nearby, nothing_nearby
+from coordinator.transfer.contract import BundleValidator, Nearby, nothing_nearby
 from schemas.dataset_meta import GateOutcome
 from schemas.storage.object_path import ObjectPath
 
@@ -30,7 +30,7 @@ class CoordinatorOptions:
     """Operational settings, which do not affect the contents of the dataset."""
     guard: Guard | None = None
     """TLS credentials and admission list; `None` admits every peer that can connect."""
-    checker: Judge | None = None
+    checker: BundleValidator | None = None
     """Validator of bundles, closed with the coordinator; by default one sandboxed child process per puller."""
     clock: Callable[[], datetime] = utc_now
     """Wall clock; tests provide one to let leases expire."""

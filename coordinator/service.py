@@ -13,9 +13,9 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.chores import RoomWatch, RunChores
 from coordinator.context import RunContext, open_context
 from coordinator.expansion.catalog import Catalog
+from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
 from coordinator.options import CoordinatorOptions
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.address_file import remove_address, write_address
@@ -58,11 +58,11 @@ class Coordinator(Closing):
         options = options or CoordinatorOptions()
         self._settings = options.settings
         self._draining = threading.Event()
-        room = RoomWatch(options.settings.reserve_bytes)
+        room = FreeSpaceMonitor(options.settings.reserve_bytes)
         terms = self._terms_of(plan, catalog, options, room)
         with ExitStack() as stack:
             self._run = run = open_context(stack, root, terms, options)
-            chores = RunChores(run, room, options.elapsed)
+            chores = Housekeeping(run, room, options.elapsed)
             stack.callback(chores.note_sandbox)
             self._tables = TableWriter(run, options.gate)
             stack.callback(self._tables.write_splits)
@@ -143,7 +143,7 @@ class Coordinator(Closing):
         """Stops listening, completes the queued work, writes the tables and releases the directory."""
         self._stack.close()
 
-    def _terms_of(self, plan: Plan, catalog: Catalog, options: CoordinatorOptions, room: RoomWatch) -> Terms:
+    def _terms_of(self, plan: Plan, catalog: Catalog, options: CoordinatorOptions, room: FreeSpaceMonitor) -> Terms:
         return Terms(
             plan=plan,
             catalog=catalog,

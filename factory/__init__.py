@@ -1,4 +1,4 @@
-"""The face: command line, one-machine runs, scenes, the dataset reader."""
+"""Top package: command line, runs on one machine, scenes, dataset reader, exports, training and evaluation."""
 
 from __future__ import annotations
 

@@ -1,41 +1,44 @@
-"""Writer and reader of bundles: frames, arrays and metadata of one episode in one file (docs/design/data.md#bundle).
+"""Writer and reader of bundles: frames, measurements, arrays and metadata of one episode (docs/design/data.md#bundle).
 
 Works on open binary files, with deterministic bytes and bounded decoding. Opens no path.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
-from pydantic_core import from_json
 
 from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
-from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
+from schemas.encoding.container import MAX_CONTAINER_BYTES, ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
 from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst, is_npy_of
 from schemas.encoding.png import decode_png, encode_png
-from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
+from schemas.episode import MAX_FRAMES, EpisodeMeta, parse_meta
 from schemas.errors import InvalidBundle
+from schemas.measurements import SENSORS, Arrays, MeasurementWriter, members_of_rig, read_measurement
+from schemas.rig import Rig, Sensor
+from schemas.rig.arrays import MAX_MEASURED_IMAGES
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
-MAX_BUNDLE_BYTES = 2 << 30
+MAX_BUNDLE_BYTES = MAX_CONTAINER_BYTES
+"""Largest size of a bundle, bytes; frames alone take less than 0.5 GB."""
 _META = "meta.json"
 _RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)
 _IMAGE_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX)
 _KEPT_FREE_BYTES = 30 << 20
 _DEPTH_BYTES = 4 * FRAME_SIZE_PX * FRAME_SIZE_PX + 4096
-_LIMITS = ContainerLimits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, member_bytes=4 << 20)
+_LIMITS = ContainerLimits(members=3 * MAX_FRAMES + MAX_MEASURED_IMAGES + 128, member_bytes=64 << 20)
+_MAX_META_BYTES = 4 << 20
 
 
 _STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
-"""Number of members of a states recording: the arrays and `meta.json`."""
+"""Number of members of a states recording: the arrays and `meta.json`. In other bundles they are the last ones."""
 
 
 def encode_depth(depth: NDArray[np.float32]) -> bytes:
@@ -47,10 +50,15 @@ def _frame_names(t: int) -> tuple[str, str, str]:
     return f"rgb_front/{t:06d}.png", f"depth_front/{t:06d}.npy.zst", f"seg_front/{t:06d}.png"
 
 
-def member_names(frames: int) -> tuple[str, ...]:
-    """Returns the member names of a bundle with that number of stored frames, in the order of the file."""
+def member_names(frames: int, of_rig: Iterable[str] = ()) -> tuple[str, ...]:
+    """Returns the member names of a bundle in the order of the file.
+
+    Args:
+        frames: number of stored frames.
+        of_rig: names of the members of its rig.
+    """
     of_frames = (name for t in range(frames) for name in _frame_names(t))
-    return (*of_frames, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
+    return (*of_frames, *of_rig, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,7 @@ class BundleWriter:
         self._out = ContainerWriter(file)
         self._lap = lap
         self._digests: list[str] = []
+        self._measurements = MeasurementWriter(self._out.add)
 
     def add_frame(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
         """Appends one frame: (640, 640, 3) sRGB, (640, 640) metres, (640, 640) instance ids."""
@@ -107,6 +116,11 @@ class BundleWriter:
         """Adds the digest of a frame without storing the frame, for a states recording."""
         self._digests.append(frame_digest(rgb, depth, ids))
 
+    def add_measurement(self, sensor: Sensor, t: int | None, arrays: Arrays) -> None:
+        """Appends a measurement of a sensor, after all frames; raises the errors of `MeasurementWriter.add`."""
+        self._measurements.add(sensor, t, arrays)
+        self._lap("sensors")
+
     @property
     def frame_digests(self) -> tuple[str, ...]:
         """Digests of the frames added so far."""
@@ -122,6 +136,7 @@ class BundleWriter:
         Returns:
             The metadata as written, with digests.
         """
+        meta = meta.model_copy(update={"sensor_digests": self._measurements.digests})
         sealed = seal(meta, self._digests, arrays)
         for spec, array in zip(EPISODE_ARRAYS, arrays.in_order(), strict=True):
             self._out.add(f"{spec.name}.npy", encode_npy(array))
@@ -150,7 +165,10 @@ class BundleReader(Closing):
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
         self.has_frames = len(self._in.names) > _STATES_MEMBERS
         """Whether the bundle stores frames; a states recording does not."""
-        expected = member_names(self.length if self.has_frames else 0)
+        self.has_sensors = self.has_frames and self._in.names[-_STATES_MEMBERS - 1].startswith(SENSORS)
+        """Whether the bundle stores the measurements of a rig."""
+        of_rig = members_of_rig(self._rig(), self.length, self.control_hz) if self.has_sensors else ()
+        expected = member_names(self.length if self.has_frames else 0, of_rig)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
         arrays = {spec.name: self._array(spec) for spec in EPISODE_ARRAYS}
@@ -165,7 +183,11 @@ class BundleReader(Closing):
         Raises:
             InvalidBundle: the metadata is damaged or has a newer format.
         """
-        return _read_meta(self._in)
+        if _META in self._in.names and self._in.size(_META) > _MAX_META_BYTES:
+            raise InvalidBundle(
+                "bundle refused", [f"{_META} has {self._in.size(_META)} bytes: limit {_MAX_META_BYTES}"]
+            )
+        return parse_meta(self._in.read(_META))
 
     def _array(self, spec: ArraySpec) -> NDArray[np.generic]:
         shape = tuple(self.length if side is None else side for side in spec.shape)
@@ -173,7 +195,7 @@ class BundleReader(Closing):
         former = spec.former_dtype
         dtype = former if former is not None and is_npy_of(data, former, shape) else spec.dtype
         array = decode_npy(spec.name, data, dtype, shape)
-        findings = spec.violations(array, self.length)
+        findings = spec.value_violations(array)  # decoding has compared shape and dtype
         if findings:
             raise InvalidBundle("bundle refused", findings)
         return array
@@ -193,6 +215,29 @@ class BundleReader(Closing):
         """Returns frame t as (640, 640) instance ids."""
         name = _frame_names(t)[2]
         return cast(NDArray[np.uint16], decode_png(name, self._in.read(name), _IMAGE_SHAPE))
+
+    def _rig(self) -> Rig:
+        rig = self.meta.job.view.rig
+        if rig is None:
+            raise InvalidBundle("bundle refused", ["it has measurements of sensors, but its job has no rig"])
+        return rig
+
+    @property
+    def control_hz(self) -> int:
+        """Control rate, steps per second."""
+        return self.meta.job.task.control_hz
+
+    def measurement(self, sensor: Sensor, t: int | None) -> dict[str, NDArray[Any]]:
+        """Returns the stored arrays of a sensor by name.
+
+        Args:
+            sensor: sensor of the rig of the episode.
+            t: step at which the sensor measures; `None` for all measurements of a sensor of motion.
+
+        Raises:
+            InvalidBundle: an array is missing, damaged or out of bounds.
+        """
+        return read_measurement(self._in.read, sensor, t, self.length, self.control_hz)
 
     def stored(self, name: str) -> bytes:
         """Returns the encoded bytes of a member, e.g. `rgb_front/000000.png`, after a check of its CRC."""
@@ -243,28 +288,6 @@ def _keep_freed_memory() -> None:
     a frame. The pages of the block itself are never accessed.
     """
     np.empty(_KEPT_FREE_BYTES, np.uint8)
-
-
-def _read_meta(container: ContainerReader) -> EpisodeMeta:
-    text = container.read(_META)
-    try:
-        return EpisodeMeta.model_validate_json(text)
-    except ValidationError as error:
-        newer = _newer_format(text)
-        if newer is not None:
-            found = f"bundle format {newer}, this software reads up to {BUNDLE_FORMAT}: upgrade minivla-factory"
-            raise InvalidBundle("bundle refused", [found]) from error
-        findings = [f"{_META}: {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
-        raise InvalidBundle("bundle refused", findings) from error
-
-
-def _newer_format(text: bytes) -> int | None:
-    try:
-        found = from_json(text)
-    except ValueError:
-        return None
-    version = found.get("format") if isinstance(found, dict) else None
-    return version if isinstance(version, int) and version > BUNDLE_FORMAT else None
 
 
 def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:

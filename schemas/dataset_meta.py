@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
@@ -20,9 +20,12 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 from schemas.terms import Recording
+from schemas.view import ViewSettings
 
-DATASET_FORMAT = 1
-"""Version of the dataset directory. A reader opens its own version and older ones, and rejects newer ones."""
+DATASET_FORMAT = 2
+"""Newest version of the dataset directory: 2 has a rig or an appearance in its plan, 1 has neither. A reader opens
+its own version and older ones, and rejects newer ones."""
+_FORMAT_WITHOUT_RIG = 1
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
 
@@ -49,7 +52,7 @@ class GateOutcome(Model):
 class DatasetMeta(Model):
     """Content of `dataset_meta.json`."""
 
-    format: int = DATASET_FORMAT
+    format: int = _FORMAT_WITHOUT_RIG
     """Version of the dataset directory."""
     compatibility: str = _COMPATIBILITY
     """Compatibility of the format version, as a sentence."""
@@ -61,6 +64,8 @@ class DatasetMeta(Model):
     """Root seed of the run."""
     plan: Plan
     """The plan itself."""
+    rig_digest: Sha256 | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Digest of the plan's rig; null and omitted if the plan has none."""
     scenes: dict[str, Sha256]
     """Digest of the compiled package in `scenes/` by scene name."""
     episodes: Annotated[int, Field(ge=0)]
@@ -94,8 +99,24 @@ def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
     """Returns the description with the plan that records frames; unchanged if the dataset stores frames."""
     if meta.plan.record is Recording.FRAMES:
         return meta
-    plan = meta.plan.model_copy(update={"record": Recording.FRAMES})
-    return meta.model_copy(update={"run": plan.run, "plan_digest": plan.digest, "plan": plan})
+    return described_by(meta, meta.plan.model_copy(update={"record": Recording.FRAMES}))
+
+
+def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
+    """Returns the description with another plan of the same episodes."""
+    return meta.model_copy(update=fields_of_plan(plan))
+
+
+def fields_of_plan(plan: Plan) -> dict[str, Any]:
+    """Returns the fields of a description that depend on the plan only."""
+    return {
+        "format": _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else DATASET_FORMAT,
+        "run": plan.run,
+        "plan_digest": plan.digest,
+        "seed": plan.seed,
+        "plan": plan,
+        "rig_digest": None if plan.rig is None else plan.rig.digest,
+    }
 
 
 def read_dataset_meta(root: Place) -> DatasetMeta:

@@ -5,18 +5,24 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, ValidationError
+from pydantic_core import from_json
 
+from schemas.appearance import DrawnAppearance
 from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath
+from schemas.errors import InvalidBundle
 from schemas.fingerprint import Fingerprint
 from schemas.job import Job
 from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
+from schemas.view import ViewSettings
 
-BUNDLE_FORMAT = 2
-"""Version of the bundle format; format 1 has float32 poses and frames only. A reader opens its own version and older
-ones, and rejects newer ones."""
+BUNDLE_FORMAT = 3
+"""Newest version of the bundle format: 3 has the measurements of a rig, 2 has none, 1 has float32 poses and frames
+only. A reader opens its own version and older ones, and rejects newer ones."""
+FORMAT_WITHOUT_RIG = 2
+"""Version of the bundles without a rig."""
 MAX_FRAMES = 1000
 """Largest number of steps of an episode."""
 _MAX_PATH_POSES = 100_000
@@ -24,10 +30,12 @@ _MAX_PATH_POSES = 100_000
 _OUTSIDE_DIGEST = {"provenance", "content_digest", "frame_digests"}
 _OF_RECORDING = {
     "instances": True,
-    "job": {"record": True, "run": True, "plan_digest": True},
+    "job": {"record": True, "run": True, "plan_digest": True, "view": True},
     "rollout": {"steps_visible": True},
+    "sensor_digests": True,
+    "appearance": True,
 }
-"""Fields that differ between both recordings of an episode, beside its digests."""
+"""Fields that differ between the recordings of an episode, beside its digests."""
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 
@@ -90,7 +98,7 @@ class Provenance(Model):
 class EpisodeMeta(Model):
     """Content of `meta.json`."""
 
-    format: Count = BUNDLE_FORMAT
+    format: Count = FORMAT_WITHOUT_RIG
     """Version of the bundle format."""
     episode_id: Name
     """Name of the episode, e.g. `ep_000001`."""
@@ -106,7 +114,7 @@ class EpisodeMeta(Model):
     """Convex hull of the target's projection to the floor, x, y in the world frame, metres; empty if the scene records
     none."""
     phrase_is_unique: bool
-    """Whether category and colour, as the instruction names them, match exactly one target of the scene."""
+    """Whether category and colour, as the instruction names them, match exactly one object of the scene."""
     rollout: Rollout
     """Measurements of the rollout."""
     route: Route = Route()
@@ -115,8 +123,15 @@ class EpisodeMeta(Model):
     """Instances that the ids in `seg_front` refer to; empty in a states recording, because the scene lists them."""
     frame_digests: Annotated[tuple[Digest, ...], Field(max_length=MAX_FRAMES)]
     """XXH3-128 of (rgb, depth, ids) of every frame, or in a states recording of those of `Job.sampled_steps`."""
+    sensor_digests: Annotated[dict[Name, Digest], Field(max_length=32)] = Field(
+        default_factory=dict, exclude_if=lambda it: not it
+    )
+    """XXH3-128 of the measurements of each sensor of the rig, by its name; empty and omitted without a rig."""
     content_digest: Digest
-    """XXH3-128 over the frame digests, the arrays and the canonical metadata without `provenance`."""
+    """XXH3-128 over the frame digests, the arrays and the canonical metadata without `provenance`; the metadata
+    contains the digests of the sensors."""
+    appearance: DrawnAppearance | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Factors of the appearance that the frames show; null and omitted for the scene as it was compiled."""
     provenance: Provenance
     """Time, worker and software of the episode."""
 
@@ -130,16 +145,52 @@ class EpisodeMeta(Model):
         return canonical_json(self, exclude=_OUTSIDE_DIGEST)
 
     def canonical_states(self) -> str:
-        """Returns the part of the metadata that is equal in both recordings of an episode, as canonical JSON."""
-        return canonical_json(self, exclude=dict.fromkeys(_OUTSIDE_DIGEST, True) | _OF_RECORDING)
+        """Returns the part of the metadata that is equal in all recordings of an episode, as canonical JSON."""
+        plain = self.model_copy(update={"format": min(self.format, FORMAT_WITHOUT_RIG)})
+        return canonical_json(plain, exclude=dict.fromkeys(_OUTSIDE_DIGEST, True) | _OF_RECORDING)
 
-    def with_frames(self, job: Job, steps_visible: int, instances: tuple[Instance, ...]) -> EpisodeMeta:
+    def with_frames(
+        self, job: Job, steps_visible: int, instances: tuple[Instance, ...], appearance: DrawnAppearance | None = None
+    ) -> EpisodeMeta:
         """Returns the metadata that the frames recording of this states recording has, with the former digests.
 
         Args:
             job: job of the frames recording.
             steps_visible: number of frames in which the target is visible.
-            instances: instances of the scene.
+            instances: instances of the scene, and of clutter.
+            appearance: factors that the frames show.
         """
         rollout = self.rollout.model_copy(update={"steps_visible": steps_visible})
-        return self.model_copy(update={"job": job, "rollout": rollout, "instances": instances})
+        changes = {"format": format_of(job), "job": job, "rollout": rollout, "instances": instances}
+        return self.model_copy(update={**changes, "appearance": appearance})
+
+
+def format_of(job: Job) -> int:
+    """Returns the version of the bundles of a job."""
+    return FORMAT_WITHOUT_RIG if job.view == ViewSettings() else BUNDLE_FORMAT
+
+
+def parse_meta(text: bytes) -> EpisodeMeta:
+    """Returns the metadata of a bundle from its JSON text.
+
+    Raises:
+        InvalidBundle: the metadata is damaged or has a newer format.
+    """
+    try:
+        return EpisodeMeta.model_validate_json(text)
+    except ValidationError as error:
+        newer = _newer_format(text)
+        if newer is not None:
+            found = f"bundle format {newer}, this software reads up to {BUNDLE_FORMAT}: upgrade minivla-factory"
+            raise InvalidBundle("bundle refused", [found]) from error
+        findings = [f"meta.json: {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
+        raise InvalidBundle("bundle refused", findings) from error
+
+
+def _newer_format(text: bytes) -> int | None:
+    try:
+        found = from_json(text)
+    except ValueError:
+        return None
+    version = found.get("format") if isinstance(found, dict) else None
+    return version if isinstance(version, int) and version > BUNDLE_FORMAT else None

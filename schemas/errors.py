@@ -50,3 +50,7 @@ class InvalidPlan(Findings, UsageError):
 
 class InvalidRig(Findings, UsageError):
     """Rig that contradicts itself or the control rate; lists every mistake with its key."""
+
+
+class InvalidAppearance(Findings, UsageError):
+    """Appearance that contradicts itself; lists every mistake with its key."""

@@ -22,6 +22,7 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.instruction.start_view import StartView
 from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName, Recording
+from schemas.view import ViewSettings
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip", re.ASCII)
@@ -84,6 +85,8 @@ class Job(EpisodeSpec):
     """Requirements on a demonstration; omitted if there are none."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """What the episode stores; omitted for frames, so that former digests stay valid."""
+    view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
+    """What the episode is rendered with; omitted if it is the default, as in every states recording."""
 
     @property
     def episode_id(self) -> str:

@@ -20,7 +20,7 @@ from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.scene import Target
 from schemas.support import portable
-from schemas.support.numpy_types import Floats
+from schemas.support.numpy_types import Bools, Floats
 from schemas.terms import SuccessMeasure
 
 _HALVINGS = 36
@@ -35,27 +35,30 @@ def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, fl
         points: world x, y, metres.
         footprint_m: vertices of the polygon, counter-clockwise; at least one.
     """
-    squares, inside, _ = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
-    return np.where(inside, 0.0, np.sqrt(squares.min(axis=-1)))
+    to_sides, is_inside = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
+    return np.asarray(np.sqrt(np.where(is_inside, 0.0, _squares(to_sides).min(axis=-1))))
 
 
-def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, NDArray[np.bool_], Floats]:
-    """Returns squared distances (..., K) to the sides, whether points are inside, and vectors (2, ..., K)."""
-    (side_x, side_y) = (np.roll(vertices, -1, axis=0) - vertices).T
-    to_x, to_y = vertices[:, 0] - points[..., :1], vertices[:, 1] - points[..., 1:]
-    lengths = side_x * side_x + side_y * side_y
-    along = np.clip(-(to_x * side_x + to_y * side_y) / np.where(lengths > 0, lengths, 1.0), 0.0, 1.0)
-    x, y = to_x + along * side_x, to_y + along * side_y
-    inside = np.asarray((side_y * to_x - side_x * to_y >= 0).all(axis=-1)) & (len(vertices) > 2)
-    return x * x + y * y, inside, np.stack((x, y))
+def _gap(point: Floats, vertices: Floats) -> Floats:
+    """Returns the shortest vector (2,) from a point (2,) to a convex polygon (K, 2); 0 on and inside it."""
+    to_sides, is_inside = _to_sides(point, vertices)
+    return np.where(is_inside, 0.0, to_sides[_squares(to_sides).argmin()])
 
 
-def _gaps(points: Floats, vertices: Floats) -> Floats:
-    """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
-    squares, inside, vectors = _to_sides(points, vertices)
-    nearest = squares.argmin(axis=-1)[..., None]
-    shortest = np.stack([np.take_along_axis(values, nearest, axis=-1)[..., 0] for values in vectors], axis=-1)
-    return np.where(inside[..., None], 0.0, shortest)
+def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Bools]:
+    """Returns vectors (..., K, 2) from points (..., 2) to the sides of a convex polygon, and whether each is inside."""
+    sides = np.concatenate((vertices[1:], vertices[:1])) - vertices
+    to_vertex = vertices - points[..., None, :]
+    squares = _squares(sides)
+    along = -(to_vertex[..., 0] * sides[:, 0] + to_vertex[..., 1] * sides[:, 1]) / np.where(squares > 0, squares, 1.0)
+    to_sides = to_vertex + np.clip(along, 0.0, 1.0)[..., None] * sides
+    is_left = sides[:, 1] * to_vertex[..., 0] - sides[:, 0] * to_vertex[..., 1] >= 0
+    return to_sides, np.asarray(is_left.all(axis=-1)) & (len(vertices) > 2)
+
+
+def _squares(vectors: Floats) -> Floats:
+    """Returns the squared lengths (...) of vectors (..., 2)."""
+    return np.asarray(vectors[..., 0] * vectors[..., 0] + vectors[..., 1] * vectors[..., 1])
 
 
 @dataclass(frozen=True)
@@ -125,21 +128,24 @@ class Goal:
         Returns a start that is as near as that itself.
 
         Args:
-            starts: (..., 2) first points of the lines, metres.
-            distance_m: one distance, or one for each line (...), metres.
+            starts: (..., 2) points, metres.
+            distance_m: one distance by the success measure, or one for each start (...), metres.
         """
-        start, reach = np.asarray(starts, float), np.asarray(distance_m, float)
+        start, limit = np.asarray(starts, float), np.asarray(distance_m, float)
         away = start - self._centre
         if not self.footprint_m:
             distance = np.linalg.norm(away, axis=-1, keepdims=True)
-            limit = reach[..., None]
-            return np.where(distance > limit, self._centre + away * (limit / np.maximum(distance, 1e-9)), start)
+            return np.where(
+                distance > limit[..., None],
+                self._centre + away * (limit[..., None] / np.maximum(distance, 1e-9)),
+                start,
+            )
         low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])  # shares of the line, from the centroid
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            is_near = self.distances(self._centre + away * middle[..., None]) <= reach
+            is_near = self.distances(self._centre + away * middle[..., None]) <= limit
             low, high = np.where(is_near, middle, low), np.where(is_near, high, middle)
-        is_there = (self.distances(start) <= reach)[..., None]
+        is_there = (self.distances(start) <= limit)[..., None]
         return np.where(is_there, start, self._centre + away * low[..., None])
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
@@ -149,19 +155,19 @@ class Goal:
             return gap, point + (self._centre - point) * (gap / (gap + self.radius_m))
         distance = self.distance(point[0], point[1])
         gap = distance - self.radius_m
-        return gap, point + _gaps(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
+        return gap, point + _gap(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
 
     def ring(self, directions: Floats, distance_m: ArrayLike) -> Floats:
-        """Returns the points (N, 2) at a distance from the target, on rays from its centroid.
+        """Returns the points (N, 2) at distances from the target, on rays from its centroid.
 
         Args:
             directions: (N, 2) unit vectors.
-            distance_m: one distance by the success measure, or one for each ray (N,), metres.
+            distance_m: one distance by the success measure, or one for each direction (N,), metres.
         """
-        reach = np.asarray(distance_m, float)
+        distance = np.asarray(distance_m, float)
         if not self.footprint_m:
-            return np.asarray(self._centre + reach[..., None] * directions)
-        return self.approach(self._centre + (self.extent_m + reach)[..., None] * directions, reach)
+            return np.asarray(self._centre + distance[..., None] * directions)
+        return self.approach(self._centre + (self.extent_m + distance)[..., None] * directions, distance)
 
     def outline(self) -> Floats:
         """Returns the edge of the goal as a closed line (N, 2), for drawing."""

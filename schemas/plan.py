@@ -32,6 +32,7 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
+from schemas.rig.arrays import rig_faults
 from schemas.taxonomy import category_of
 from schemas.terms import (
     BUILTIN_CATEGORIES,
@@ -43,6 +44,7 @@ from schemas.terms import (
     Split,
     Tier,
 )
+from schemas.view import AppearanceData, RigData, ViewSettings
 
 MAX_EPISODES = 9_999_999
 PAPER_TIERS = MappingProxyType({Tier.NEAR: 0.3, Tier.MID: 0.4, Tier.FAR: 0.3})
@@ -174,6 +176,12 @@ class Plan(Model):
     """Controller that drives."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """What an episode stores; omitted for frames, so that former digests stay valid."""
+    rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
+    """Sensors that a recording of frames stores, beside the recorded camera, and the default rig of readers of a
+    recording of states; null and omitted for none."""
+    appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Ranges of the appearance of the frames of a recording of frames, and default appearance of readers of a recording
+    of states; null and omitted for none."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories", "categories_overall"] = "instances"
@@ -229,6 +237,8 @@ class Plan(Model):
         ]
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
+        if self.rig is not None:
+            mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if mistakes:
             raise ValueError("; ".join(mistakes))
         return self
@@ -259,6 +269,11 @@ class Plan(Model):
     def split_share(self, split: Split) -> float:
         """Returns the requested fraction of all episodes in a split, over all scenes."""
         return sum(scene.episodes * self.splits_of(scene).get(split, 0.0) for scene in self.scenes) / self.episodes
+
+    @property
+    def view(self) -> ViewSettings:
+        """What the episodes are rendered with."""
+        return ViewSettings(rig=self.rig, appearance=self.appearance)
 
     @property
     def episodes(self) -> int:

@@ -25,6 +25,8 @@ SCENE_FORMAT = 3
 _READABLE = (2, SCENE_FORMAT)
 TEXTURE_SIZE_PX = 512
 """Width and height of a texture, pixels."""
+MAX_TEXTURES = 64
+"""Largest number of textures."""
 MAX_LIGHT_MAP_PX = 2048
 """Largest width and height of a light map, pixels."""
 MAX_INSTANCES = 65535
@@ -136,7 +138,7 @@ class SceneInfo(Model):
     """Targets of the scene."""
     instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
     """All objects that the id image can show."""
-    texture_count: Annotated[int, Field(ge=0, le=64)] = 0
+    texture_count: Annotated[int, Field(ge=0, le=MAX_TEXTURES)] = 0
     """Number of texture layers."""
     floor_height_m: Finite = 0.0
     """z of the floor in the world frame, metres."""

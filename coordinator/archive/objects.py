@@ -225,12 +225,17 @@ class ObjectArchive(PackingArchive, Closing):
         return said if isinstance(said, dict) else {}
 
     def close(self) -> None:
-        """Releases the dataset, so that another home can open it."""
+        """Releases the dataset, so that a run with another local directory can open it."""
         try:
             if self._holder().get("home") == self._sign:
                 self._objects.delete(_LOCK)
         except WorldError as error:
-            log.warning("lock_left_behind", dataset=str(self.root), error=str(error), remedy="the same home opens it")
+            log.warning(
+                "lock_left_behind",
+                dataset=str(self.root),
+                error=str(error),
+                remedy="open the dataset with the same local directory",
+            )
         finally:
             self._staging.close()
 

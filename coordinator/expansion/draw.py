@@ -26,7 +26,8 @@ from schemas.instruction.start_view import IN_FRONT_RAD, StartView
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import SceneInfo
-from schemas.terms import Split, SuccessMeasure, Tier
+from schemas.terms import Recording, Split, SuccessMeasure, Tier
+from schemas.view import ViewSettings
 
 Option = TypeVar("Option")
 
@@ -223,9 +224,17 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         gains=plan.gains,
         planner=plan.planner,
         record=plan.record,
+        view=_view(plan, entry),
         start_view=_start_view(plan, entry.info, planned.episode),
         demonstration=plan.demonstration,
     )
+
+
+def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
+    """Returns what the episode is rendered with; the default for a recording of states."""
+    if plan.record is not Recording.FRAMES:
+        return ViewSettings()
+    return plan.view if entry.light is None else plan.view.model_copy(update={"light": entry.light_file})
 
 
 def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView | None:

@@ -13,8 +13,13 @@ from pydantic import ValidationError
 
 from coordinator.expansion.apportion import apportion
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from schemas.errors import InvalidPlan, UsageError
+from schemas.appearance.file import BUILTIN_APPEARANCES, find_appearance
+from schemas.config import CameraConfig
+from schemas.errors import InvalidPlan, InvalidRig, UsageError
 from schemas.plan import Plan, ScenePlan
+from schemas.rig import Rig
+from schemas.rig.arrays import rig_faults
+from schemas.rig.file import BUILTIN_RIGS, load_rig, paper_rig
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml
@@ -45,7 +50,14 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
     task = data.setdefault("task", {})
     if isinstance(task, dict):
         task.setdefault("success", success)
-    return parse_plan(data, str(path), base=path.parent)
+    shown = data.get("appearance")
+    if isinstance(shown, str):
+        data["appearance"] = find_appearance(shown if shown in BUILTIN_APPEARANCES else str(path.parent / shown))
+    named = data.pop("rig") if isinstance(data.get("rig"), str) else None
+    plan = parse_plan(data, str(path), base=path.parent)
+    if named is None:
+        return with_rig(plan, plan.rig)
+    return with_rig(plan, load_rig(named if named in BUILTIN_RIGS else str(path.parent / named), control_hz=None))
 
 
 def _absent_message(reference: str, path: Path) -> str:
@@ -91,6 +103,31 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
     return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
 
 
+def with_rig(plan: Plan, rig: Rig | None) -> Plan:
+    """Returns the plan with another rig; none for the rig `paper`, whose only sensor is recorded without a rig, too.
+
+    Raises:
+        InvalidRig: the rates of the rig do not fit the plan, or it gives too many measurements.
+    """
+    if rig is not None:
+        faults = rig_faults(rig, plan.task.control_hz, plan.task.max_steps)
+        if faults:
+            raise InvalidRig(f"rig {rig.name!r} does not fit plan {plan.name!r}", faults)
+        if rig.sensors == paper_rig().sensors and plan.camera == CameraConfig():
+            rig = None
+    return plan.model_copy(update={"rig": rig})
+
+
+def with_appearance(plan: Plan, reference: str) -> Plan:
+    """Returns the plan with another appearance: the name of a built-in one, a file, or `none`.
+
+    Raises:
+        UsageError: the appearance does not exist.
+        InvalidAppearance: it has mistakes.
+    """
+    return plan.model_copy(update={"appearance": find_appearance(reference)})
+
+
 def scene_of(plan: Plan, name: str) -> ScenePlan:
     """Returns the section of the plan for a scene.
 
@@ -112,11 +149,14 @@ def shrink(
     expert: ExpertName | None = None,
     seed: int | None = None,
     record: Recording | None = None,
+    rig: Rig | None = None,
+    appearance: str | None = None,
 ) -> Plan:
-    """Returns the plan with fewer scenes or episodes in the same proportions, another expert, seed or recording.
+    """Returns the plan with fewer scenes or episodes in the same proportions, or with other values.
 
     Raises:
         UsageError: the plan has no such scene, or `episodes` is less than 1.
+        InvalidRig: the rig does not fit the plan.
     """
     wanted = {scene_of(plan, name).name for name in scenes}
     parts = tuple(part for part in plan.scenes if part.name in wanted) or plan.scenes
@@ -127,7 +167,9 @@ def shrink(
         parts = tuple(part.model_copy(update={"episodes": share[part.name]}) for part in parts if share[part.name] > 0)
     chosen = {"expert": expert, "seed": seed, "record": record}
     changes: dict[str, Any] = {key: value for key, value in chosen.items() if value is not None}
-    return plan.model_copy(update={"scenes": parts, **changes})
+    shrunk = plan.model_copy(update={"scenes": parts, **changes})
+    shrunk = shrunk if rig is None else with_rig(shrunk, rig)
+    return shrunk if appearance is None else with_appearance(shrunk, appearance)
 
 
 def _name_from(path: Path) -> str:

@@ -70,7 +70,7 @@ class CoreLink:
         self._away.succeed()
         return read_reply(found[0], kind, "the coordinator")
 
-    def insist(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
+    def request_until_reply(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
         """Repeats a request until the core replies.
 
         Raises:

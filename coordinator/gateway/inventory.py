@@ -16,8 +16,8 @@ import structlog
 
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.protocol.relay import MAX_FILES, MAX_LOST, Archived, Inventory, InventoryReply, Stray
-from coordinator.transfer.contract import Checker
+from coordinator.protocol.relay import MAX_FILES, MAX_LOST, Archived, Inventory, InventoryReply, UnrecordedFile
+from coordinator.transfer.contract import EpisodeValidator
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
 from schemas.job import Job
@@ -45,7 +45,7 @@ class DirectoryInventory:
 
 
 def reconcile_directory(
-    archive: DirectoryArchive, core: CoreLink, checker: Checker, stop: threading.Event, *, is_new: bool
+    archive: DirectoryArchive, core: CoreLink, checker: EpisodeValidator, stop: threading.Event, *, is_new: bool
 ) -> DirectoryInventory:
     """Reconciles a gateway's directory with the ledger.
 
@@ -65,7 +65,7 @@ def reconcile_directory(
         archive.quarantine(path, "no episode by its name")
     present = archive.present()
     for told in _inventories({index: path.stat().st_size for index, path in present.items()}, is_new=is_new):
-        while len((reply := core.insist(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:
+        while len((reply := core.request_until_reply(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:
             inventory.lost += reply.lost
         inventory.kept += len(told.files) - len(reply.strays)
         inventory.lost += reply.lost
@@ -92,11 +92,11 @@ def _inventories(sizes: dict[int, int], *, is_new: bool) -> Iterator[Inventory]:
 
 
 def _settle(
-    stray: Stray,
+    stray: UnrecordedFile,
     path: FilePlace,
     archive: DirectoryArchive,
     core: CoreLink,
-    checker: Checker,
+    checker: EpisodeValidator,
     stop: threading.Event,
     inventory: DirectoryInventory,
 ) -> None:
@@ -108,7 +108,9 @@ def _settle(
         inventory.adopted.append(stray.index)
 
 
-def _offer(stray: Stray, path: FilePlace, core: CoreLink, checker: Checker, stop: threading.Event) -> str:
+def _offer(
+    stray: UnrecordedFile, path: FilePlace, core: CoreLink, checker: EpisodeValidator, stop: threading.Event
+) -> str:
     """Validates a file and offers it to the core; returns the reason if it is not adopted, else an empty string."""
     if stray.job is None:
         return stray.why
@@ -117,7 +119,7 @@ def _offer(stray: Stray, path: FilePlace, core: CoreLink, checker: Checker, stop
             summary = checker.check(file, _job_of(file, stray.job), stray.target)
     except InvalidBundle as error:
         return str(error)
-    ack = core.insist(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)
+    ack = core.request_until_reply(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)
     return "" if ack.accepted else "the core does not want it any more"
 
 

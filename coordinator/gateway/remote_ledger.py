@@ -12,7 +12,7 @@ from pathlib import Path
 from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.protocol.protocol import Pull
-from coordinator.protocol.relay import Archived, Hold, Inventory, InventoryReply, Refused
+from coordinator.protocol.relay import Archived, ExtendLease, Inventory, InventoryReply, Refused
 from schemas.dataset import BundleReceipt
 from schemas.errors import UsageError
 from schemas.protocol.keys import Verb
@@ -39,7 +39,7 @@ class RemoteLedgerClient:
 
     def keep(self, pull: Pull, seconds: float) -> bool:
         """See `LedgerClient`."""
-        return self._core.ask(Verb.HOLD, Hold(lease=pull.lease, seconds=seconds), Ack).accepted
+        return self._core.ask(Verb.HOLD, ExtendLease(lease=pull.lease, seconds=seconds), Ack).accepted
 
     def is_owned(self, index: int) -> bool:
         """See `LedgerClient`."""
@@ -51,7 +51,7 @@ class RemoteLedgerClient:
     def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
         """See `LedgerClient`. Repeats the request until the core replies, because the file is already durable."""
         told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
-        return self._core.insist(Verb.ARCHIVED, told, Ack, self._stop).accepted
+        return self._core.request_until_reply(Verb.ARCHIVED, told, Ack, self._stop).accepted
 
     def refuse(self, pull: Pull, detail: str) -> None:
         """See `LedgerClient`."""

@@ -22,12 +22,12 @@ from coordinator.meters import Meters
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.protocol import Pull
-from coordinator.protocol.relay import MAX_ORDERS, Duty, Join, JoinReply, Orders, RelayOrder
+from coordinator.protocol.relay import MAX_ORDERS, Join, JoinReply, Orders, OrdersRequest, RelayOrder
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
 from coordinator.status.health import Snapshot
-from coordinator.transfer.contract import Checker
+from coordinator.transfer.contract import EpisodeValidator
 from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
@@ -69,7 +69,7 @@ class Gateway(Closing):
         settings: CoordinatorSettings | None = None,
         *,
         guard: Guard | None = None,
-        checker: Checker | None = None,
+        checker: EpisodeValidator | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self._settings = settings = settings or CoordinatorSettings()
@@ -137,10 +137,10 @@ class Gateway(Closing):
             guard.admitted if guard is not None else dict,
         )
 
-    def _join(self, root: Path, name: str, checker: Checker, stop: threading.Event) -> str:
+    def _join(self, root: Path, name: str, checker: EpisodeValidator, stop: threading.Event) -> str:
         """Joins the run of the core and reconciles the directory with the ledger."""
         join = Join(version=version("minivla-factory"), router=self._node.router_id)
-        terms = self._core.insist(Verb.JOIN, join, JoinReply, stop)
+        terms = self._core.request_until_reply(Verb.JOIN, join, JoinReply, stop)
         is_new = not has_owner(root)
         require_owner(root, terms.run, name)
         self._core.run = terms.run
@@ -148,7 +148,7 @@ class Gateway(Closing):
         write_owner(root, terms.run, name)
         return terms.run
 
-    def _open_pullers(self, checker: Checker) -> Pullers:
+    def _open_pullers(self, checker: EpisodeValidator) -> Pullers:
         return Pullers(
             self._archive,
             RemoteLedgerClient(self._core, self._archive, self._closing),
@@ -171,7 +171,7 @@ class Gateway(Closing):
         """Fetches orders; with too little free space it requests none, and only reports that it runs."""
         has_room = self._archive.free_bytes() >= self._settings.reserve_bytes
         free = max(0, MAX_ORDERS - self._pullers.waiting) if has_room else 0
-        duty = Duty(router=self._node.router_id, most=free, busy=self._pullers.busy_hosts)
+        duty = OrdersRequest(router=self._node.router_id, most=free, busy=self._pullers.busy_hosts)
         try:
             told = self._core.ask(Verb.ORDERS, duty, Orders)
         except TransientError as error:

@@ -10,7 +10,10 @@ from typing import Any
 from sqlalchemy import Row, bindparam, case, or_, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.moves import (
+from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.states import OPEN_STATES, Event, JobState
+from coordinator.ledger.tables import events, jobs
+from coordinator.ledger.transitions import (
     FREED,
     JOB,
     UNDER_LEASE,
@@ -20,9 +23,6 @@ from coordinator.ledger.moves import (
     lease_parameters,
     record_attempt,
 )
-from coordinator.ledger.prepared import PreparedStatement
-from coordinator.ledger.states import OPEN_STATES, Event, JobState
-from coordinator.ledger.tables import events, jobs
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Beat, Lease
 

@@ -11,25 +11,25 @@ from sqlalchemy import delete, func, insert, inspect, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.difference import RecordedFile
-from coordinator.ledger.tables import episodes, keepers
+from coordinator.ledger.tables import episodes, gateway_episodes
 
 _ROWS = 1000
-_KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
+_KEPT = select(episodes.c.idx, episodes.c.size).join(gateway_episodes, gateway_episodes.c.idx == episodes.c.idx)
 
 
 def record_at_gateway(connection: Connection, index: int, gateway: str) -> None:
     """Records that a gateway stores a newly archived episode."""
-    connection.execute(insert(keepers), {"idx": index, "gateway": gateway})
+    connection.execute(insert(gateway_episodes), {"idx": index, "gateway": gateway})
 
 
 def record_at_core(connection: Connection, index: int) -> None:
     """Records that the core stores an episode."""
-    connection.execute(delete(keepers).where(keepers.c.idx == index))
+    connection.execute(delete(gateway_episodes).where(gateway_episodes.c.idx == index))
 
 
 def is_recorded_at_gateway(connection: Connection, index: int, gateway: str, sha256: str) -> bool:
     """Returns whether the ledger records a file with this digest at the gateway."""
-    same = (episodes.c.idx == index, episodes.c.sha256 == sha256, keepers.c.gateway == gateway)
+    same = (episodes.c.idx == index, episodes.c.sha256 == sha256, gateway_episodes.c.gateway == gateway)
     return connection.execute(_KEPT.where(*same)).first() is not None
 
 
@@ -37,7 +37,9 @@ def records_of_gateway(
     connection: Connection, gateway: str, first: int, last: int
 ) -> Iterator[tuple[int, RecordedFile]]:
     """Yields the record of each episode that a gateway keeps, between two numbers, both included; ascending."""
-    query = _KEPT.where(keepers.c.gateway == gateway, keepers.c.idx.between(first, last)).order_by(keepers.c.idx)
+    query = _KEPT.where(gateway_episodes.c.gateway == gateway, gateway_episodes.c.idx.between(first, last)).order_by(
+        gateway_episodes.c.idx
+    )
     with connection.execute(query.execution_options(yield_per=_ROWS)) as rows:
         for row in rows:
             yield row.idx, RecordedFile(row.size)
@@ -58,14 +60,20 @@ def recorded_files(connection: Connection, *, digests: bool = True) -> Mapping[i
 
 def gateways_by_episode(connection: Connection) -> Mapping[int, str]:
     """Returns the gateway of every episode that a gateway stores, ordered by episode number."""
-    if not inspect(connection).has_table(keepers.name):
+    if not inspect(connection).has_table(gateway_episodes.name):
         return {}
-    return {row.idx: row.gateway for row in connection.execute(select(keepers).order_by(keepers.c.idx))}
+    return {
+        row.idx: row.gateway for row in connection.execute(select(gateway_episodes).order_by(gateway_episodes.c.idx))
+    }
 
 
 def count_by_gateway(connection: Connection) -> Mapping[str, int]:
     """Returns the number of episodes per gateway."""
-    if not inspect(connection).has_table(keepers.name):
+    if not inspect(connection).has_table(gateway_episodes.name):
         return {}
-    query = select(keepers.c.gateway, func.count()).group_by(keepers.c.gateway).order_by(keepers.c.gateway)
+    query = (
+        select(gateway_episodes.c.gateway, func.count())
+        .group_by(gateway_episodes.c.gateway)
+        .order_by(gateway_episodes.c.gateway)
+    )
     return {row[0]: row[1] for row in connection.execute(query)}

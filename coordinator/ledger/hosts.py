@@ -1,8 +1,8 @@
 """Records the workers of a run, and failures of hosts: strikes, pauses and bars. Does not change jobs.
 
-A host with a strike gets one job at a time until it delivers an episode. A failure is attributed to the job only if it
-failed on as many hosts as its crash budget, on all available hosts, or for a long time on the only host. Until then it
-is attributed to the host.
+A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
+to the job only if it failed on as many hosts as its crash budget, on all available hosts, or for a long time on the
+only host. Until then it is attributed to the host.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Any
 from sqlalchemy import Row, bindparam, delete, func, insert, inspect, or_, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.moves import JobRow, is_in
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, hosts, jobs, workers
+from coordinator.ledger.transitions import JobRow, is_in
 from schemas.protocol.administration import AdminReply
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Hello
@@ -87,7 +87,7 @@ def strike(connection: Connection, host: str, job: JobRow, reason: str, now: dat
     connection.execute(update(hosts).where(hosts.c.host == host).values(values))
 
 
-def relieve(connection: Connection, sid: str) -> None:
+def reduce_strikes(connection: Connection, sid: str) -> None:
     """Halves the strikes of a host that delivered an episode."""
     _RELIEVE.count(connection, {"name": host_of(sid)})
 

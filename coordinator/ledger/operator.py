@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.moves import FREED, Transition
-from coordinator.ledger.states import Event, IllegalMove, JobState, next_state, sources
+from coordinator.ledger.states import Event, InvalidTransition, JobState, next_state, sources
 from coordinator.ledger.tables import jobs
+from coordinator.ledger.transitions import FREED, Transition
 from schemas.protocol.administration import AdminReply
 
 _BATCH = 5000
@@ -65,7 +65,7 @@ def _move_all(
         refused.pop(row.idx, None)
         try:
             next_state(JobState(row.state), how.event)
-        except IllegalMove as error:
+        except InvalidTransition as error:
             refused[row.idx] = str(error)
             continue
         job = {"of_job": row.id, "of_fence": row.fence}

@@ -16,11 +16,11 @@ from sqlalchemy.engine import Connection
 from coordinator.expansion.draw import PlannedJob
 from coordinator.ledger import hosts
 from coordinator.ledger.claims import HELD_STATES
-from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Transition, lease_parameters, record_attempt
 from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState
-from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
+from coordinator.ledger.tables import attempts, episodes, gateway_episodes, jobs, workers
+from coordinator.ledger.transitions import FREED, JOB, UNDER_LEASE, JobRow, Transition, lease_parameters, record_attempt
 from schemas.dataset import BundleReceipt
 from schemas.plan import Budget
 from schemas.protocol.keys import host_of
@@ -64,10 +64,10 @@ _MISSED: dict[str, Any] = {
     "losses": 0,
     "superseded": bindparam("has_successor"),
 }
-_MISS = Transition(Event.MISSED, *UNDER_LEASE, **_MISSED)
+_MISS = Transition(Event.TASK_FAILED, *UNDER_LEASE, **_MISSED)
 _EXHAUST = Transition(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
 _HURTING: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
-_HURT = Transition(Event.HURT, *UNDER_LEASE, **_HURTING)
+_HURT = Transition(Event.WORKER_FAILED, *UNDER_LEASE, **_HURTING)
 _QUARANTINE = Transition(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
 _RELEASE = Transition(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
 _INSERT_EPISODE = PreparedStatement(insert(episodes))
@@ -76,8 +76,8 @@ _CREDIT = PreparedStatement(
 )
 _AT_HOME = PreparedStatement(
     select(episodes.c.idx)
-    .outerjoin(keepers, keepers.c.idx == episodes.c.idx)
-    .where(keepers.c.idx.is_(None), episodes.c.idx == bindparam("index"))
+    .outerjoin(gateway_episodes, gateway_episodes.c.idx == episodes.c.idx)
+    .where(gateway_episodes.c.idx.is_(None), episodes.c.idx == bindparam("index"))
 )
 
 
@@ -156,7 +156,7 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
     succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
     connection.execute(update(attempts).where(*succeeded).values(outcome=_LOST, settles=False, detail=detail))
     connection.execute(delete(episodes).where(episodes.c.idx == index))
-    connection.execute(delete(keepers).where(keepers.c.idx == index))
+    connection.execute(delete(gateway_episodes).where(gateway_episodes.c.idx == index))
     return True
 
 
@@ -188,7 +188,7 @@ def _own(
         },
     )
     _CREDIT.count(connection, {"by": row.sid})
-    hosts.relieve(connection, row.sid)
+    hosts.reduce_strikes(connection, row.sid)
     return True
 
 

@@ -19,10 +19,10 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.moves import FREED, Transition
 from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, jobs
+from coordinator.ledger.transitions import FREED, Transition
 from schemas.dataset import BundleReceipt, FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
@@ -120,7 +120,7 @@ def record_whole(
     row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
-    return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger moved meanwhile"
+    return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger changed during the repair"
 
 
 def record_failures(

@@ -10,6 +10,7 @@ from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.reading.reader import Connection, translate_damage
+from coordinator.ledger.seal import write_seal
 from coordinator.ledger.writer import Writer
 from schemas.errors import WorldError
 from schemas.protocol.status import Progress
@@ -29,6 +30,7 @@ class RunLedger(Closing):
 
     def __init__(self, url: str, run: str, clock: Callable[[], datetime]) -> None:
         self._url, self._run, self._clock = url, run, clock
+        self._is_usable = False
         with ExitStack() as stack:
             self.engine = open_writer(url)
             """Engine for writing; used directly only before `start_writer`."""
@@ -41,6 +43,7 @@ class RunLedger(Closing):
         """Starts the thread that does all further writing: `writer`."""
         self.writer = self._stack.enter_context(Writer(self.engine))
         """Writer thread, which commits in groups."""
+        self._is_usable = True
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
@@ -51,8 +54,12 @@ class RunLedger(Closing):
         """
         if self.writer.damage:
             raise WorldError(f"the ledger of run {self._run} is damaged: {self.writer.damage}; {RESTART_REMEDY}")
-        with translate_damage(self._url), self._reader.connect() as connection:
-            yield connection
+        try:
+            with translate_damage(self._url), self._reader.connect() as connection:
+                yield connection
+        except WorldError:
+            self._is_usable = False
+            raise
 
     def progress(self) -> Progress:
         """Returns the progress of the run."""
@@ -70,5 +77,7 @@ class RunLedger(Closing):
             return not claims.has_open_jobs(connection)
 
     def close(self) -> None:
-        """Commits the queued work and closes the database."""
+        """Commits the queued work, closes the database, and seals it if no damage was found."""
         self._stack.close()
+        if self._is_usable and not self.writer.damage:
+            write_seal(self._url)

@@ -30,18 +30,18 @@ class Event(StrEnum):
     ANNOUNCED = "announced"  # its worker announced that the bundle can be pulled
     ARCHIVED = "archived"  # the bundle was validated and published
     ADOPTED = "adopted"  # the bundle was found published at start, without a commit
-    MISSED = "missed"  # task failure; the next attempt follows
+    TASK_FAILED = "missed"  # task failure; the next attempt follows
     EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw
     RELEASED = "released"  # its worker returned it without an outcome
     EXPIRED = "expired"  # the lease expired without a heartbeat
-    HURT = "hurt"  # worker failure: crash, hang or invalid bundle
+    WORKER_FAILED = "hurt"  # worker failure: crash, hang or invalid bundle
     QUARANTINED = "quarantined"  # worker failure that exceeds the crash budget
     LOST = "lost"  # the archived file is missing or damaged
     RETRIED = "retried"  # retried by an admin request
     CANCELLED = "cancelled"  # cancelled by an admin request
 
 
-class IllegalMove(FactoryError):
+class InvalidTransition(FactoryError):
     """Event that is not allowed in the current state of the job."""
 
 
@@ -52,11 +52,11 @@ TRANSITIONS = MappingProxyType(
         (JobState.PENDING, Event.CLAIMED): JobState.LEASED,
         (JobState.PENDING, Event.CANCELLED): JobState.CANCELLED,
         (JobState.LEASED, Event.ANNOUNCED): JobState.SUBMITTED,
-        (JobState.LEASED, Event.MISSED): JobState.PENDING,
+        (JobState.LEASED, Event.TASK_FAILED): JobState.PENDING,
         (JobState.LEASED, Event.EXHAUSTED): JobState.FAILED,
         **{(held, Event.RELEASED): JobState.PENDING for held in _HELD},
         **{(held, Event.EXPIRED): JobState.PENDING for held in _HELD},
-        **{(held, Event.HURT): JobState.PENDING for held in _HELD},
+        **{(held, Event.WORKER_FAILED): JobState.PENDING for held in _HELD},
         **{(held, Event.QUARANTINED): JobState.FAILED for held in _HELD},
         **{(held, Event.CANCELLED): JobState.CANCELLED for held in _HELD},
         (JobState.SUBMITTED, Event.ANNOUNCED): JobState.SUBMITTED,
@@ -78,13 +78,13 @@ def next_state(state: JobState, event: Event) -> JobState:
     """Returns the state after an event.
 
     Raises:
-        IllegalMove: the event is not allowed in the state.
+        InvalidTransition: the event is not allowed in the state.
     """
     try:
         return TRANSITIONS[state, event]
     except KeyError:
         fitting = ", ".join(sources(event))
-        raise IllegalMove(f"a job that is {state} cannot be {event}; only from: {fitting}") from None
+        raise InvalidTransition(f"a job that is {state} cannot be {event}; only from: {fitting}") from None
 
 
 def sources(event: Event) -> tuple[JobState, ...]:

@@ -136,7 +136,7 @@ episodes = Table(
     Index("ix_episodes_at", "archived_at"),
 )
 
-keepers = Table(
+gateway_episodes = Table(
     "keepers",
     METADATA,
     Column("idx", Integer, primary_key=True, autoincrement=False),

@@ -42,7 +42,7 @@ from schemas.protocol.messages import (
     Lease,
     Ping,
     Refusal,
-    Trade,
+    RunKind,
 )
 from schemas.scene import Target
 
@@ -218,7 +218,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"together have {hosts.SESSIONS}: stop some workers, or wait some minutes"
             )
         )
-    trade = Trade.COLLECTION if terms.evaluation is None else Trade.EVALUATION
+    trade = RunKind.COLLECTION if terms.evaluation is None else RunKind.EVALUATION
     return ProtocolAnswer(
         HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade)
     )

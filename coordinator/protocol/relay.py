@@ -38,7 +38,7 @@ class JoinReply(Model):
     """Digest of its plan."""
 
 
-class Duty(Model):
+class OrdersRequest(Model):
     """Request of a gateway for orders."""
 
     router: RouterId
@@ -73,7 +73,7 @@ class Orders(Model):
     """Bundles to pull."""
 
 
-class Hold(Model):
+class ExtendLease(Model):
     """Request to extend a lease; the reply states whether the lease is in force."""
 
     lease: Lease
@@ -116,7 +116,7 @@ class Inventory(Model):
     episode is marked as lost."""
 
 
-class Stray(Model):
+class UnrecordedFile(Model):
     """File of a gateway without a record in the ledger."""
 
     index: Ordinal
@@ -132,7 +132,7 @@ class Stray(Model):
 class InventoryReply(Model):
     """Reply to `Inventory`."""
 
-    strays: Annotated[tuple[Stray, ...], Field(max_length=2 * MAX_FILES)] = ()
+    strays: Annotated[tuple[UnrecordedFile, ...], Field(max_length=2 * MAX_FILES)] = ()
     """Files without a record at the gateway."""
     lost: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_LOST)] = ()
     """Recorded episodes whose file is missing or has another size; they are collected again. A reply with `MAX_LOST`

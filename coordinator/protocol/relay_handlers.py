@@ -17,25 +17,25 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.difference import ListedFile, describe_difference
 from coordinator.expansion.draw import to_job
 from coordinator.ledger import claims, gateway_episodes, outcomes
-from coordinator.ledger.moves import JobRow
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import jobs
+from coordinator.ledger.transitions import JobRow
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Pull, Terms, fail_attempt
 from coordinator.protocol.relay import (
     MAX_LOST,
     Archived,
-    Duty,
-    Hold,
+    ExtendLease,
     Inventory,
     InventoryReply,
     Join,
     JoinReply,
     Orders,
+    OrdersRequest,
     Refused,
     RelayOrder,
-    Stray,
+    UnrecordedFile,
 )
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, file_name_of
@@ -81,7 +81,7 @@ def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: d
     return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
 
 
-def _hold(connection: Connection, hold: Hold, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
+def _hold(connection: Connection, hold: ExtendLease, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
     return Ack(accepted=claims.extend(connection, hold.lease, now, hold.seconds))
 
 
@@ -161,29 +161,29 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
     if len(wrong) == MAX_LOST:
         return InventoryReply(lost=tuple(wrong))
     strays = tuple(_strays(connection, files.keys() - owned, terms))
-    strays += tuple(Stray(index=index, why=why) for index, why in wrong.items() if index in files)
+    strays += tuple(UnrecordedFile(index=index, why=why) for index, why in wrong.items() if index in files)
     return InventoryReply(strays=strays, lost=tuple(wrong))
 
 
-def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator[Stray]:
+def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator[UnrecordedFile]:
     rows = {row.idx: row for row in connection.execute(_CURRENT, {"indices": sorted(indices)})} if indices else {}
     for index in sorted(indices):
         row = rows.get(index)
         if row is None:
-            yield Stray(index=index, why="the plan has no such episode")
+            yield UnrecordedFile(index=index, why="the plan has no such episode")
         elif row.state not in OPEN_STATES:
-            yield Stray(index=index, why=f"the ledger expects no file of it (its job is {row.state})")
+            yield UnrecordedFile(index=index, why=f"no file is expected for this episode (its job is {row.state})")
         else:
             job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
             target = terms.catalog[job.scene].info.target(job.target_id)
-            yield Stray(index=index, why=f"its job is {row.state}", job=job, target=target)
+            yield UnrecordedFile(index=index, why=f"its job is {row.state}", job=job, target=target)
 
 
 RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
     {
         Verb.JOIN: Join,
-        Verb.ORDERS: Duty,
-        Verb.HOLD: Hold,
+        Verb.ORDERS: OrdersRequest,
+        Verb.HOLD: ExtendLease,
         Verb.ARCHIVED: Archived,
         Verb.REFUSED: Refused,
         Verb.INVENTORY: Inventory,
@@ -192,5 +192,5 @@ RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
 """Message type by verb of a gateway; the reply to `orders` does not need the ledger."""
 
 _HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
-    {Join: _join, Hold: _hold, Archived: _archived, Refused: _refused, Inventory: _inventory}
+    {Join: _join, ExtendLease: _hold, Archived: _archived, Refused: _refused, Inventory: _inventory}
 )

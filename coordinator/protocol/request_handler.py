@@ -21,7 +21,7 @@ from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
-from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
+from coordinator.protocol.relay import Archived, InventoryReply, Join, JoinReply, OrdersRequest
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
@@ -157,7 +157,7 @@ class RequestHandler(Closing):
             self._log(log.info, "refused", inquiry, reason=request.error)
             inquiry.answer(request)
             return
-        if isinstance(request.message, Duty):
+        if isinstance(request.message, OrdersRequest):
             duty = request.message
             inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most, duty.busy)))
             return

@@ -104,7 +104,9 @@ class Router(Closing):
         self._connect = tuple(connect)
         self._on_inquiry = on_inquiry
         self._on_gone = on_gone
-        served = {entry.sha256: entry.path for entry in catalog.values()} | dict(files or {})
+        served = {sha256: path for entry in catalog.values() for sha256, path in entry.files.items()} | dict(
+            files or {}
+        )
         self._scenes = _open_files(run, served)
         self._settings = settings
         self._guard = guard

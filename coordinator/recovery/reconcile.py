@@ -28,10 +28,11 @@ from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.repair import current_job, record_whole
+from coordinator.ledger.seal import is_sealed
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import restore_failures, validated_files
-from coordinator.transfer.contract import Checker, Judge
+from coordinator.transfer.contract import BundleValidator, EpisodeValidator
 from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
 from schemas.storage.place import FilePlace, Place, at_hand
@@ -56,7 +57,7 @@ class Reconciled:
     """Number of restarted leases."""
 
 
-def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, now: datetime) -> Reconciled:
+def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleValidator, now: datetime) -> Reconciled:
     """Reconciles ledger and archive; opening the archive has already emptied the staging directory.
 
     Args:
@@ -76,7 +77,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
         recorded = recorded_files(connection, digests=False)
     difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
     unsure = {index: present[index] for index in difference.strays}
-    verdicts = _judge_all(archive, engine, terms, checker, unsure, difference)
+    verdicts = _validate_all(archive, engine, terms, checker, unsure, difference)
     _require_own_plan(archive, terms, verdicts, len(recorded))
     result.quarantined += [archive.quarantine(path, "no episode by its name") for path in archive.foreign()]
     with engine.begin() as connection:
@@ -104,11 +105,11 @@ def _requeue(connection: Connection, index: int, now: datetime, reason: str, res
         result.requeued.append(index)
 
 
-def _judge_all(
+def _validate_all(
     archive: Archive,
     engine: Engine,
     terms: Terms,
-    checker: Judge,
+    checker: BundleValidator,
     unsure: Mapping[int, FilePlace],
     difference: ArchiveDifference,
 ) -> Mapping[int, _Verdict]:
@@ -116,18 +117,21 @@ def _judge_all(
         return {}
     with engine.connect() as ledger:
         if terms.evaluation is not None:
-            return {index: _judge_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
+            return {index: _validate_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
         validated = validated_files(archive.root, terms.plan)
-        judge = StrayClassifier(
-            PlannedDraws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated
+        classifier = StrayClassifier(
+            PlannedDraws(terms.plan, terms.catalog, ledger), cast(EpisodeValidator, checker), ledger, validated
         )
         found = {
-            index: judge.classify(path, index, replaces=index in difference.changed) for index, path in unsure.items()
+            index: classifier.classify(path, index, replaces=index in difference.changed)
+            for index, path in unsure.items()
         }
     return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
 
 
-def _judge_result(ledger: Connection, index: int, path: FilePlace, terms: Terms, checker: Judge) -> _Verdict:
+def _validate_result(
+    ledger: Connection, index: int, path: FilePlace, terms: Terms, checker: BundleValidator
+) -> _Verdict:
     """Validates a result of an evaluation, which does not contain its attempt, against the current attempt."""
     row = current_job(ledger, index)
     if row is None:
@@ -193,6 +197,8 @@ def _adopt(engine: Engine, terms: Terms, receipt: BundleReceipt, at: tuple[int, 
 def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
     """Quarantines the ledger of a run if it is unusable; an intact ledger is not changed.
 
+    A ledger that has not changed since it was closed is not audited.
+
     Args:
         archive: archive of the run, held exclusively.
         url: URL of the ledger.
@@ -202,7 +208,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
         WorldError: a database server stores a damaged ledger, which only its administrator can replace.
         UsageError: the ledger has a newer format.
     """
-    trouble = ledger_trouble(url, catalog)
+    trouble = "" if is_sealed(url) else ledger_trouble(url, catalog)
     if not trouble:
         return
     if is_server(url) and "lacks the tables" not in trouble:

@@ -34,7 +34,7 @@ from coordinator.tables.checkpoint import count_failures, write_checkpoint
 from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_column
-from coordinator.transfer.contract import Checker
+from coordinator.transfer.contract import EpisodeValidator
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, EPISODES, META_FILE, METADATA_FILE, SHARDS_FILE
 from schemas.dataset_meta import read_dataset_meta
@@ -71,7 +71,7 @@ class RepairInput:
 
 def repair(
     dataset: RepairInput,
-    checker: Checker,
+    checker: EpisodeValidator,
     now: datetime,
     *,
     apply: bool,

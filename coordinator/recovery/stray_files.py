@@ -17,7 +17,7 @@ from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import obstacle_to
 from coordinator.ledger.tables import jobs
-from coordinator.transfer.contract import Checker
+from coordinator.transfer.contract import EpisodeValidator
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary, summary_of
 from schemas.errors import InvalidBundle
@@ -84,7 +84,7 @@ class StrayClassifier:
     def __init__(
         self,
         draws: PlannedDraws,
-        checker: Checker,
+        checker: EpisodeValidator,
         ledger: Connection | None,
         validated: Mapping[int, str] = MappingProxyType({}),
     ) -> None:

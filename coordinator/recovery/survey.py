@@ -13,7 +13,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.gateway_episodes import recorded_files
 from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import validated_files
-from coordinator.transfer.contract import Checker
+from coordinator.transfer.contract import EpisodeValidator
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import QUARANTINE
 from schemas.job import index_of_file
@@ -45,7 +45,7 @@ def survey_archive(
     plan: Plan,
     catalog: Catalog,
     ledger: Connection | None,
-    checker: Checker,
+    checker: EpisodeValidator,
     on_progress: ProgressCallback,
 ) -> Survey:
     """Compares every file of a dataset with the ledger, and files without a record with the plan.
@@ -63,15 +63,15 @@ def survey_archive(
     listed = list_episodes(root)
     files = listed.episodes
     result.quarantine += [(path, "no episode by its name") for path in listed.foreign]
-    judge = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
+    classifier = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
     difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
     result.whole = len(difference.same) + len(difference.elsewhere)
     for done, index in enumerate(difference.strays, result.whole + 1):
-        _judge(files[index], index, difference.changed.get(index), judge, result, recorded.get(index))
+        _classify(files[index], index, difference.changed.get(index), classifier, result, recorded.get(index))
         on_progress(done, len(files))
     missing = set(difference.missing)
     found = {summary.index for summary in result.adopt} | (recorded.keys() - missing)
-    result.restore += _restorable(root, judge, found)
+    result.restore += _restorable(root, classifier, found)
     back = {summary.index for _, summary in result.restore}
     result.requeue += [(index, GONE) for index in sorted(missing - back)]
     result.requeue = [(index, why) for index, why in result.requeue if index not in back]
@@ -100,10 +100,15 @@ def _read_file(path: FilePlace, record: RecordedFile | None) -> ListedFile:
         return ListedFile(size, fault=f"cannot be read: {error.strerror}")
 
 
-def _judge(
-    path: FilePlace, index: int, change: str | None, judge: StrayClassifier, result: Survey, record: RecordedFile | None
+def _classify(
+    path: FilePlace,
+    index: int,
+    change: str | None,
+    classifier: StrayClassifier,
+    result: Survey,
+    record: RecordedFile | None,
 ) -> None:
-    verdict = judge.classify(path, index, replaces=change is not None)
+    verdict = classifier.classify(path, index, replaces=change is not None)
     if not isinstance(verdict, str):
         result.adopt.append(verdict)
         return
@@ -112,7 +117,7 @@ def _judge(
         result.requeue.append((index, change))
 
 
-def _restorable(root: Place, judge: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
+def _restorable(root: Place, classifier: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
     """Yields quarantined files that are intact episodes of the plan and missing in the dataset."""
     had = set(found)
     for path in children(root / QUARANTINE):
@@ -120,7 +125,7 @@ def _restorable(root: Place, judge: StrayClassifier, found: Set[int]) -> Iterato
         index = index_of_file(name) if mark != "txt" else None
         if index is None or index in had or not path.is_file() or path.is_symlink():
             continue
-        verdict = judge.classify(path, index, replaces=True)
+        verdict = classifier.classify(path, index, replaces=True)
         if not isinstance(verdict, str):
             had.add(index)
             yield path, verdict

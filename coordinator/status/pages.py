@@ -176,7 +176,7 @@ class Pages:
         if self._source.is_alive():
             return plain_page(HTTPStatus.OK, "ok")
         return plain_page(
-            HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it"
+            HTTPStatus.SERVICE_UNAVAILABLE, "the main thread of the coordinator has ended; restart the coordinator"
         )
 
     def _readiness(self) -> Page:

@@ -120,6 +120,8 @@ The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
   table in `meta.json`), """
+_SENSORS = """`sensors/*` (measurements of the rig `{}`, see
+  `plan.rig` in `dataset_meta.json`), """
 _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
   with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
@@ -128,10 +130,10 @@ _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
-    "The expert knows where its target is and drives straight, so nothing teaches to go around things; its starts are "
-    "screened by `spawn.screening` of the plan: {}."
+    "The expert knows where its target is and drives straight, so the data contain no detours around obstacles; its "
+    "starts are screened by `spawn.screening` of the plan: {}."
 )
-_PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
+_PLANNED = "The expert knows the floor plan; its actions near corners cannot always be predicted from the images."
 
 
 def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Collection[str] = ()) -> str:
@@ -143,6 +145,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         with_tables: splits with split tables.
     """
     stores_frames = meta.plan.record is Recording.FRAMES
+    rig = meta.plan.rig if stores_frames else None
     return _CARD.format(
         configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
@@ -165,7 +168,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         tiers=_tier_table(aggregates),
         splits=_split_part(meta, aggregates),
         categories=", ".join(f"{name} {n}" for name, n in sorted(aggregates.categories.items())) or "none yet",
-        frames=_FRAMES if stores_frames else "",
+        frames=(_FRAMES if stores_frames else "") + ("" if rig is None else _SENSORS.format(rig.name)),
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),

@@ -25,7 +25,14 @@ from coordinator.tables.table_reader import read_digest
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
-from schemas.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta, software_versions
+from schemas.dataset_meta import (
+    DatasetMeta,
+    GateOutcome,
+    fields_of_plan,
+    git_commit,
+    read_dataset_meta,
+    software_versions,
+)
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
@@ -105,10 +112,7 @@ class DatasetTables:
         failures = self._failures.write(archive, plan.episodes, content.failure_rows, changed[1])
         complete = episodes.rows == plan.episodes
         meta = DatasetMeta(
-            run=plan.run,
-            plan_digest=plan.digest,
-            seed=plan.seed,
-            plan=plan,
+            **fields_of_plan(plan),
             episodes=episodes.rows,
             planned=plan.episodes,
             complete=complete,

@@ -20,7 +20,7 @@ def nothing_nearby(_lease: Lease) -> None:
     """Finds no bundle on this machine."""
 
 
-class Judge(Protocol):
+class BundleValidator(Protocol):
     """Interface of thread-safe bundle validators."""
 
     def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> BundleReceipt:
@@ -30,7 +30,7 @@ class Judge(Protocol):
         """Ends the validator; a running check raises `TransientError`."""
 
 
-class Checker(Judge, Protocol):
+class EpisodeValidator(BundleValidator, Protocol):
     """Interface of validators of collected episodes."""
 
     def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:

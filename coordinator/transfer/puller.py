@@ -16,7 +16,7 @@ from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.protocol import Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import Judge, LedgerClient, Nearby, nothing_nearby
+from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.dataset import BundleReceipt
@@ -91,7 +91,7 @@ class Pullers(Closing):
         archive: Archive,
         ledger: LedgerClient,
         fetch: Fetch,
-        checker: Judge,
+        checker: BundleValidator,
         settings: CoordinatorSettings,
         on_archived: Callable[[], None],
         meters: Meters | None = None,

@@ -11,6 +11,7 @@ from coordinator.validation.job import job_findings, table_findings, target_find
 from coordinator.validation.motion import motion_findings
 from coordinator.validation.rollout import arrival_findings, rollout_findings, visibility_findings
 from coordinator.validation.route import route_findings
+from coordinator.validation.sensors import rig_findings, survey_measurements
 from coordinator.validation.start import start_findings
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import POSES
@@ -20,7 +21,7 @@ from schemas.scene import Target
 from schemas.terms import Recording
 
 _STRIDE = 8
-"""Distance between two decoded frames of a sample, steps
+"""Distance between two decoded frames or measurements of a sample
 (docs/decisions/0151-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""
 
 
@@ -50,6 +51,8 @@ def validate(
     findings = job_findings(meta, job) if job is not None else []
     findings += table_findings(meta)
     findings += _format_findings(bundle)
+    of_rig = rig_findings(bundle)
+    findings += of_rig or survey_measurements(bundle, _STRIDE if sampled else 1)
     findings += target_findings(meta, target) if target is not None else []
     findings += rollout_findings(meta, arrays)
     findings += route_findings(meta, arrays)

@@ -265,9 +265,9 @@ def _opened(path: Path) -> Iterator[int]:
         os.close(descriptor)
 
 
-def sandbox_of(judge: object) -> tuple[str, ...]:
+def sandbox_of(validator: object) -> tuple[str, ...]:
     """Returns the active sandbox layers of a validator; empty before the first bundle, or without child processes."""
-    return judge.layers if isinstance(judge, Validator) else ()
+    return validator.layers if isinstance(validator, Validator) else ()
 
 
 def _log_sandbox(layers: Sequence[str]) -> None:

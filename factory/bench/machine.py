@@ -57,7 +57,7 @@ def _peak_mib(pid: int | str) -> float:
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return round(int(line.split()[1]) / 1024, 1)
-    raise AssertionError("Linux names the peak of every process")
+    raise AssertionError("VmHWM is missing in /proc/PID/status")
 
 
 def _cpu_name() -> str:

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import re
-from typing import BinaryIO
+from functools import cached_property
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.antialias import shrink_frame
+from factory.dataset.appearance import DressedPackage, drawn_for
 from factory.dataset.packages import ScenePackage
 from factory.dataset.shared_renderer import View, shared_renderer
+from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader, encode_depth
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
 from schemas.rig import Camera
 from schemas.scene import Instance
 from schemas.storage.place import Place
+from workers.appearance import clutter_instances
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, RenderedFrame
+
+if TYPE_CHECKING:
+    from workers.sensors.rays import SceneRays
 
 _FRAME_MEMBER = re.compile(r"(rgb_front|depth_front|seg_front)/(\d{6})\.\w+(\.zst)?")
 
@@ -30,11 +37,25 @@ class EpisodeBundle(BundleReader):
         file: seekable file, opened for reading.
         root: location of the dataset, which contains the scenes.
         steps: number of steps of the episode, see `BundleReader`.
+        ranges: appearance of rendered frames; `None` renders the scene as it was compiled.
     """
 
-    def __init__(self, file: BinaryIO, root: Place, steps: int | None = None) -> None:
+    def __init__(self, file: BinaryIO, root: Place, steps: int | None = None, ranges: Appearance | None = None) -> None:
         super().__init__(file, steps)
-        self._root = root
+        self._root, self._ranges = root, ranges
+
+    @cached_property
+    def appearance(self) -> DrawnAppearance | None:
+        """Factors of the appearance: recorded with the frames, or drawn for frames that are rendered."""
+        if self.meta.appearance is not None or self._ranges is None:
+            return self.meta.appearance
+        return drawn_for(self._ranges, self.meta.job, self.package, self.arrays.poses)
+
+    @cached_property
+    def shown(self) -> ScenePackage | DressedPackage:
+        """Scene of the episode with its appearance."""
+        drawn = self.appearance
+        return self.package if drawn is None or not drawn.changes_scene else DressedPackage(self.package, drawn)
 
     @property
     def package(self) -> ScenePackage:
@@ -45,7 +66,11 @@ class EpisodeBundle(BundleReader):
     @property
     def instances(self) -> tuple[Instance, ...]:
         """Instances that the ids refer to, from the metadata or the scene."""
-        return self.meta.instances if self.has_frames else self.package.info().instances
+        if self.has_frames:
+            return self.meta.instances
+        known, drawn = self.package.info().instances, self.appearance
+        clutter = () if drawn is None else clutter_instances([item.id for item in known], drawn.clutter)
+        return (*known, *clutter)
 
     def render(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> RenderedFrame:
         """Renders frame t from its pose; equal to the recorded frame if renderer and size are equal.
@@ -65,10 +90,15 @@ class EpisodeBundle(BundleReader):
     def render_camera(self, pose: Pose, camera: Camera) -> CameraImage:
         """Renders the image of a camera of a rig from a pose of base_link; raises the errors of `render`."""
         recorded_with = self.meta.provenance.fingerprint.renderer
-        return shared_renderer().render_camera(self.package, camera, pose, recorded_with)
+        return shared_renderer().render_camera(self.shown, camera, pose, recorded_with)
+
+    def rays(self) -> SceneRays:
+        """Returns the ray caster of the scene; raises the errors of `ScenePackage.rays`."""
+        return self.shown.rays()
 
     def _view(self, t: int, size: int = FRAME_SIZE_PX) -> tuple[View, str]:
-        view = View(self.package, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size)
+        change = None if self.appearance is None else self.appearance.camera
+        view = View(self.shown, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size, change)
         return view, self.meta.provenance.fingerprint.renderer
 
     def _rendered(self, t: int) -> RenderedFrame:

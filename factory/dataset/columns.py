@@ -7,6 +7,7 @@ those of one version of the file, also if a coordinator replaces it meanwhile.
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
@@ -29,6 +30,7 @@ _LATER = pa.schema(
     [("spawn_surface_m", pa.float64()), ("final_surface_m", pa.float64()), ("target_in_view", pa.bool_())]
 )
 """Columns that versions of this software added after the first; null where the table lacks them."""
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SMALL_INTEGERS = (pa.int8(), pa.int16(), pa.int32())
 
 
@@ -131,7 +133,15 @@ def _reader(column: pa.Array) -> Callable[[int], Any]:
     if pa.types.is_dictionary(column.type) and not column.null_count:
         values, indices = column.dictionary.to_pylist(), column.indices.to_numpy()
         return lambda position: values[indices[position]]
-    if (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)) and not column.null_count:
-        values = column.to_numpy()
+    if column.null_count == len(column):
+        return lambda _: None
+    if pa.types.is_timestamp(column.type) and column.type.unit == "us" and not column.null_count:
+        ticks = column.cast(pa.int64()).to_numpy()
+        return lambda position: _EPOCH + timedelta(microseconds=ticks.item(position))
+    is_simple = (
+        pa.types.is_integer(column.type) or pa.types.is_floating(column.type) or pa.types.is_boolean(column.type)
+    )
+    if is_simple and not column.null_count:
+        values = column.to_numpy(zero_copy_only=False)
         return lambda position: values.item(position)
     return lambda position: column[position].as_py()

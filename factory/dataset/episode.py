@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.packages import ScenePackage
+from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -29,8 +30,7 @@ from schemas.storage.shard_index import episode_place
 from schemas.support.closing import Closing
 
 if TYPE_CHECKING:
-    from factory.dataset.observation import CameraObservation
-    from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
+    from workers.sensors import CameraObservation, ImuMeasurements, LidarScan, OdometryMeasurements
 
 
 class Frame(NamedTuple):
@@ -55,12 +55,16 @@ class Episode(Closing):
         ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
-    def __init__(self, path: FilePlace, summary: EpisodeSummary, rig: Rig | None = None) -> None:
+    def __init__(
+        self, path: FilePlace, summary: EpisodeSummary, rig: Rig | None = None, ranges: Appearance | None = None
+    ) -> None:
         self.path = path
         self.summary = summary
         """Row of the episode in the metadata table."""
         self.rig = rig
         """Rig of `observe`."""
+        self.ranges = ranges
+        """Ranges of `appearance`, for frames that are rendered."""
         self._opened: _Opened | None = None
         self._opening = Lock()
 
@@ -79,6 +83,12 @@ class Episode(Closing):
         """Recorded metadata of the episode, without its arrays."""
         with self._reading() as bundle:
             return bundle.meta
+
+    @property
+    def appearance(self) -> DrawnAppearance | None:
+        """Factors of the appearance of the frames (docs/appearance.md); `None` if they show the scene as compiled."""
+        with self._reading() as bundle:
+            return bundle.appearance
 
     @property
     def instances(self) -> tuple[Instance, ...]:
@@ -155,8 +165,8 @@ class Episode(Closing):
     def observe(self, t: int, sensors: Iterable[str] | None = None) -> dict[str, CameraObservation | LidarScan]:
         """Returns the images of the rig's cameras and the scans of its lidars at step t, by name (docs/rigs.md).
 
-        They are rendered when they are read. A sensor with a lower rate than the control rate is omitted at the steps
-        between two measurements.
+        They are rendered when they are read, unless the episode stores these sensors. A sensor with a lower rate than
+        the control rate is omitted at the steps between two measurements.
 
         Args:
             t: step; a negative t counts from the end.
@@ -216,11 +226,11 @@ class Episode(Closing):
 
     def _open(self) -> _Opened:
         try:
-            return _Opened(self.path, len(self))
+            return _Opened(self.path, len(self), self.ranges)
         except FileNotFoundError:  # the coordinator of a run may have packed the episode meanwhile
             self.path = episode_place(self.path.parents[1], self.summary.index)
         try:
-            return _Opened(self.path, len(self))
+            return _Opened(self.path, len(self), self.ranges)
         except FileNotFoundError as error:
             raise ArchiveCorrupt(f"{self.path} is missing: run `factory verify`") from error
 
@@ -237,8 +247,8 @@ class Episode(Closing):
             self._opened.close()
             self._opened = None
 
-    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary, Rig | None]]:
-        return type(self), (self.path, self.summary, self.rig)
+    def __reduce__(self) -> tuple[type[Self], tuple[FilePlace, EpisodeSummary, Rig | None, Appearance | None]]:
+        return type(self), (self.path, self.summary, self.rig, self.ranges)
 
 
 class _Opened:
@@ -249,7 +259,7 @@ class _Opened:
         ArchiveCorrupt: the file cannot be read or is damaged.
     """
 
-    def __init__(self, path: FilePlace, steps: int) -> None:
+    def __init__(self, path: FilePlace, steps: int, ranges: Appearance | None) -> None:
         try:
             file: BinaryIO = path.open("rb")
         except FileNotFoundError:
@@ -259,7 +269,7 @@ class _Opened:
         self.close = weakref.finalize(self, file.close)
         self.pid = os.getpid()
         try:
-            self.bundle = EpisodeBundle(file, path.parents[1], steps)
+            self.bundle = EpisodeBundle(file, path.parents[1], steps, ranges)
         except InvalidBundle as error:
             refusal = _refusal(path, file, steps)
             self.close()

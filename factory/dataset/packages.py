@@ -16,8 +16,10 @@ from schemas.storage.place import Place, digest_of
 from schemas.support.extras import require_package
 
 if TYPE_CHECKING:
+    from workers.appearance import AppearanceScene
     from workers.sensors.rays import SceneRays
 
+_KEPT_SCENES = 2
 _KEPT_INFOS = 64
 _KEPT_RAYS = 2
 
@@ -49,6 +51,18 @@ class ScenePackage(NamedTuple):
         """
         return _rays_of(self)
 
+    def appearance_scene(self, with_light: bool) -> AppearanceScene:
+        """Returns what the appearance of an episode depends on; those of the most recently used scenes are kept.
+
+        Args:
+            with_light: whether the light groups are read, or baked if this machine has not baked them.
+
+        Raises:
+            ArchiveCorrupt: No package has the digest.
+            UsageError: embreex is not installed, and the light groups must be baked.
+        """
+        return _appearance_scene(self, with_light)
+
     @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - the keys are values, and few
     def info(self) -> SceneInfo:
         """Returns the metadata of the scene; raises the errors of `read`."""
@@ -63,6 +77,32 @@ def _rays_of(package: ScenePackage) -> SceneRays:
 
     with find_package_file(*package).open("rb") as file:
         return SceneRays(decode_scene(file))
+
+
+@functools.lru_cache(maxsize=_KEPT_SCENES)
+def _appearance_scene(package: ScenePackage, with_light: bool) -> AppearanceScene:
+    from schemas.appearance.light_groups import decode_light_groups
+    from workers.appearance import AppearanceScene
+
+    path = find_package_file(*package)
+    with path.open("rb") as file:
+        scene = decode_scene(file)
+    if not with_light:
+        return AppearanceScene(scene)
+    with light_file(path, package.sha256).open("rb") as file:
+        return AppearanceScene(scene, decode_light_groups(file))
+
+
+def light_file(package: Path, sha256: str) -> Path:
+    """Returns the light groups of a scene package; bakes them once for each cache, which takes 10 to 30 s.
+
+    Raises:
+        UsageError: embreex is not installed.
+        WorldError: the cache cannot be written.
+    """
+    from factory.scenes.light.cached import bake_once
+
+    return bake_once(package, sha256, cache_directory() / "light")
 
 
 def find_package_file(root: Place, name: str, sha256: str) -> Path:

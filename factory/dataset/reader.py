@@ -18,17 +18,21 @@ from pydantic import ValidationError
 from factory.dataset.columns import NAMES, Columns
 from factory.dataset.episode import Episode, Frame
 from factory.dataset.vocabulary import require_known
+from schemas.appearance import Appearance
+from schemas.appearance.file import find_appearance
 from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.dataset_files import METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
 from schemas.encoding.table_digest import table_digest
 from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.job import index_of_file
+from schemas.plan import Plan
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
 from schemas.support.suggest import did_you_mean
+from schemas.terms import Recording
 
 __all__ = ["Dataset", "Episode", "Frame"]
 
@@ -50,7 +54,11 @@ class Dataset:
 
     Args:
         path: Directory or URL.
-        rig: Sensors that `Episode.observe` renders: a rig, the name of a built-in one, or a TOML file.
+        rig: Sensors of `Episode.observe`: a rig, the name of a built-in one, or a TOML file. Default: the rig of the
+            dataset's plan.
+
+        appearance: Appearance of frames that are rendered: ranges, the name of a built-in appearance, a TOML file, or
+            `none`. Default: the appearance of the dataset's plan.
 
     >>> data = Dataset("dataset").filter(split="train_id", tier=("near", "mid"))  # doctest: +SKIP
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
@@ -58,15 +66,24 @@ class Dataset:
     Raises:
         WorldError: The directory holds no dataset, or its format is newer than this software.
         ArchiveCorrupt: The tables are damaged.
-        UsageError: The rig does not exist, has mistakes, or has a rate that does not divide the control rate.
+        UsageError: The rig does not exist, has mistakes, or has a rate that does not divide the control rate;
+            the appearance does not exist or has mistakes, or the dataset stores frames.
     """
 
-    def __init__(self, path: str | Place, rig: str | Path | Rig | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Place,
+        rig: str | Path | Rig | None = None,
+        appearance: str | Path | Appearance | None = None,
+    ) -> None:
         self.root = place_of(path)
         self.meta: DatasetMeta = read_dataset_meta(self.root)
         """Description of the dataset and of the software that generated it."""
-        self.rig = None if rig is None else _rig(rig, self.meta.plan.task.control_hz)
+        plan = self.meta.plan
+        self.rig = plan.rig if rig is None else _rig(rig, plan.task.control_hz)
         """Rig of `Episode.observe`."""
+        self.appearance = _appearance(self.root, plan, appearance)
+        """Appearance of frames that are rendered; `None` shows the scenes as they were compiled."""
         self._columns = Columns(self.root)
         self._chosen: NDArray[np.int64] | None = None
         """Ascending rows of the table that are part of this dataset; `None` for all."""
@@ -130,7 +147,7 @@ class Dataset:
     def _with(self, chosen: NDArray[np.int64] | None) -> Dataset:
         part = object.__new__(Dataset)
         part.root, part.meta, part._columns, part._chosen = self.root, self.meta, self._columns, chosen
-        part.rig = self.rig
+        part.rig, part.appearance = self.rig, self.appearance
         return part
 
     def __len__(self) -> int:
@@ -154,7 +171,7 @@ class Dataset:
             self.root, self._columns.row(position if self._chosen is None else int(self._chosen[position]))
         )
         place = packed_place(self.root, summary.index)
-        return Episode(place or self.root / file_name_of(summary.episode_id), summary, self.rig)
+        return Episode(place or self.root / file_name_of(summary.episode_id), summary, self.rig, self.appearance)
 
     def _position(self, episode_id: str) -> int:
         row = self._row_of(episode_id)
@@ -173,6 +190,19 @@ class Dataset:
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.root)!r}, {len(self)} episodes)"
+
+
+def _appearance(root: Place, plan: Plan, chosen: str | Path | Appearance | None) -> Appearance | None:
+    stores_frames = plan.record is Recording.FRAMES
+    if chosen is None:
+        return None if stores_frames else plan.appearance
+    if stores_frames:
+        raise UsageError(
+            f"{root} stores frames, which are rendered already: give a dataset of `factory run --record states`"
+        )
+    if isinstance(chosen, Appearance):
+        return chosen
+    return find_appearance(str(chosen))
 
 
 def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:

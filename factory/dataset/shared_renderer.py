@@ -11,12 +11,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple, cast
 
+from factory.dataset.appearance import DressedPackage
 from factory.dataset.packages import ScenePackage
 from factory.support.settings import read_renderer
+from schemas.appearance import CameraChange
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
 from schemas.rig import Camera
 from schemas.terms import RendererKind
+from workers.appearance import changed_camera, recorded_camera
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, RenderedFrame
 from workers.render.choose import open_apart
@@ -33,11 +36,13 @@ _REMEDY = (
 class View(NamedTuple):
     """What determines a frame."""
 
-    package: ScenePackage
+    package: ScenePackage | DressedPackage
     camera: CameraConfig
     pose: Pose
     size: int
     """Width and height, pixels."""
+    change: CameraChange | None = None
+    """Change of the camera, if its pose and lens are varied."""
 
 
 class SharedRenderer:
@@ -83,9 +88,15 @@ class SharedRenderer:
         with self._borrowed(package.sha256) as renderer:
             self._warn_of_other(renderer.description, recorded_with)
             renderer.load_package(package.sha256, package.read, view.camera)
-            return renderer.render(view.pose, view.size)
+            if view.change is None:
+                return renderer.render(view.pose, view.size)
+            camera = changed_camera(recorded_camera(view.camera, view.size), view.change)
+            image = renderer.render_camera(camera, view.pose)
+            return RenderedFrame(image.rgb, image.depth, image.ids)
 
-    def render_camera(self, package: ScenePackage, camera: Camera, pose: Pose, recorded_with: str) -> CameraImage:
+    def render_camera(
+        self, package: ScenePackage | DressedPackage, camera: Camera, pose: Pose, recorded_with: str
+    ) -> CameraImage:
         """Returns the image of a camera of a rig for a pose of base_link; arguments and errors as those of `render`."""
         with self._borrowed(package.sha256) as renderer:
             self._warn_of_other(renderer.description, recorded_with)

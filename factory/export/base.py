@@ -22,6 +22,7 @@ from schemas.base import Model
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
+from schemas.rig import Rig
 
 
 class Options(Model):
@@ -111,8 +112,17 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     requires: ClassVar[tuple[str, ...]] = ()
     """Top-level modules that the format needs; their versions are recorded in the manifest."""
     assembles: ClassVar[bool] = False
+    takes_rig: ClassVar[bool] = False
+    """Whether the format can contain the sensors of `Episode.rig`."""
     options: type[OptionsT]
     facts: type[FactsT]
+
+    def check_rig(self, rig: Rig, options: OptionsT) -> None:
+        """Validates that the format can contain the sensors of a rig, before anything is written.
+
+        Raises:
+            UsageError: a sensor cannot be written with these options; the message names it and the remedy.
+        """
 
     @abstractmethod
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> FactsT:

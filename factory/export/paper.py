@@ -18,6 +18,9 @@ from pydantic import Field
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, Finish, Options
 from factory.export.card import CARD_FILE, export_card
+from factory.export.rig.document import RIG_FILE, rig_json, rig_table
+from factory.export.rig.folders import FOLDERS_TEXT, write_sensors
+from factory.export.rig.reader import SensorReader
 from factory.export.source import TIMES_AND_WORKERS, as_frames, plain_dataset_meta, plain_meta, to_json
 from schemas.bundle import EpisodeArrays, seal
 from schemas.dataset import PUBLISHED_COLUMNS
@@ -67,11 +70,12 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
     name = "paper"
     about = "the paper's tree: a PNG, NPY and PNG a frame; lossless and large"
     version = 2
+    takes_rig = True
     options = PaperOptions
     facts = PaperFacts
 
     def write_episode(self, episode: Episode, options: PaperOptions, folder: Path) -> PaperFacts:
-        """Writes `episodes/<id>/`."""
+        """Writes `episodes/<id>/`, with the sensors of a rig below `sensors/`."""
         root = folder / "episodes" / episode.episode_id
         for name in ("rgb_front", "depth_front", "seg_front"):
             (root / name).mkdir(parents=True)
@@ -88,6 +92,8 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
             (root / f"{spec.name}.npy").write_bytes(episode.stored(f"{spec.name}.npy"))
         meta = episode.meta if is_stored else _sealed(episode, digests, visible)
         (root / "meta.json").write_text(_to_text(meta, options), encoding="utf-8")
+        if episode.rig is not None:
+            write_sensors(SensorReader(episode), len(episode), root / "sensors")
         return PaperFacts(
             frames=len(episode), content_digest=meta.content_digest, steps_visible=meta.rollout.steps_visible
         )
@@ -106,7 +112,11 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
             "default": {split: f"{SPLITS_FOLDER}/{split}.parquet" for split in splits},
             "metadata": {"train": METADATA_FILE},
         }
-        card = export_card(meta, len(export.pieces), _CARD, configs)
+        text, hz, rig = _CARD, meta.plan.task.control_hz, export.dataset.rig
+        if rig is not None:
+            text += FOLDERS_TEXT + rig_table(rig, hz)
+            export.out.write_text(RIG_FILE, rig_json(rig, hz))
+        card = export_card(meta, len(export.pieces), text, configs)
         export.out.write_text(CARD_FILE, card)
         export.out.write_text(META_FILE, to_json(plain_dataset_meta(meta)))
 

@@ -61,6 +61,17 @@ def find_exporter(name: str) -> AnyExporter:
     return exporter
 
 
+def require_rig_support(exporter: AnyExporter) -> None:
+    """Checks that a format can contain the sensors of a rig.
+
+    Raises:
+        UsageError: it cannot; the message lists the formats that can.
+    """
+    if not exporter.takes_rig:
+        able = ", ".join(name for name in EXPORTERS if find_exporter(name).takes_rig)
+        raise UsageError(f"format {exporter.name} does not contain sensors of a rig; formats that do: {able}")
+
+
 def require_packages(exporter: AnyExporter) -> None:
     """Checks that the packages of a format are installed.
 

@@ -15,6 +15,7 @@ from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from schemas.dataset_meta import DatasetMeta, described_as_frames, read_dataset_meta
 from schemas.episode import EpisodeMeta
+from schemas.rig import Rig
 from schemas.storage.place import Place
 from schemas.terms import Recording
 
@@ -28,14 +29,14 @@ _IDENTITY = (
 """Columns that identify an episode independent of its recording."""
 
 
-def open_source(root: Place) -> Dataset:
-    """Opens a dataset whose description is that of a frames recording.
+def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
+    """Opens a dataset whose description is that of a frames recording; raises the errors of `Dataset`.
 
-    Raises:
-        WorldError: the dataset does not exist, or its format is newer than this software.
-        ArchiveCorrupt: the tables are damaged.
+    Without a rig, the recorded camera is exported, also of a dataset whose episodes store a rig.
     """
-    dataset = Dataset(root)
+    dataset = Dataset(root, rig)
+    if rig is None:
+        dataset.rig = None
     dataset.meta = described_as_frames(dataset.meta)
     return dataset
 

@@ -14,40 +14,43 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from isal import igzip
 from pydantic import Field
 
 from factory.dataset.episode import Episode
 from factory.export.base import Decimated, EpisodeFacts, Exporter, ExportPiece, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
-from schemas.encoding.ndarray import encode_npy
+from factory.export.rig.document import RIG_FILE, rig_json, rig_table
+from factory.export.rig.members import MEMBERS_TEXT, array_member, json_member, rig_members
+from factory.export.rig.reader import SensorReader
 
 MEMBERS_FILE = "members.tar"
 SHARDS_FILE = "shards.json"
-_GZIP_LEVEL = 3
 _MEMBER_MODE = 0o644
-# isal levels 1 / 3 on depth of a warehouse: 199 kB in 0.7 ms, 83 kB in 2.7 ms
 _CARD = """
 One sample a frame, in tar shards of one split each; episodes are spread over the shards of their split in an order that
 is random but fixed, frames of an episode stand together. Shuffle with a buffer of a few thousand samples.
 
 | member | what |
 |---|---|
-| `rgb.png` | 640 x 640, 8 bit |
-| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; both readers unpack it to an array |
-| `seg.npy.gz` | uint16 instance ids; 0 is nothing |
+{members}\
 | `action.json` | `v_mps`, `w_rps` until the next sample (mean of the commands in between), `v_token`, `w_token` |
 | `json` | instruction, episode, step, time, pose, target, split |
 
 ```python
 import webdataset
-for sample in webdataset.WebDataset("train_id-{000000..000009}.tar", shardshuffle=100).shuffle(2000).decode("rgb"):
-    sample["rgb.png"], sample["depth.npy.gz"], sample["json"]["instruction"], sample["action.json"]["v_mps"]
+for sample in webdataset.WebDataset("train_id-{{000000..000009}}.tar", shardshuffle=100).shuffle(2000).decode("rgb"):
+    {images}, sample["json"]["instruction"], sample["action.json"]["v_mps"]
 ```
 
 `shards.json` lists every shard with its samples, episodes and bytes.
 """
+_RECORDED_MEMBERS = """\
+| `rgb.png` | 640 x 640, 8 bit |
+| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; both readers unpack it to an array |
+| `seg.npy.gz` | uint16 instance ids; 0 is nothing |
+"""
+_RECORDED_IMAGES = 'sample["rgb.png"], sample["depth.npy.gz"]'
 
 
 class WebdatasetOptions(Decimated):
@@ -81,6 +84,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     name = "webdataset"
     about = "tar shards, one sample a frame, for webdataset and datasets streaming; lossless"
     assembles = True
+    takes_rig = True
     options = WebdatasetOptions
     facts = WebdatasetFacts
 
@@ -90,10 +94,11 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         stride = stride_of(options.fps, hz)
         steps = kept_frames(len(episode), stride)
         columns = frame_columns(episode.actions, episode.poses, hz, stride)
+        members = recorded_members if episode.rig is None else rig_members(SensorReader(episode), steps)
         size = 0
         with (folder / MEMBERS_FILE).open("wb") as file:
             for t, action, tokens in zip(steps, columns.action.tolist(), columns.tokens.tolist(), strict=True):
-                for suffix, data in _sample(episode, t, action, tokens):
+                for suffix, data in (*members(episode, t), *_facts_members(episode, t, action, tokens)):
                     write_member(file, f"{episode.episode_id}_{t:06d}.{suffix}", data)
                     size += member_bytes(len(data))
         return WebdatasetFacts(frames=len(steps), member_bytes=size)
@@ -112,7 +117,13 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         export.out.write_text(SHARDS_FILE, json.dumps({"shards": listed}, indent=1) + "\n")
         files = {split: f"{split}-*.tar" for split in splits}
         configs = {"default": files} | {split: {"train": path} for split, path in files.items()}
-        card = export_card(export.dataset.meta, len(export.pieces), _CARD, configs, tags=("webdataset",))
+        hz, rig = export.dataset.meta.plan.task.control_hz, export.dataset.rig
+        if rig is None:
+            text = _CARD.format(members=_RECORDED_MEMBERS, images=_RECORDED_IMAGES)
+        else:
+            text = _CARD.format(members=MEMBERS_TEXT, images='sample["json"]["step"]') + rig_table(rig, hz)
+            export.out.write_text(RIG_FILE, rig_json(rig, hz))
+        card = export_card(export.dataset.meta, len(export.pieces), text, configs, tags=("webdataset",))
         export.out.write_text(CARD_FILE, card)
 
 
@@ -142,15 +153,17 @@ def _contents(shard: Shard) -> dict[str, Any]:
     return {"episodes": [piece.episode_id for piece in shard.pieces], "member_bytes": shard.size}
 
 
-def _sample(episode: Episode, t: int, action: list[float], tokens: list[int]) -> Iterator[tuple[str, bytes]]:
-    """Yields suffix and bytes of the members of a frame; all frames have the same suffixes."""
+def recorded_members(episode: Episode, t: int) -> Iterator[tuple[str, bytes]]:
+    """Yields suffix and bytes of the images of the recorded camera; all frames have the same suffixes."""
     yield "rgb.png", episode.stored(f"rgb_front/{t:06d}.png")
-    yield "depth.npy.gz", igzip.compress(encode_npy(episode.depth(t)), _GZIP_LEVEL, mtime=0)
-    # not PNG: webdataset's `decode("rgb")` would convert 16-bit ids to 8 bits and clip them at 255
-    yield "seg.npy.gz", igzip.compress(encode_npy(episode.ids(t)), _GZIP_LEVEL, mtime=0)
+    yield "depth.npy.gz", array_member(episode.depth(t))
+    yield "seg.npy.gz", array_member(episode.ids(t))
+
+
+def _facts_members(episode: Episode, t: int, action: list[float], tokens: list[int]) -> Iterator[tuple[str, bytes]]:
     (v, w), (v_token, w_token) = action, tokens
-    yield "action.json", _json({"v_mps": v, "w_rps": w, "v_token": v_token, "w_token": w_token})
-    yield "json", _json(_facts(episode, t))
+    yield "action.json", json_member({"v_mps": v, "w_rps": w, "v_token": v_token, "w_token": w_token})
+    yield "json", json_member(_facts(episode, t))
 
 
 def _facts(episode: Episode, t: int) -> dict[str, Any]:
@@ -171,10 +184,6 @@ def _facts(episode: Episode, t: int) -> dict[str, Any]:
         "target_centroid_m": list(meta.target_centroid_m),
         "pose": episode.poses[t].tolist(),
     }
-
-
-def _json(values: dict[str, Any]) -> bytes:
-    return json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def write_member(file: BinaryIO, name: str, data: bytes) -> None:

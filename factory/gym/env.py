@@ -18,14 +18,19 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from factory.eval.driving import measure
+from factory.eval.driving.appearance import live_appearance
 from factory.eval.driving.measure import odometry
+from factory.eval.driving.rig_sensors import RigSensors
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places
 from factory.gym.episodes import specs_for
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
+from factory.gym.rig_space import flat, live_rig, rig_spaces
+from schemas.appearance import Appearance
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
+from schemas.rig import Rig
 from schemas.storage.place import Place, place_of
 from schemas.terms import EndReason, RendererKind
 from schemas.tokens import GRID_POINTS, actions_of
@@ -47,6 +52,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where the ray hits nothing;
     `instruction`, in the form given by the argument of that name; and, if `with_pose` is set, `pose`: x, y in metres
     and yaw in radians in the frame of the start pose.
+
+    With `rig`, the latest measurement of each of its sensors replaces `rgb` and `depth`, with the key `SENSOR/ARRAY`,
+    such as `front/rgb` or `scan/ranges` (docs/rigs.md#policies).
 
     Actions: `(v, w)` in m/s and rad/s; with `actions="scaled"`, both divided by their limits, in [0, 1] x [-1, 1], the
     range that learning libraries expect; with `actions="tokens"`, two tokens 0..6. The reward is the decrease of the
@@ -72,6 +80,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         render_mode: str | None = None,
         instruction: InstructionKind = "text",
         vocabulary: Sequence[str] | None = None,
+        rig: str | Path | Rig | None = None,
+        appearance: str | Path | Appearance | None = None,
     ) -> None:
         """Starts the rendering process; scenes are loaded when an episode needs them.
 
@@ -91,9 +101,13 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
                 instruction. Stable-Baselines3 requires `tokens` or `none`.
             vocabulary: Words by index, for `tokens`. Pass the vocabulary of the training to evaluate on another
                 dataset. `None` uses the vocabulary of `data`, which is the same for all its splits.
+            rig: Sensors of the robot: a rig, the name of a built-in one, or a TOML file. `None` is the recorded camera.
+            appearance: Appearance of the scenes, drawn for each episode: ranges, the name of a built-in appearance, or
+                a TOML file, without clutter. `None` shows the scenes as they were compiled.
 
         Raises:
             UsageError: `data` is missing, or the value of another argument is not valid.
+            InvalidRig: The rig has mistakes, or a rate does not divide the control rate.
             WorldError: The dataset cannot be read.
         """
         _require_valid(actions, size, render_mode)
@@ -105,12 +119,17 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._instruction = instruction
         self.vocabulary: tuple[str, ...] = words_for(instruction, vocabulary, root)
         """Words by their index in `tokens`; empty for other kinds of instruction."""
+        self.rig = None if rig is None else live_rig(rig, self.specs.settings.task.control_hz)
+        """Sensors of the robot; `None` for the recorded camera."""
+        self._sensors: RigSensors | None = None
+        self.appearance = None if appearance is None else live_appearance(appearance)
+        """Appearance of the scenes."""
         self.observation_space = self._make_observation_space(size)
         self.action_space = self._make_action_space()
         self._places = Places(root)
         self._pid = os.getpid()
         self._stage = SceneRenderer(renderer, apart=True)
-        self._simulator = Simulator(self._stage, self.specs.settings)
+        self._simulator = Simulator(self._stage, self.specs.settings, self.appearance)
         self._view: Observation | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[GymObservation, Info]:
@@ -122,8 +141,10 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._require_own_process()
         super().reset(seed=seed)
         spec = self._choose((options or {}).get("episode"))
-        loaded = self._places.load(spec.scene, spec.scene_sha256)
+        with_light = self.appearance is not None and self.appearance.light is not None
+        loaded = self._places.load(spec.scene, spec.scene_sha256, with_light)
         self._view = self._simulator.reset(spec, loaded)
+        self._sensors = None if self.rig is None else RigSensors(self.rig, self._simulator)
         return self._observe(self._view), self._inform(self._view)
 
     def step(self, action: NDArray[Any]) -> tuple[GymObservation, float, bool, bool, Info]:
@@ -170,10 +191,10 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             )
 
     def _make_observation_space(self, size: int) -> spaces.Dict:
-        members: dict[str, spaces.Space[Any]] = {
-            "rgb": spaces.Box(0, 255, (size, size, 3), np.uint8),
-            "depth": spaces.Box(0.0, self.specs.settings.camera.far_m, (size, size), np.float32),
-        }
+        members: dict[str, spaces.Space[Any]] = {} if self.rig is None else rig_spaces(self.rig)
+        if self.rig is None:
+            members["rgb"] = spaces.Box(0, 255, (size, size, 3), np.uint8)
+            members["depth"] = spaces.Box(0.0, self.specs.settings.camera.far_m, (size, size), np.float32)
         words = instruction_space(self._instruction, self.vocabulary)
         if words is not None:
             members["instruction"] = words
@@ -213,9 +234,13 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         return Twist(float(numbers[0]), float(numbers[1]))
 
     def _observe(self, view: Observation) -> GymObservation:
-        is_whole = self._size == FRAME_SIZE_PX
-        frame = view.frame if is_whole else self._stage.renderer.render(view.pose, self._size)
-        observation: GymObservation = {"rgb": frame.rgb, "depth": frame.depth}
+        observation: GymObservation
+        if self._sensors is not None:
+            observation = dict(flat(self._sensors.measure()))
+        else:
+            is_whole = self._size == FRAME_SIZE_PX
+            frame = view.frame if is_whole else self._simulator.shown.renderer.render(view.pose, self._size)
+            observation = {"rgb": frame.rgb, "depth": frame.depth}
         if self._instruction != "none":
             spec = self._simulator.spec
             observation["instruction"] = encode_instruction(self._instruction, spec.instruction, self.vocabulary)

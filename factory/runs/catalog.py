@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.nearest import find_nearest
-from factory.dataset.packages import find_package_file, package_file, packages_of
+from factory.dataset.packages import find_package_file, light_file, package_file, packages_of
 from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
@@ -26,7 +27,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-from schemas.terms import BUILTIN_CATEGORIES
+from schemas.terms import BUILTIN_CATEGORIES, Recording
 
 MessageCallback = Callable[[str], None]
 _PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
@@ -69,7 +70,18 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback =
         kept = held[scene.name]
         package = package_file(kept[0]) if kept else _make(scene, cache, partial(tell, scene.name))
         entries[scene.name] = read_entry(package)
-    return entries
+    return with_light(plan, entries)
+
+
+def with_light(plan: Plan, catalog: Catalog) -> Catalog:
+    """Returns the scenes with their light groups if the frames of a plan have varied light; bakes missing ones.
+
+    Raises:
+        UsageError: embreex is not installed, and light groups must be baked.
+    """
+    if plan.record is not Recording.FRAMES or plan.appearance is None or plan.appearance.light is None:
+        return catalog
+    return {name: replace(entry, light=light_file(entry.path, entry.sha256)) for name, entry in catalog.items()}
 
 
 def find_built(plan: Plan, cache: Path) -> Catalog:

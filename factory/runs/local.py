@@ -35,6 +35,7 @@ from schemas.support.closing import Closing
 from schemas.terms import RendererKind
 from workers.client.spool import find_bundle, folder_of
 from workers.experts import require_expert
+from workers.sim.sensors import require_packages
 
 _LISTEN = ("tcp/127.0.0.1:0",)
 _SPOOL = ".spool"
@@ -66,12 +67,18 @@ class LocalRun:
     """Function that returns the states recording of a job."""
     states: Place | None = None
     """States dataset that the run renders; `None` if it simulates."""
+    rig: str | None = None
+    """Value of `--rig` of a run that renders."""
+    appearance: str | None = None
+    """Value of `--appearance` of a run that renders."""
 
     @property
     def command(self) -> str:
         """Command line that continues the run."""
         site = self.store or self.root
-        return f"factory run --out {site}" if self.states is None else f"factory render {self.states} -o {site}"
+        rig = "" if self.rig is None else f" --rig {self.rig}"
+        rig += "" if self.appearance is None else f" --appearance {self.appearance}"
+        return f"factory run --out {site}" if self.states is None else f"factory render {self.states}{rig} -o {site}"
 
 
 def run_locally(
@@ -87,9 +94,11 @@ def run_locally(
 
     Raises:
         WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
-        UsageError: The directory holds another plan, or this version does not have the expert.
+        UsageError: The directory holds another plan, this version does not have the expert, or a package that a sensor
+            needs is not installed.
     """
     require_expert(run.plan.expert)
+    require_packages(run.plan.rig)
     require_room(run.root, settings.reserve_bytes)
     spool = folder_of(run.root / _SPOOL, run.plan.run)
     with Coordinator(

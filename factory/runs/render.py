@@ -1,4 +1,4 @@
-"""Prepares a run that renders a states dataset: its frames plan, scenes and failed attempts, and the recorded states.
+"""Prepares a run that renders a states dataset: frames plan, rig, scenes and failed attempts, and the recorded states.
 
 The run uses the ledger, workers and validation of any run. A worker that gets the recorded states of its job renders
 them; an episode without usable states is simulated, which gives the same content.
@@ -16,20 +16,23 @@ import structlog
 
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog, read_entry
+from coordinator.expansion.file import shrink, with_appearance
 from coordinator.ledger.opening import require_plan
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
+from factory.runs.catalog import with_light
 from factory.runs.ledger import plan_of, require_outside_datasets
 from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
-from schemas.dataset_meta import DatasetMeta, described_as_frames
+from schemas.dataset_meta import DatasetMeta, described_by
 from schemas.encoding.digest import frame_digest
 from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.protocol.messages import MAX_STATES_CHARS
+from schemas.rig.file import load_rig
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
@@ -47,7 +50,7 @@ class Rendering(NamedTuple):
     """Run that renders the episodes of a states dataset."""
 
     plan: Plan
-    """Plan of the recording, which records frames."""
+    """Plan of the recording, which records frames and stores the chosen rig."""
     catalog: Catalog
     """Scenes of the recording."""
     states: StatesSource
@@ -56,7 +59,13 @@ class Rendering(NamedTuple):
     """States dataset."""
 
 
-def prepare_rendering(root: Place, site: Site, renderer: RendererKind | None = None) -> Rendering:
+def prepare_rendering(
+    root: Place,
+    site: Site,
+    renderer: RendererKind | None = None,
+    rig: str | None = None,
+    appearance: str | None = None,
+) -> Rendering:
     """Reads a states dataset, and prepares the location of the frames dataset if it is new.
 
     The location gets the failed attempts of the recording, so that the ledger continues with the attempt that
@@ -66,9 +75,12 @@ def prepare_rendering(root: Place, site: Site, renderer: RendererKind | None = N
         root: location of the states dataset.
         site: location of the frames dataset.
         renderer: renderer of this machine that is compared with the recorded frames first; `None` compares nothing.
+        rig: name or file of the rig whose measurements are stored; `None` is that of the plan.
+        appearance: name or file of the appearance of the frames, or `none`; `None` is that of the plan.
 
     Raises:
-        UsageError: the dataset stores frames already, or the location contains another run.
+        UsageError: the dataset stores frames already, the location contains another run, or the rig does not exist.
+        InvalidRig: the rig has mistakes or does not fit the plan.
         ArchiveCorrupt: a table or a scene of the dataset is damaged or missing.
         WorldError: the episodes have a newer format, the renderer gives other frames than the recorded ones, the frames
             do not fit on the disk, or the location cannot be written.
@@ -77,15 +89,17 @@ def prepare_rendering(root: Place, site: Site, renderer: RendererKind | None = N
     if dataset.meta.plan.record is not Recording.STATES:
         raise UsageError(f"{root} stores frames already: give a dataset of `factory run --record states`")
     _require_known_format(dataset)
-    meta = described_as_frames(dataset.meta)
-    plan = meta.plan
+    plan = shrink(dataset.meta.plan, record=Recording.FRAMES, rig=None if rig is None else load_rig(rig, None))
+    if appearance is not None:
+        plan = with_appearance(plan, appearance)
+    meta = described_by(dataset.meta, plan)
     begun = plan_of(site)
     if begun is None:
         require_outside_datasets(site)
     else:
         require_plan(begun, plan)
     packages = {name: find_package_file(root, name, sha256) for name, sha256 in dataset.meta.scenes.items()}
-    catalog = {name: read_entry(path) for name, path in packages.items()}
+    catalog = with_light(plan, {name: read_entry(path) for name, path in packages.items()})
     if renderer is not None and len(dataset):
         _require_recorded_frame(dataset[0], renderer)
     if site.store is None:

@@ -85,6 +85,8 @@ def _differences(one: BundleReader, other: BundleReader) -> dict[str, float]:
     for name in ("poses", "actions_continuous", "actions_tokens"):
         a, b = (getattr(reader.arrays, name)[:steps].astype(np.float64) for reader in (one, other))
         found[name] = float(np.abs(a - b).max())
+    ours, theirs = one.meta.sensor_digests, other.meta.sensor_digests
+    found |= {f"sensor {name} differs": 1.0 for name in ours if theirs.get(name) != ours[name]}
     if not (one.has_frames and other.has_frames):  # the digests of the sampled frames
         pairs = zip(one.meta.frame_digests, other.meta.frame_digests, strict=False)
         return found | {"differing sampled frames": float(sum(a != b for a, b in pairs))}

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator
 
 from factory.train.preprocess import PREPROCESS_VERSION, SIZES
 from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
+from schemas.view import AppearanceData
 
 CHECKPOINT_FORMAT = 2
 """Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""
@@ -66,6 +67,8 @@ class CheckpointMeta(Model):
     epochs_done: Annotated[int, Field(ge=0)] = 0
     train_digest: Sha256
     """Digest of the training episodes."""
+    appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Appearance of the training frames, if they were rendered with one."""
     train_episodes: Annotated[int, Field(ge=1)]
     train_frames: Annotated[int, Field(ge=1)]
     software: str

@@ -51,6 +51,14 @@ class RenderedPictures:
         row_bytes = sum(image.nbytes for image in Pictures.empty(1, size))
         kept = min(len(steps.step), memory_bytes // row_bytes)
         self._kept, self._is_kept = Pictures.empty(kept, size), np.zeros(kept, np.bool_)
+        if dataset.appearance is not None and dataset.appearance.changes_scenes:
+            self._render_in_order(kept)
+
+    def _render_in_order(self, count: int) -> None:
+        """Renders the first rows, episode by episode: each episode has its own scene, which takes time to prepare."""
+        rows = np.arange(count, dtype=np.int64)
+        for episode in np.unique(self._steps.episode[:count]):
+            self.take(rows[self._steps.episode[:count] == episode])
 
     def take(self, rows: NDArray[np.int64]) -> Pictures:
         """Returns the pictures of these rows; renders those that are not kept.

@@ -135,15 +135,16 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
 
 def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> None:
     then = found.meta
-    if (then.train_digest, then.words) != (meta.train_digest, meta.words):
+    if (then.train_digest, then.words, then.appearance) != (meta.train_digest, meta.words, meta.appearance):
         raise UsageError(
             f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
-            "give the same dataset, --split, --scene and --tier to continue it, or choose another --out"
+            "give the same dataset, --split, --scene, --tier and --appearance to continue it, or choose another --out"
         )
 
 
 def _describe_data(meta: CheckpointMeta) -> str:
-    return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}"
+    shown = "" if meta.appearance is None else f", appearance {meta.appearance.name}"
+    return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}{shown}"
 
 
 def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrames, TrainingFrames | None]:
@@ -184,6 +185,7 @@ def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
         max_speed_mps=index.max_speed_mps,
         max_yaw_rate_rps=index.max_yaw_rate_rps,
         train_digest=index.key.dataset,
+        appearance=order.dataset.appearance,
         train_episodes=len(index.episodes),
         train_frames=len(train),
         software=f"minivla-factory {version}, torch {load_torch().__version__}",

@@ -1,23 +1,33 @@
-"""Renders frames of an episode again and compares them with the recorded digests. Changes no files."""
+"""Renders frames of an episode and measures its sensors again, and compares both with the recording.
+
+Changes no files.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode, Frame
+from factory.dataset.observation import trajectory_of
 from factory.dataset.shared_renderer import shared_renderer
 from factory.verify.difference import RenderDifference
 from schemas.encoding.digest import frame_digest
+from schemas.rig import Imu, WheelOdometry
 from schemas.terms import Recording
+from workers.sensors.observation import arrays_in, measure, observe
 
 
 def compare_rendered(
     bundle: EpisodeBundle, difference: RenderDifference, reference: Episode | None = None
 ) -> list[str]:
-    """Renders every frame with a recorded digest and returns the findings.
+    """Renders every frame with a recorded digest, measures samples of stored sensors, and returns the findings.
 
     Args:
         bundle: open episode.
@@ -53,7 +63,31 @@ def compare_rendered(
         found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
     difference.recorded_with.add(bundle.meta.provenance.fingerprint.renderer)
     difference.rendered_with.add(shared_renderer().description)
+    found += _sensor_findings(bundle)
     return [*found, _digest_finding(bundle, differing)] if differing else found
+
+
+def _sensor_findings(bundle: EpisodeBundle) -> list[str]:
+    """Measures the stored sensors again: those of motion over the episode, others before each sampled step."""
+    rig = bundle.meta.job.view.rig if bundle.has_sensors else None
+    sampled = bundle.meta.job.sampled_steps(bundle.length)
+    found = []
+    for sensor in rig.sensors if rig else ():
+        if isinstance(sensor, Imu | WheelOdometry):
+            again = arrays_in(measure(sensor, trajectory_of(bundle)))
+            if not _are_equal(bundle.measurement(sensor, None), again):
+                found.append(f"sensor {sensor.name} differs when it is measured again")
+            continue
+        stride = sensor.stride(bundle.control_hz)
+        for t in sorted({step // stride * stride for step in sampled}):
+            again = arrays_in(observe(sensor, t, trajectory_of(bundle), bundle))
+            if not _are_equal(bundle.measurement(sensor, t), again):
+                found.append(f"sensor {sensor.name} differs at step {t} when it is measured again")
+    return found
+
+
+def _are_equal(stored: Mapping[str, NDArray[Any]], again: Mapping[str, NDArray[Any]]) -> bool:
+    return stored.keys() == again.keys() and all(stored[name].tobytes() == again[name].tobytes() for name in stored)
 
 
 def _stored_frame(bundle: EpisodeBundle, reference: Episode | None, t: int) -> Frame | None:

@@ -1,4 +1,4 @@
-"""Draws a contact sheet of the cameras of a rig: a row for each camera, with colour over time, depth and ids.
+"""Draws a contact sheet of a rig: a row for each camera, with colour over time, depth and ids, and for each lidar.
 
 Writes no files.
 """
@@ -10,29 +10,39 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import observe_camera
+from factory.dataset.observation import observe, observe_camera
 from factory.visualize.panels import show_depth, show_ids
-from schemas.rig import Camera, CameraOutput, Rig
+from factory.visualize.rig_tiles import show_flow, show_normals, show_scan
+from schemas.rig import Camera, CameraOutput, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
+from workers.sensors import LidarScan
 
 _TILE_PX, _LABEL_PX, _FONT_PX = 240, 20, 13
-_SHOWN = (CameraOutput.RGB, CameraOutput.DEPTH, CameraOutput.IDS, CameraOutput.NORMALS)
+_SHOWN = (CameraOutput.RGB, CameraOutput.DEPTH, CameraOutput.IDS)
+_SHOWN_IF_GIVEN = (CameraOutput.NORMALS, CameraOutput.FLOW)
 
 
 def draw_rig_sheet(episode: EpisodeBundle, rig: Rig, columns: int) -> Image.Image:
-    """Returns a sheet with a row for each camera: colour from start to end, then depth, ids and normals in the middle.
+    """Returns a sheet with a row for each camera and lidar.
+
+    A camera has colour from start to end, then depth, ids, and its normals and flow in the middle; a lidar
+    has scans from above, from start to end, and the ranges of a 3D lidar in the middle.
 
     Args:
         episode: bundle of the episode.
-        rig: rig with at least one camera; its other sensors are not drawn. Normals are drawn if a camera has them.
-        columns: number of colour images in a row.
+        rig: rig with at least one camera or lidar; its other sensors are not drawn.
+        columns: number of colour images or scans in a row.
     """
-    rows = [_row(episode, camera, columns) for camera in rig.cameras]
+    shown = [sensor for sensor in rig.sensors if not isinstance(sensor, Imu | WheelOdometry)]
+    rows = [
+        _scans(episode, sensor, columns) if isinstance(sensor, Lidar2d | Lidar3d) else _row(episode, sensor, columns)
+        for sensor in shown
+    ]
     heights = [max(tile.height for tile in row) + _LABEL_PX for row in rows]
     sheet = Image.new("RGB", (max(map(len, rows)) * _TILE_PX, sum(heights)), "white")
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(_FONT_PX)
     top = 0
-    for camera, row, height in zip(rig.cameras, rows, heights, strict=True):
-        pen.text((4, top + _LABEL_PX / 2), _label(camera), fill="black", font=font, anchor="lm")
+    for sensor, row, height in zip(shown, rows, heights, strict=True):
+        pen.text((4, top + _LABEL_PX / 2), _label(sensor), fill="black", font=font, anchor="lm")
         for column, tile in enumerate(row):
             sheet.paste(tile, (column * _TILE_PX, top + _LABEL_PX))
         top += height
@@ -40,18 +50,37 @@ def draw_rig_sheet(episode: EpisodeBundle, rig: Rig, columns: int) -> Image.Imag
 
 
 def _row(episode: EpisodeBundle, camera: Camera, columns: int) -> list[Image.Image]:
-    stride = camera.stride(episode.meta.job.task.control_hz)
-    steps = np.linspace(0, (episode.length - 1) // stride, columns).round().astype(int) * stride
+    steps = _steps(episode, camera, columns)
     colour = camera.model_copy(update={"outputs": (CameraOutput.RGB,)})
-    frames = [observe_camera(episode, colour, int(t)).rgb for t in steps]
-    shown = (*_SHOWN[:3], *(output for output in _SHOWN[3:] if output in camera.outputs))
-    middle = observe_camera(episode, camera.model_copy(update={"outputs": shown}), int(steps[columns // 2]))
+    frames = [observe_camera(episode, colour, t).rgb for t in steps]
+    shown = (*_SHOWN, *(output for output in _SHOWN_IF_GIVEN if output in camera.outputs))
+    middle = observe_camera(episode, camera.model_copy(update={"outputs": shown}), steps[(columns - 1) // 2])
     assert middle.depth is not None
     assert middle.ids is not None
     pictures = [show_depth(middle.depth), show_ids(middle.ids, episode.meta.target_instance_id)]
     if middle.normals is not None:
-        pictures.append(((middle.normals + 1) * 127.5).astype(np.uint8))
+        pictures.append(show_normals(middle.normals))
+    if middle.flow is not None:
+        pictures.append(show_flow(middle.flow))
     return [_tile(picture) for picture in (*frames, *pictures) if picture is not None]
+
+
+def _scans(episode: EpisodeBundle, lidar: Lidar2d | Lidar3d, columns: int) -> list[Image.Image]:
+    steps, target = _steps(episode, lidar, columns), episode.meta.target_instance_id
+    scans = [observe(episode, lidar, t) for t in steps]
+    tiles = [show_scan(scan, lidar, target, _TILE_PX) for scan in scans if isinstance(scan, LidarScan)]
+    middle = scans[(columns - 1) // 2]
+    if isinstance(lidar, Lidar3d) and isinstance(middle, LidarScan):
+        ranges = Image.fromarray(show_depth(middle.ranges))
+        tiles.append(ranges.resize((_TILE_PX, _TILE_PX // 2), Image.Resampling.NEAREST))
+    return tiles
+
+
+def _steps(episode: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, columns: int) -> list[int]:
+    """Returns the steps of measurements from start to end, evenly spaced."""
+    stride = sensor.stride(episode.meta.job.task.control_hz)
+    steps: list[int] = (np.linspace(0, (episode.length - 1) // stride, columns).round().astype(int) * stride).tolist()
+    return steps
 
 
 def _tile(picture: NDArray[np.uint8]) -> Image.Image:
@@ -59,5 +88,7 @@ def _tile(picture: NDArray[np.uint8]) -> Image.Image:
     return Image.fromarray(picture).resize((_TILE_PX, height), Image.Resampling.BOX)
 
 
-def _label(camera: Camera) -> str:
-    return f"{camera.name}  {camera.model}  {camera.width} x {camera.height} px"
+def _label(sensor: Camera | Lidar2d | Lidar3d) -> str:
+    if isinstance(sensor, Lidar2d | Lidar3d):
+        return f"{sensor.name}  {sensor.model}  {sensor.samples} rays a line; from above, 16 x 16 m, forward is up"
+    return f"{sensor.name}  {sensor.model}  {sensor.width} x {sensor.height} px"

@@ -33,6 +33,8 @@ class ArraySpec:
     """Largest valid value, of all columns or of each; `None` for no bound."""
     former_dtype: DTypeLike | None = None
     """Type of the elements in bundles of format 1, if it was another one."""
+    may_be_nan: bool = False
+    """Whether NaN, which means no value, is valid."""
 
     def violations(self, array: NDArray[np.generic], length: int | None = None) -> list[str]:
         """Returns all violations of the spec by `array`, with expected and actual values.
@@ -52,12 +54,16 @@ class ArraySpec:
             return [f"{self.name}: shape {array.shape}, expected {self._show_shape(length)}"]
         if array.dtype not in (self.dtype, self.former_dtype or self.dtype):
             return [f"{self.name}: dtype {array.dtype}, expected {np.dtype(self.dtype)}"]
-        return self._value_violations(array)
+        return self.value_violations(array)
 
-    def _value_violations(self, array: NDArray[Any]) -> list[str]:
+    def value_violations(self, array: NDArray[Any]) -> list[str]:
+        """Returns the violations of the bounds by an array of the right shape and dtype."""
         has_bounds = self.low is not None or self.high is not None
-        if array.size == 0 or (not has_bounds and (array.dtype.kind != "f" or np.isfinite(array).all())):
+        is_free = array.dtype.kind != "f" or self.may_be_nan
+        if array.size == 0 or (not has_bounds and (is_free or np.isfinite(array).all())):
             return []
+        if self.low is not None and self.high is not None and (array >= self.low).all() and (array <= self.high).all():
+            return []  # the usual case; NaN is not within the bounds
         axes = tuple(range(array.ndim - 1)) if isinstance(self.low or self.high, tuple) else None
         return self.range_violations(array.min(axes), array.max(axes))
 

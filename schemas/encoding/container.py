@@ -35,7 +35,7 @@ _ENCRYPTED = 0x1
 _EPOCH = (0, 1 << 5 | 1)
 """1980-01-01 0:00 as DOS time and date, the earliest time that a zip can store."""
 _REGULAR_FILE_0644 = 0o100644 << 16
-_MOST_BYTES = (1 << 32) - (1 << 24)
+MAX_CONTAINER_BYTES = (1 << 32) - (1 << 24)
 """Largest size without zip64 records, less space for the directory, bytes."""
 
 
@@ -69,8 +69,10 @@ class ContainerWriter(Closing):
         if name in self._directory:
             raise ValueError(f"{name!r} is already in the container")
         encoded = name.encode()
-        if self._offset + len(data) + len(encoded) + _LOCAL.size > _MOST_BYTES:
-            raise ValueError(f"{name!r} of {len(data)} bytes does not fit: a container has at most {_MOST_BYTES} bytes")
+        if self._offset + len(data) + len(encoded) + _LOCAL.size > MAX_CONTAINER_BYTES:
+            raise ValueError(
+                f"{name!r} of {len(data)} bytes does not fit: a container has at most {MAX_CONTAINER_BYTES} bytes"
+            )
         flags = 0 if name.isascii() else _UTF8
         fields = (_VERSION, flags, _STORED, *_EPOCH, crc32(data), len(data), len(data), len(encoded), 0)
         self._directory[name] = (

@@ -69,7 +69,7 @@ def is_npy_of(data: bytes, dtype: DTypeLike, shape: tuple[int, ...]) -> bool:
     return data.startswith(_header(np.dtype(dtype), shape))
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=4096)  # each length of an episode has its own headers
 def _header(dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> bytes:
     buffer = io.BytesIO()
     header = {"descr": npy_format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
@@ -89,12 +89,15 @@ def decode_npy(name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | N
     Raises:
         InvalidBundle: the header or the length does not match.
     """
-    offset, found_shape = _known_header(data, np.dtype(dtype), shape) or _read_header(name, data, np.dtype(dtype))
-    if len(found_shape) != len(shape) or any(
-        want is not None and want != got for want, got in zip(shape, found_shape, strict=True)
+    kind = np.dtype(dtype)
+    known = _known_header(data, kind, shape)
+    offset, found_shape = known or _read_header(name, data, kind)
+    if known is None and (
+        len(found_shape) != len(shape)
+        or any(want is not None and want != got for want, got in zip(shape, found_shape, strict=True))
     ):
         raise InvalidBundle("array refused", [f"{name}: shape {found_shape}, expected {tuple(shape)}"])
-    expected = math.prod(found_shape) * np.dtype(dtype).itemsize
+    expected = math.prod(found_shape) * kind.itemsize
     if len(data) - offset != expected:
         raise InvalidBundle("array refused", [f"{name}: {len(data) - offset} bytes of data, expected {expected}"])
     return np.frombuffer(data, dtype, offset=offset).reshape(found_shape)

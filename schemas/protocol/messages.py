@@ -66,7 +66,7 @@ class Lease(Model):
 Leases = Annotated[tuple[Lease, ...], Field(max_length=MAX_LEASES), FailFast()]
 
 
-class Trade(StrEnum):
+class RunKind(StrEnum):
     """Type of the jobs of a run; it selects the program that executes them."""
 
     COLLECTION = "collection"  # an expert drives, and successful episodes are archived
@@ -95,7 +95,7 @@ class HelloReply(Model):
     """Version of minivla-factory on the coordinator."""
     lease_ttl_s: Positive
     """Time after which a lease without heartbeat expires, seconds."""
-    trade: Trade = Trade.COLLECTION
+    trade: RunKind = RunKind.COLLECTION
     """Type of the jobs of the run."""
 
 

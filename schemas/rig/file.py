@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -19,12 +20,12 @@ DEFAULT_CONTROL_HZ = 60
 """Control rate of the built-in plans, Hz."""
 
 
-def load_rig(reference: str, control_hz: int = DEFAULT_CONTROL_HZ) -> Rig:
+def load_rig(reference: str, control_hz: int | None = DEFAULT_CONTROL_HZ) -> Rig:
     """Returns a built-in rig by its name, or reads a TOML file.
 
     Args:
         reference: name of a built-in rig, or path of a file.
-        control_hz: control rate that the rates of the sensors must divide, Hz.
+        control_hz: control rate that the rates of the sensors must divide, Hz; `None` checks no rates.
 
     Raises:
         UsageError: neither a built-in rig nor a file has that name.
@@ -44,8 +45,15 @@ def load_rig(reference: str, control_hz: int = DEFAULT_CONTROL_HZ) -> Rig:
         rig = Rig.model_validate(data)
     except ValidationError as error:
         raise InvalidRig(f"{path} is not a valid rig", mistakes_of(error)) from error
-    require_rates(rig, control_hz)
+    if control_hz is not None:
+        require_rates(rig, control_hz)
     return rig
+
+
+@functools.cache
+def paper_rig() -> Rig:
+    """Returns the built-in rig `paper`, whose only sensor is the recorded camera of the default plan."""
+    return load_rig("paper")
 
 
 def require_rates(rig: Rig, control_hz: int) -> None:

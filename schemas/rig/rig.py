@@ -5,8 +5,10 @@ Does not read files; `schemas.rig.file` does.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
@@ -68,6 +70,16 @@ class Rig(Model):
         """The cameras of the rig."""
         kinds = PinholeCamera | FisheyeCamera | EquirectangularCamera
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, kinds))
+
+    def plain(self) -> dict[str, Any]:
+        """Returns the rig as JSON values, without those that equal their default."""
+        return self.model_dump(mode="json", exclude_defaults=True)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the canonical JSON of the rig."""
+        text = json.dumps(self.plain(), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def choose(self, names: Iterable[str] | None = None) -> dict[str, Sensor]:
         """Returns the sensors with some names, or all for `None`.

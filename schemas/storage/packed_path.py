@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -41,9 +41,9 @@ class PackedPath:
         return self.shard.parent
 
     @property
-    def parents(self) -> tuple[Path | ObjectPath, ...]:
+    def parents(self) -> Sequence[Path | ObjectPath]:
         """All folders that contain the shard, the innermost first."""
-        return tuple(self.shard.parents)
+        return self.shard.parents
 
     def open(self, mode: Literal["rb"] = "rb") -> io.BytesIO:
         """Opens the file for reading; see `read_bytes` for the errors."""
@@ -99,8 +99,11 @@ class PackedPath:
     def _read(self, begin: int, end: int) -> bytes:
         if isinstance(self.shard, ObjectPath):
             return self.shard.objects.read_range(self.shard.key, begin, end)
-        with self.shard.open("rb", buffering=0) as file:
-            return os.pread(file.fileno(), end - begin, begin)
+        descriptor = os.open(self.shard, os.O_RDONLY | os.O_CLOEXEC)  # a file object would take half of the time
+        try:
+            return os.pread(descriptor, end - begin, begin)
+        finally:
+            os.close(descriptor)
 
     def __str__(self) -> str:
         return f"{self.shard}/{self.name}"

@@ -35,7 +35,13 @@ episodes = 3
 [[scenes]]
 name = "warehouse_multiple_shelves"
 episodes = 2
+[task]
+control_hz = 30
+success_radius_m = 1.4
+[robot]
+physics_substeps = 8
 """
+"""Short drives with half of the usual frames per second, in the usual physics steps."""
 
 IMPORTED = (
     *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # which sets variables

@@ -50,11 +50,11 @@ def test_a_changed_value_is_found(reference: Path, tmp_path: Path) -> None:
     assert len(unexpected(compare_datasets(reference, copy, same_recording=True))) == 2
 
 
-@pytest.mark.parametrize("export", ["paper", "lerobot", "webdataset"])
+@pytest.mark.parametrize(("export", "sample"), [("paper", ()), ("lerobot", ("--fps", 10)), ("webdataset", ())])
 def test_exports_of_both_recordings_are_equal_byte_by_byte(
-    factory: FactoryCli, reference: Path, states: Path, tmp_path: Path, export: str
+    factory: FactoryCli, reference: Path, states: Path, tmp_path: Path, export: str, sample: tuple[object, ...]
 ) -> None:
-    words = ("--to", export.split()[0], *EXPORTS[export], "--episode", "1-2", "--workers", 1)
+    words = ("--to", export, *EXPORTS[export], *sample, "--episode", "1-2", "--workers", 1)
     for name, root in (("frames", reference), ("states", states)):
         factory("export", root, *words, "-o", tmp_path / name)
     assert compare_trees(tmp_path / "frames", tmp_path / "states") == []

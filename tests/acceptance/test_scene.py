@@ -107,7 +107,7 @@ def test_import_and_plans_apply_an_edited_target_list(factory, tmp_path):
         '[splits]\ntrain_id = 1.0\n[tiers]\nnear = 1.0\n[[scenes]]\nname = "my_room"\nusd = "room.usda"\n'
         'targets = "targets_room.yaml"\nseen = ["plant"]\nepisodes = 1\n'
     )
-    factory("run", plan, "--out", tmp_path / "data", "--workers", 1)
+    factory("run", plan, "--out", tmp_path / "data", "--record", "states", "--workers", 1)
     written = (tmp_path / "data" / "scenes" / "targets_my_room.yaml").read_text()
     assert "id: ficus_7" in written
     assert "colour: blue" in written

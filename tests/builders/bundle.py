@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import io
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -17,12 +18,13 @@ from numpy.typing import NDArray
 
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
-from schemas.episode import EpisodeMeta, Provenance, Rollout
+from schemas.encoding.arrays import FRAME_SIZE_PX, ArraySpec
+from schemas.episode import EpisodeMeta, Provenance, Rollout, format_of
 from schemas.fingerprint import Fingerprint
 from schemas.instruction.language import instruction
 from schemas.job import Job
 from schemas.measure import measure_track
+from schemas.measurements import Arrays, measurements_of
 from schemas.scene import Instance
 from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
 from schemas.tokens import tokens_of
@@ -75,6 +77,12 @@ def job_for(index: int = 1, **changes: Any) -> Job:
     return Job(**values | changes)
 
 
+def empty_arrays(specs: Mapping[str, ArraySpec]) -> Arrays:
+    """Returns zeros; a sensor of motion has a row for each step."""
+    shapes = {name: [12 if side is None else side for side in spec.shape] for name, spec in specs.items()}
+    return {name: np.zeros(shapes[name], spec.dtype) for name, spec in specs.items()}
+
+
 @dataclass
 class BundleParts:
     """Content of a bundle; change parts before `write`."""
@@ -82,6 +90,8 @@ class BundleParts:
     meta: EpisodeMeta
     arrays: EpisodeArrays
     frames: list[Frame]
+    measure: Callable[[Mapping[str, ArraySpec]], Arrays] = empty_arrays
+    """Returns the arrays of a measurement of the job's rig."""
 
     def with_meta(self, **changes: Any) -> BundleParts:
         return dataclasses.replace(self, meta=self.meta.model_copy(update=changes))
@@ -120,6 +130,9 @@ class BundleParts:
         else:
             for frame in self.frames:
                 writer.add_frame(*frame)
+        for sensor in self.meta.job.view.rig.sensors if self.meta.job.view.rig else ():
+            for t, specs in measurements_of(sensor, len(self.frames), self.meta.job.task.control_hz):
+                writer.add_measurement(sensor, t, self.measure(specs))
         sealed = writer.finish(self.arrays, self.meta)
         return file.getvalue(), sealed
 
@@ -185,6 +198,7 @@ def _meta(job: Job, arrays: EpisodeArrays) -> EpisodeMeta:
     track = measure_track(arrays.poses, GOAL_M)
     steps = len(arrays.poses)
     return EpisodeMeta(
+        format=format_of(job),
         episode_id=job.episode_id,
         job=job,
         target_prim_path="/World/chair_1",

@@ -25,6 +25,27 @@ class Raises(_Quiet):
         return 0.5, 0.0
 
 
+class Scans(_Quiet):
+    """Does not move; needs a lidar, and checks that it gets the sensors of the rig only."""
+
+    needs = ("scan/ranges",)
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        assert observation["sensors"]["scan"]["ranges"].shape == (1, 90)
+        assert not observation.keys() & {"rgb", "depth"}
+        return 0.0, 0.0
+
+
+class Looks(_Quiet):
+    """Does not move; needs the recorded camera."""
+
+    needs = ("rgb", "depth")
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        assert observation["rgb"].shape == (640, 640, 3)
+        return 0.0, 0.0
+
+
 class Hangs(_Quiet):
     """Blocks after five steps."""
 

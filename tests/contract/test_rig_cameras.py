@@ -155,6 +155,30 @@ def test_opencv_undistorts_our_distorted_image_to_the_undistorted_one(gl: Render
     assert np.abs(undistorted[inner].astype(int) - expected[inner]).mean() < 3
 
 
+@pytest.mark.gl
+def test_opencv_rectifies_our_fisheye_image_to_a_pinhole_image(gl: Renderer):
+    eye = mounted(
+        FisheyeCamera(
+            name="eye", model="fisheye", width=400, height=400, fov_deg=190, distortion=(-0.02, 0.004, -0.001, 0.0)
+        )
+    )
+    straight = mounted(PinholeCamera(name="straight", model="pinhole", width=320, height=240, fov_deg=80))
+    gl.load(closed_room(), CameraConfig())
+    bent, straightened = (
+        np.array(((fx, 0, cx - 0.5), (0, fy, cy - 0.5), (0, 0, 1)))
+        for (fx, fy), (cx, cy) in ((camera.focal_px, camera.centre_px) for camera in (eye, straight))
+    )
+    undistorted = cv2.fisheye.undistortImage(
+        gl.render_camera(eye, POSE).rgb, bent, np.array(eye.distortion), Knew=straightened, new_size=(320, 240)
+    )
+    expected = gl.render_camera(straight, POSE).rgb
+    inner = np.s_[20:-20, 20:-20]
+    soft = [cv2.GaussianBlur(_grey(image), (0, 0), 2) for image in (undistorted, expected)]  # of equal resolution
+    shift, _ = cv2.phaseCorrelate(*(image[inner] for image in soft))
+    assert shift == pytest.approx((0, 0), abs=0.1)
+    assert np.abs(soft[0] - soft[1])[inner].mean() < 3
+
+
 def _grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float64)
 

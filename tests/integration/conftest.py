@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from factory.dataset.reader import Dataset
 from schemas.terms import Recording
 from tests.builders.driven import driven_recordings
 from tests.builders.evaluation import archive_drives
+from tests.builders.rigs import render_rigged
 from tests.builders.shared import build_once
 
 
@@ -23,3 +25,10 @@ def drives(shared: Path) -> Dataset:
 def recordings(shared: Path) -> dict[Recording, Path]:
     """The same two drives, recorded as frames and as states; tests only read them. Needs an EGL driver."""
     return driven_recordings(shared)
+
+
+@pytest.fixture(scope="session")
+def rigged(shared: Path, recordings: dict[Recording, Path]) -> Path:
+    """The two drives of `recordings` with the measurements of a small rig; tests only read them."""
+    build = functools.partial(render_rigged, states=recordings[Recording.STATES])
+    return build_once(shared / "driven-rigged", build)

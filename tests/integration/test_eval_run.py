@@ -20,7 +20,7 @@ from factory.eval.policies import renders_apart
 from factory.eval.process.run import run_campaign
 from factory.eval.results.publish import publish
 from factory.eval.results.store import EvalManifest, Store
-from factory.eval.specs.ablation import donors
+from factory.eval.specs.ablation import playback_sources
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import Places, specs_of_dataset
 from schemas.errors import UsageError, WorldError
@@ -87,7 +87,7 @@ def test_playback_executes_the_actions_of_another_episode_and_stop_executes_none
 ) -> None:
     campaign = campaign_of(drives, short(specs, 20), "playback", "stop")
     found = drive(tmp_path, campaign)
-    others, places = donors(campaign.specs), Places(drives.root)
+    others, places = playback_sources(campaign.specs), Places(drives.root)
     with SceneRenderer() as stage, Simulator(stage, campaign.specs.settings) as simulator:
         for spec, row in zip(campaign.specs.specs, found["playback"], strict=True):
             simulator.reset(spec, places.load(spec.scene, spec.scene_sha256))

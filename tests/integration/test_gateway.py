@@ -90,7 +90,7 @@ class Site:
         sources = [self.folder / name for name in names]
         return gather(repair_input, sources, datetime.now(UTC), requeue_missing=requeue_missing)
 
-    def keepers(self) -> dict[int, str]:
+    def gateway_of_episodes(self) -> dict[int, str]:
         with open_ledger(self.url) as ledger:
             return dict(gateways_by_episode(ledger))
 
@@ -161,13 +161,13 @@ def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
     (one,) = bring_home(site.open_worker(first.endpoints), site)
     (two,) = bring_home(site.open_worker(second.endpoints), site)
     (three,) = bring_home(site.open_worker((site.endpoint,)), site)
-    assert site.keepers() == {one.index: "gw1", two.index: "gw2"}
+    assert site.gateway_of_episodes() == {one.index: "gw1", two.index: "gw2"}
     site.core.close()
     some = site.gather("gw1")
     assert (some.gathered, [(gone.episode, gone.gateway) for gone in some.missing]) == (1, [(two.episode_id, "gw2")])
     report = site.gather("gw1", "gw2")
     assert (report.gathered, report.missing, report.episodes) == (1, (), EPISODES)
-    assert site.keepers() == {}
+    assert site.gateway_of_episodes() == {}
     assert site.files("out") == sorted(map(name_of, (one, two, three)))
     assert site.gather("gw1", "gw2").gathered == 0
     assert site.open_core().progress().jobs["archived"] == EPISODES  # no episode counts as lost
@@ -184,7 +184,7 @@ def test_gather_refuses_unknown_files_and_requeues_missing_ones_on_request(site)
     assert "SHA-256" in missing.why
     assert site.files("out") == []
     assert site.gather("gw1", requeue_missing=True).requeued
-    assert site.keepers() == {}
+    assert site.gateway_of_episodes() == {}
     again = site.open_core()
     assert (again.progress().jobs["archived"], again.progress().jobs["pending"]) == (0, EPISODES)
 

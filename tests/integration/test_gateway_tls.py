@@ -14,7 +14,7 @@ import zenoh
 
 from coordinator.gateway.service import Gateway
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.relay import Duty, Hold, Join, Orders
+from coordinator.protocol.relay import ExtendLease, Join, Orders, OrdersRequest
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
@@ -87,7 +87,7 @@ def test_a_gateway_admits_only_workers(hub, gateway, pki):
         with WireWorker(gateway.endpoints, hub.run, name, files_of(pki, name)) as stranger:
             assert stranger.hello(VERSION) is None
             assert stranger.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
-            assert stranger.ask(Verb.ORDERS, Duty(router="a", most=9), Orders) is None
+            assert stranger.ask(Verb.ORDERS, OrdersRequest(router="a", most=9), Orders) is None
     with WireWorker(gateway.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
         assert liar.hello(VERSION) is None
     assert hub.progress().jobs["pending"] == 2
@@ -123,7 +123,7 @@ def test_a_gateway_can_neither_answer_as_coordinator_nor_serve_bundles(hub, gate
         time.sleep(0.3)
         with WireWorker(gateway.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
             _, lease = worker.job()
-            (answer,) = asks(hub, pki, "gw1", Verb.HOLD, Hold(lease=lease, seconds=1.0))
+            (answer,) = asks(hub, pki, "gw1", Verb.HOLD, ExtendLease(lease=lease, seconds=1.0))
             assert Ack.model_validate_json(answer).accepted
             assert worker.deliver(lease, b"nothing that is an episode")
             until(

@@ -20,6 +20,7 @@ from factory.eval.specs.from_dataset import specs_of_dataset
 from factory.gym.env import MiniVLANavEnv
 from schemas.errors import UsageError
 from schemas.terms import Split
+from tests.builders.rigs import small_rig
 
 SMALL = 64
 
@@ -46,6 +47,7 @@ def env(drives: Dataset, specs: SpecSet) -> Iterator[MiniVLANavEnv]:
         {"actions": "scaled", "with_pose": True},
         {"actions": "tokens", "instruction": "none"},
         {"actions": "scaled", "instruction": "tokens"},
+        {"actions": "scaled", "instruction": "none", "rig": small_rig()},
     ],
 )
 def test_gymnasiums_checker_reports_no_warning(drives: Dataset, specs: SpecSet, changes: dict[str, Any]) -> None:

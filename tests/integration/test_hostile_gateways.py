@@ -22,7 +22,7 @@ from coordinator.protocol.relay import (
     MAX_FILES,
     MAX_LOST,
     Archived,
-    Hold,
+    ExtendLease,
     Inventory,
     InventoryReply,
     Join,
@@ -77,7 +77,7 @@ def attack(peer: WireWorker, number: int) -> list[Any]:
     foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
     messages = (
         (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
-        (Verb.HOLD, Hold(lease=STRANGE, seconds=600.0), Ack),
+        (Verb.HOLD, ExtendLease(lease=STRANGE, seconds=600.0), Ack),
         (Verb.REFUSED, Refused(sid="good.1", lease=STRANGE, detail="x" * 2000), Ack),
         (Verb.ARCHIVED, told_of(foreign.model_copy(update={"run": "other"})), Ack),
         (Verb.ARCHIVED, told_of(foreign.model_copy(update={"plan_digest": "2" * 64}), STRANGE), Ack),

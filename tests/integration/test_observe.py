@@ -5,17 +5,19 @@ from __future__ import annotations
 import pickle
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import CameraObservation
 from factory.dataset.reader import Dataset
 from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.errors import InvalidRig, UsageError
 from schemas.rig import (
+    Camera,
     CameraOutput,
+    DepthKind,
     EquirectangularCamera,
     FisheyeCamera,
     Imu,
@@ -27,6 +29,10 @@ from schemas.rig import (
 )
 from schemas.rig.noise import CameraNoise, ColourNoise, LidarNoise
 from schemas.terms import Recording
+from workers.geometry.camera import mounted_pose
+from workers.geometry.lens import pixel_centres, unproject
+from workers.geometry.pose import Pose
+from workers.sensors import CameraObservation
 
 pytestmark = pytest.mark.gl
 
@@ -91,6 +97,30 @@ def test_the_flow_leads_to_the_same_point_in_the_next_image(data: Dataset):
     assert (second.ids[there[:, 1], there[:, 0]] == first.ids[inside]).mean() > 0.97
 
 
+@pytest.mark.parametrize("camera", [FRONT, EYE, AROUND], ids=["pinhole", "fisheye", "panorama"])
+def test_a_depth_image_warped_by_the_flow_has_the_distances_of_the_earlier_surfaces(
+    recordings: dict[Recording, Path], camera: Camera
+):
+    """OpenCV reads the later image where the flow leads; the surface there has the distance that geometry gives."""
+    outputs = (CameraOutput.DEPTH, CameraOutput.FLOW, CameraOutput.IDS)
+    size = {"width": 4 * camera.width, "height": 4 * camera.height}
+    lens = camera.model_copy(update={"rate_hz": 10.0, "outputs": outputs, "depth": DepthKind.RADIAL, **size})
+    episode = Dataset(recordings[Recording.STATES], rig=Rig(name="flow", sensors=(lens,)))[0]
+    first, later = (camera_of(episode.observe(t)[lens.name]) for t in (30, 36))
+    assert first.flow is not None
+    now, then = (mounted_pose(Pose.of(episode.poses[t]), MOUNT) for t in (30, 36))
+    points = now.eye + (unproject(lens, pixel_centres(lens)) * first.depth[..., None]) @ now.rotation.T
+    expected = np.linalg.norm(points - then.eye, axis=-1)
+    rows, columns = np.mgrid[: lens.height, : lens.width].astype(np.float32)
+    places = columns + first.flow[..., 0], rows + first.flow[..., 1]
+    warped, ids = (cv2.remap(image, *places, cv2.INTER_NEAREST) for image in (later.depth, later.ids))
+    seen = (first.depth > 0) & (ids == first.ids) & (warped > 0)
+    assert seen.mean() > 0.3
+    assert np.median(np.abs(warped - expected)[seen] / expected[seen]) < 0.005
+    assert (np.abs(warped - expected)[seen] < 0.05 * expected[seen]).mean() > 0.95
+    assert np.median(np.abs(first.depth - expected)[seen]) > 0.03  # the robot has moved
+
+
 def test_the_last_image_has_no_flow(data: Dataset):
     episode = data[0]
     last = (len(episode) - 1) // 3 * 3
@@ -139,10 +169,12 @@ def test_an_episode_without_a_rig_and_an_unknown_sensor_are_refused(recordings: 
         Dataset(recordings[Recording.STATES], rig=slow)
 
 
-def test_the_sheet_of_a_rig_has_a_row_for_each_camera(data: Dataset):
+def test_the_sheet_of_a_rig_has_a_row_for_each_camera_and_lidar(data: Dataset):
     with data[0].path.open("rb") as file:
         sheet = draw_rig_sheet(EpisodeBundle(file, data.root), RIG, columns=2)
-    assert sheet.size == (5 * 240, 3 * 20 + 160 + 240 + 120)
+    assert sheet.size == (6 * 240, 4 * 20 + 160 + 240 + 120 + 240)  # flow and normals of the first camera
+    scan = np.asarray(sheet)[-240:, :480].reshape(240, 2, 240, 3)
+    assert ((scan != 255).any(axis=(0, 2, 3))).all()
     assert len(np.unique(np.asarray(sheet.convert("L")))) > 20
 
 
@@ -156,6 +188,6 @@ def test_factory_show_draws_the_cameras_of_a_rig(recordings: dict[Recording, Pat
     out = tmp_path / "sheet.png"
     assert run.invoke(command, [root, "1", "--rig", "turtlebot4", "--columns", "2", "-o", str(out)]).exit_code == 0
     with Image.open(out) as sheet:
-        assert sheet.size == (4 * 240, 3 * (20 + 180))
+        assert sheet.size == (4 * 240, 3 * (20 + 180) + 20 + 240)
     with pytest.raises(UsageError, match=r"--rig draws a contact sheet: choose a file that ends in \.png"):
         run.invoke(command, [root, "1", "--rig", "paper", "-o", str(tmp_path / "film.mp4")])

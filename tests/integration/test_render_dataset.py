@@ -27,7 +27,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.storage.place import digest_of
 from schemas.terms import Recording
-from tests.builders.driven import make_driven
+from tests.builders.dataset import make_dataset
 from workers.sim.render_recording import render_recording
 from workers.sim.scene_renderer import SceneRenderer
 
@@ -86,7 +86,7 @@ def test_a_frames_dataset_and_another_run_are_refused(recordings: Recordings, tm
     with pytest.raises(UsageError, match="stores frames already"):
         prepare_rendering(recordings[Recording.FRAMES], site_of(str(tmp_path / "out")))
     other = tmp_path / "other"
-    make_driven(other, Recording.FRAMES, episodes=1)
+    make_dataset(other)
     with pytest.raises(UsageError, match="not the requested driven-"):
         prepare_rendering(recordings[Recording.STATES], site_of(str(other)))
 

@@ -1,4 +1,7 @@
-"""`factory render` after kill -9 of a worker and of the coordinator: no episode is lost or rendered twice."""
+"""`factory render` with a rig with noise after kill -9 of a worker and of the coordinator, and with two workers.
+
+No episode is lost or rendered twice, and the digest is that of one worker without kills.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from schemas.terms import Recording
+from tests.builders.rigs import write_rig
 
 pytestmark = pytest.mark.gl
 
@@ -46,16 +50,17 @@ def is_worker(pid: int) -> bool:
     return b"worker" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
 
 
-def render(states: Path, out: Path, workers: int) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "factory", "render", str(states), "-o", str(out), "--workers", str(workers)]
+def render(states: Path, rig: Path, out: Path, workers: int) -> subprocess.Popen[str]:
+    words = ("render", states, "--rig", rig, "-o", out, "--workers", workers)
+    command = [sys.executable, "-m", "factory", *map(str, words)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
-    recordings: dict[Recording, Path], tmp_path: Path
+    recordings: dict[Recording, Path], rigged: Path, tmp_path: Path
 ) -> None:
-    states, out = recordings[Recording.STATES], tmp_path / "frames"
-    with render(states, out, 1) as killed:
+    states, out, rig = recordings[Recording.STATES], tmp_path / "frames", write_rig(tmp_path)
+    with render(states, rig, out, 1) as killed:
         until(lambda: query(out, "select 1 from jobs where state = 'leased'"), killed)
         (worker,) = filter(is_worker, children_of(killed))
         os.kill(worker, signal.SIGKILL)
@@ -63,13 +68,13 @@ def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
         killed.kill()
     (first, *_) = sorted((out / "episodes").glob("*.zip"))
     written = first.stat().st_mtime_ns
-    with render(states, out, 2) as again:
+    with render(states, rig, out, 2) as again:
         _, err = again.communicate()
     assert again.returncode == 0, err
     assert first.stat().st_mtime_ns == written
     report = verify(out, deep=True)
     assert (report.ok, report.complete) == (True, True)
-    assert report.digest == Dataset(recordings[Recording.FRAMES]).digest
+    assert report.digest == Dataset(rigged).digest
     counts = query(out, "select count(*) from events where event in ('archived', 'adopted') group by job_id")
     assert counts == [(1,)] * len(Dataset(states))
     assert list((out / ".staging").iterdir()) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,17 @@ import pytest
 from coordinator.validation.start import start_findings
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
-from schemas.config import TaskConfig
+from schemas.config import CameraConfig, TaskConfig
 from schemas.instruction.referents import ids_in_view, referents_of
-from schemas.instruction.start_view import StartView
+from schemas.instruction.start_view import StartView, start_view_findings
 from schemas.job import Job
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
-from workers.sim.attempt import AttemptFailure, Success, run_attempt
+from workers.geometry.pose import Pose
+from workers.render import PartialRenderer
+from workers.sim.attempt import AttemptFailure, Success, is_view_clear, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
 LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
@@ -94,3 +97,39 @@ def test_an_attempt_without_such_a_start_fails_with_the_reason_spawn(stage):
     assert isinstance(outcome, AttemptFailure)
     assert outcome.reason == "spawn"
     assert "whose view meets the conditions" in outcome.detail
+
+
+class _PartsOnly:
+    """Renderer that renders single instances only."""
+
+    def __init__(self, renderer: PartialRenderer) -> None:
+        self.render_instance, self.count_within = renderer.render_instance, renderer.count_within
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        StartView(),
+        StartView(within_rad=0.5),
+        StartView(rivals=(RIVAL.instance_id,)),
+        StartView(alike=(RIVAL.instance_id,)),
+    ],
+)
+def test_a_start_is_judged_as_its_whole_image_is(stage, view):
+    stage.renderer.load(SCENE, CameraConfig())
+    job = _job(1, view)
+    for yaw in np.linspace(-math.pi, math.pi, 24, endpoint=False).tolist():
+        pose = Pose.planar(-1.0, 0.3, yaw, z=0.0)
+        bearing = math.remainder(math.atan2(1.2 - pose.y, 1.5 - pose.x) - yaw, 2 * math.pi)
+        ids = stage.renderer.render_depth_and_ids(pose).ids
+        found = start_view_findings(view, TARGET.instance_id, bearing, ids, job.gains.min_mask_px)
+        assert is_view_clear(job, TARGET, stage.renderer, pose) == (not found)
+
+
+@pytest.mark.parametrize("yaw", [math.pi, -1.0, 0.2])
+def test_no_whole_image_is_rendered_for_the_view_of_one_object(stage, yaw):
+    stage.renderer.load(SCENE, CameraConfig())
+    job, pose = _job(1, StartView(within_rad=math.pi)), Pose.planar(-1.0, 0.3, yaw, z=0.0)
+    assert is_view_clear(job, TARGET, _PartsOnly(stage.renderer), pose) == is_view_clear(
+        job, TARGET, stage.renderer, pose
+    )

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ALL = ("--fps", "20", "--depth", "--ids")
+RIG = ("--rig", "turtlebot4", "--episode", "1")
 RUNS: dict[str, tuple[str, ...]] = {
     "paper": ("paper",),
     "lerobot": ("lerobot",),
@@ -29,6 +30,8 @@ RUNS: dict[str, tuple[str, ...]] = {
     "mcap-ros2": ("mcap", "--ros2"),
     "gnm": ("gnm",),
     "vlnce": ("vlnce",),
+    "paper-rig": ("paper", *RIG),
+    "lerobot-rig": ("lerobot", *ALL, *RIG),
 }
 """Folder -> format and its options."""
 
@@ -46,6 +49,7 @@ JUDGES: dict[str, Judge] = {
     "datasets": Judge("readers", ("dataset", "paper", "lerobot", "webdataset")),
     "video": Judge("readers", ("lerobot", "lerobot-all", "lerobot-v2.1", "lerobot-v2.1-slow")),
     "lerobot": Judge("lerobot", ("paper", "lerobot", "lerobot-all", "lerobot-v2.1")),
+    "lerobot_rig": Judge("lerobot", ("paper-rig", "lerobot-rig")),
     "lerobot_v21": Judge("lerobot-v2.1", ("paper", "lerobot-v2.1", "lerobot-v2.1-slow")),
     "webdataset": Judge("readers", ("paper", "webdataset")),
     "mcap": Judge("readers", ("paper", "mcap")),

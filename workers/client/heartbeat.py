@@ -11,7 +11,7 @@ from importlib.metadata import version
 import structlog
 
 from schemas.protocol.keys import Verb
-from schemas.protocol.messages import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, Trade
+from schemas.protocol.messages import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, RunKind
 from workers.client.host import Host
 from workers.client.spool import Spooled
 
@@ -116,12 +116,13 @@ class Heartbeat:
     def _check_for_evaluation(self) -> None:
         """Ends the work for a collection after the current attempts when an evaluation needs workers."""
         host = self._host
-        is_free = host.trade is Trade.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
+        is_free = host.trade is RunKind.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
         if not is_free or time.monotonic() - self._checked_at < _EVALUATION_CHECK_S:
             return
         self._checked_at = time.monotonic()
         if any(
-            isinstance(reply, HelloReply) and reply.trade is Trade.EVALUATION for reply in host.link.greet(self._hello)
+            isinstance(reply, HelloReply) and reply.trade is RunKind.EVALUATION
+            for reply in host.link.greet(self._hello)
         ):
             log.info("evaluation_found", was=host.run)
             host.phase.moved.set()

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from schemas.protocol.messages import Lease, LeaseProgress, Trade
+from schemas.protocol.messages import Lease, LeaseProgress, RunKind
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings
@@ -134,7 +134,7 @@ class Host:
     """Session id of this start of the worker; it begins with the host's name."""
     run: str
     """Name of the run."""
-    trade: Trade
+    trade: RunKind
     """Type of the jobs of the run."""
     command: tuple[str, ...]
     """Command line of a simulation process."""

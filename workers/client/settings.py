@@ -10,7 +10,7 @@ import platformdirs
 
 from schemas.errors import WorldError
 from schemas.protocol.identity import TlsFiles
-from schemas.protocol.messages import Trade
+from schemas.protocol.messages import RunKind
 from schemas.support.child import python_module
 from schemas.terms import RendererKind
 
@@ -65,13 +65,13 @@ class WorkerSettings:
         """Command line of a simulation process."""
         return self.command or python_module("workers.sim.simulate", "--renderer", self.renderer)
 
-    def command_for(self, trade: Trade) -> tuple[str, ...]:
+    def command_for(self, trade: RunKind) -> tuple[str, ...]:
         """Returns the command line of a process that executes the jobs of a run.
 
         Raises:
             WorldError: this worker cannot execute jobs of that type.
         """
-        if trade is Trade.COLLECTION:
+        if trade is RunKind.COLLECTION:
             return self.simulation_command
         if not self.eval_command:
             raise WorldError(f"the run is an {trade}, and this worker has no eval_command: use `factory worker`")

@@ -149,6 +149,8 @@ class Slot:
         host = self._host
         try:
             scene = self._fetch(job.scene_sha256, job.scene_bytes, lease)
+            light = job.view.light
+            lamps = self._fetch(light.sha256, light.size, lease) if light is not None else None
             more = None if given.evaluation is None else given.evaluation.attachment
             attached = self._fetch(more.sha256, more.size, lease) if more is not None else None
         except FactoryError as error:
@@ -159,6 +161,7 @@ class Slot:
         order = SimulationOrder(
             job=job,
             scene_path=scene,
+            light_path=lamps,
             bundle_path=bundle,
             sid=host.sid,
             eval_task=None if given.evaluation is None else given.evaluation.task,

@@ -14,7 +14,7 @@ from enum import Enum
 import structlog
 
 from schemas.errors import WorldError
-from schemas.protocol.messages import HelloReply, Refusal, Trade
+from schemas.protocol.messages import HelloReply, Refusal, RunKind
 from workers.client.heartbeat import Heartbeat, make_hello
 from workers.client.host import Backoff, Host, Phase, make_sid, tidy_host
 from workers.client.link import Link
@@ -66,7 +66,7 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
             link.join(terms.run)
             ending = _work_for(terms, link, settings, name, sid, stop, at_once)
             log.info("worker_left", run=terms.run, why=ending.value)
-            is_settled = ending is Ending.FINISHED and terms.trade is Trade.EVALUATION
+            is_settled = ending is Ending.FINISHED and terms.trade is RunKind.EVALUATION
             if not is_settled and ending is not Ending.MOVED:
                 return 0
             settled = terms.run if is_settled else None
@@ -194,7 +194,7 @@ def _choose(
     """Returns the reply of the run to work for; evaluations have priority, in the order of their names."""
     greetings = (reply for reply in replies if isinstance(reply, HelloReply) and reply.run != settled)
     terms = sorted((reply for reply in greetings if settings.run in {None, reply.run}), key=lambda reply: reply.run)
-    short = [reply for reply in terms if reply.trade is Trade.EVALUATION]
+    short = [reply for reply in terms if reply.trade is RunKind.EVALUATION]
     if short:
         return short[0]
     if len(terms) > 1:

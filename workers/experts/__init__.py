@@ -8,11 +8,11 @@ from types import MappingProxyType
 from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.terms import ExpertName
-from workers.experts.base import Expert, Senses
+from workers.experts.base import Expert, ExpertObservation
 from workers.experts.planner import PlannerExpert
 from workers.experts.proportional import ProportionalExpert, centroid_speed, depth_speed, literal_speed
 
-__all__ = ["EXPERTS", "Expert", "Senses", "make_expert", "require_expert"]
+__all__ = ["EXPERTS", "Expert", "ExpertObservation", "make_expert", "require_expert"]
 
 EXPERTS: Mapping[ExpertName, Callable[[Job], Expert]] = MappingProxyType(
     {

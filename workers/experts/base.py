@@ -12,7 +12,7 @@ from workers.geometry.slew import Twist
 from workers.planning import Waypoint
 
 
-class Senses(Protocol):
+class ExpertObservation(Protocol):
     """Observation of an expert; all but `sighting` and `obstacle_near` is ground truth. Image properties are lazy."""
 
     @property
@@ -53,6 +53,6 @@ class Expert(Protocol):
         """
         ...
 
-    def act(self, seen: Senses) -> Twist:
+    def act(self, seen: ExpertObservation) -> Twist:
         """Returns the desired twist, within the action bounds and before the slew limit."""
         ...

@@ -13,7 +13,7 @@ from schemas.job import Job
 from schemas.terms import EndReason
 from workers.experts.sight import Sighting, are_near, foreground_window, is_obstacle_near, see
 from workers.geometry.pose import Pose
-from workers.render import DepthAndIds, PartialRenderer, RenderedFrame, Renderer
+from workers.render import DepthAndIds, PartialRenderer, RenderedFrame, Renderer, as_partial
 
 
 class LazyFrame:
@@ -68,13 +68,12 @@ class LazyFrame:
         """Renderer of parts of the image, or `None` if it has none or the whole image has been rendered."""
         if "frame" in self.__dict__ or "relief" in self.__dict__:
             return None
-        renderer = self._renderer()
-        return renderer if isinstance(renderer, PartialRenderer) else None
+        return as_partial(self._renderer())
 
 
 @dataclass(frozen=True)
 class Observation:
-    """State before an action, or after the end the state before the last action; implements `Senses`."""
+    """State before an action, or after the end the state before the last action; implements `ExpertObservation`."""
 
     camera: LazyFrame
     """Camera image."""

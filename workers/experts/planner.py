@@ -12,7 +12,7 @@ import itertools
 from schemas.job import Job
 from schemas.measure import Goal
 from schemas.scene import Target
-from workers.experts.base import Senses
+from workers.experts.base import ExpertObservation
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
@@ -56,7 +56,7 @@ class PlannerExpert:
         self._follower = None if path is None else Follower(path, self._job.robot, self._job.planner)
         return path
 
-    def act(self, seen: Senses) -> Twist:
+    def act(self, seen: ExpertObservation) -> Twist:
         """Returns the desired twist; zero after arrival inside the success region with line of sight to the target.
 
         Raises:
@@ -69,7 +69,7 @@ class PlannerExpert:
             return Twist(0.0, 0.0)
         return self._follower.act(seen.pose, self._job.gains.speed_gain * seen.distance_m)
 
-    def _has_arrived(self, seen: Senses) -> bool:
+    def _has_arrived(self, seen: ExpertObservation) -> bool:
         """Returns whether the robot is close to the target and sees it; without sight it could stop behind a wall."""
         is_done = self._follower is not None and self._follower.is_done
         if self._faces and not is_done and abs(seen.bearing_rad) > _AHEAD_RAD:

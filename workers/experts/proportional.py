@@ -11,29 +11,29 @@ from schemas.config import ExpertConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import Target
-from workers.experts.base import Senses
+from workers.experts.base import ExpertObservation
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.planning import Waypoint
 
-SpeedLaw = Callable[[Senses, ExpertConfig, float], float]
+SpeedLaw = Callable[[ExpertObservation, ExpertConfig, float], float]
 """Function (observation, gains, success radius in metres) -> speed in m/s before clamping."""
 
 
-def centroid_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
+def centroid_speed(seen: ExpertObservation, gains: ExpertConfig, radius_m: float) -> float:
     """Returns k_v * d for the distance d by the success measure, and 0 inside the region, m/s; published behaviour."""
     return gains.speed_gain * seen.distance_m if seen.distance_m > radius_m else 0.0
 
 
-def depth_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
+def depth_speed(seen: ExpertObservation, gains: ExpertConfig, radius_m: float) -> float:
     """Returns k_v * (median mask depth) if the target is visible, else k_v * d; 0 inside the circle, m/s."""
     if seen.distance_m <= radius_m:
         return 0.0
     return gains.speed_gain * (seen.sighting.measure_depth() if _is_visible(seen, gains) else seen.distance_m)
 
 
-def literal_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
+def literal_speed(seen: ExpertObservation, gains: ExpertConfig, radius_m: float) -> float:
     """Returns paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) if visible, else k_v * d, m/s.
 
     The depth is measured from the camera to the surface, and the speed reaches 0 before the base is within the radius
@@ -60,7 +60,7 @@ class ProportionalExpert:
         """Returns an empty path, because this expert plans none."""
         return ()
 
-    def act(self, seen: Senses) -> Twist:
+    def act(self, seen: ExpertObservation) -> Twist:
         """Returns the desired twist; zero speed and yaw rate once the speed law gives 0 inside the circle."""
         gains = self._gains
         speed = self._speed_law(seen, gains, self._radius_m)
@@ -77,5 +77,5 @@ class ProportionalExpert:
         )
 
 
-def _is_visible(seen: Senses, gains: ExpertConfig) -> bool:
+def _is_visible(seen: ExpertObservation, gains: ExpertConfig) -> bool:
     return seen.sighting.pixels >= gains.min_mask_px

@@ -72,7 +72,9 @@ class Grid:
         rows, columns = cells[..., 0], cells[..., 1]
         height, width = field.shape
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        found = field[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+        if inside.all():
+            return np.asarray(field[rows, columns])
+        found = field[np.where(inside, rows, 0), np.where(inside, columns, 0)]
         return np.where(inside, found, field.dtype.type(outside))
 
     def clearance_at(self, xy: ArrayLike) -> Floats:

@@ -234,5 +234,10 @@ def _farthest_in_line(grid: Grid, way: Floats, at: int) -> int:
 
 def _is_clear(grid: Grid, start: Floats, end: Floats) -> bool:
     steps = max(2, math.ceil(math.dist(start, end) / (grid.resolution_m / 2)))
-    points = start + (end - start) * np.linspace(0, 1, steps)[:, None]
+    points = start + (end - start) * _shares(steps)
     return bool((grid.clearance_at(points) >= HALF_WIDTH_M).all())
+
+
+@functools.lru_cache(maxsize=1024)
+def _shares(steps: int) -> Floats:
+    return np.linspace(0, 1, steps)[:, None]

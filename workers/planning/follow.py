@@ -5,8 +5,10 @@ Independent of the simulation. Does not decide whether the goal is reached, and 
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +31,8 @@ _PREVIEW_M = 0.6
 """Length of the path ahead whose curvature limits the speed, metres."""
 _REACH_M = 0.5
 """Largest distance along the leg from one nearest point to the next, metres."""
+_STEPS = np.arange(26.0)
+"""Numbers of the points that are compared to find the nearest one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +55,43 @@ class Leg:
 
     def at(self, along_m: float) -> tuple[float, float]:
         """Returns x, y of the point at a length along the leg, metres; the leg extends straight beyond its end."""
-        beyond = max(0.0, along_m - self.length_m)
-        x, y = (float(np.interp(along_m, self.along, column)) for column in self.points.T)
-        yaw = float(self.yaw[-1])
-        return x + beyond * math.cos(yaw), y + beyond * math.sin(yaw)
+        along, x, y, yaw = self._lists
+        beyond = max(0.0, along_m - along[-1])
+        return (
+            interpolate(along_m, along, x) + beyond * math.cos(yaw[-1]),
+            interpolate(along_m, along, y) + beyond * math.sin(yaw[-1]),
+        )
 
     def curvature(self, along_m: float) -> float:
         """Returns the mean curvature over the preview length after `along_m`, 1/m."""
-        turned = np.interp([along_m, along_m + _PREVIEW_M], self.along, self.yaw)
-        return abs(float(turned[1] - turned[0])) / _PREVIEW_M
+        along, _, _, yaw = self._lists
+        return abs(interpolate(along_m + _PREVIEW_M, along, yaw) - interpolate(along_m, along, yaw)) / _PREVIEW_M
 
     def nearest(self, x: float, y: float, from_m: float) -> float:
         """Returns the length along the leg of the point nearest to (x, y), at least `from_m`, metres."""
-        candidates = np.linspace(from_m, min(from_m + _REACH_M, self.length_m), 26)
-        px, py = (np.interp(candidates, self.along, column) for column in self.points.T)
-        return float(candidates[int(np.argmin((px - x) ** 2 + (py - y) ** 2))])
+        to_m = min(from_m + _REACH_M, self.length_m)
+        candidates = _STEPS * ((to_m - from_m) / _STEPS[-1]) + from_m  # `numpy.linspace`, at a third of the cost
+        candidates[-1] = to_m
+        px, py = (np.interp(candidates, self.along, column) for column in self._columns)
+        return float(candidates[((px - x) ** 2 + (py - y) ** 2).argmin()])
+
+    @functools.cached_property
+    def _columns(self) -> tuple[Floats, Floats]:
+        x, y = self.points.T.copy()
+        return x, y
+
+    @functools.cached_property
+    def _lists(self) -> tuple[list[float], ...]:
+        return tuple(column.tolist() for column in (self.along, *self._columns, self.yaw))
+
+
+def interpolate(place: float, places: list[float], values: list[float]) -> float:
+    """Returns the value of `numpy.interp` at one place, the same bits; for a single place this is faster."""
+    before = bisect_right(places, place) - 1
+    if before < 0 or before + 1 == len(places) or places[before] == place:
+        return values[max(before, 0)]
+    slope = (values[before + 1] - values[before]) / (places[before + 1] - places[before])
+    return slope * (place - places[before]) + values[before]
 
 
 def legs_of(path: tuple[Waypoint, ...]) -> tuple[Leg, ...]:

@@ -32,9 +32,9 @@ _AHEAD_RAD = 0.44
 _MOVING_M = 0.15
 """Distance outside the success region up to which such a path has no turn on the spot, metres."""
 _NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
-"""Distance to the ends up to which the first search from a start within half of it knows distances, and how far below
-it all estimates must remain, metres: two cells with distances on both sides of the limit may share a state of the
-search, and are closer than the margin."""
+"""Radius around the ends of the first distance field, used for starts within half of it, and the margin by which all
+estimates must stay below it, metres. The margin is larger than the distance of two cells that share a state of the
+search."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
@@ -138,6 +138,13 @@ def _search(
     return None
 
 
+_STRIDE = 1 << 16
+"""Larger than the number of cells of states in a column of any grid."""
+_ARCS = tuple(tuple((*move[:6], move.turn * _TURN_COST_M) for move in moves if move.length_m) for moves in MOVES)
+"""Arcs from each heading: displacements, heading, length, and cost of the turn, metres of path."""
+_SPOT_TURNS = tuple(tuple(move.heading for move in moves if not move.length_m) for moves in MOVES)
+"""Headings after a turn on the spot from each heading."""
+
 Node = tuple[float, float, int, int]
 """x and y in metres, number of the heading, index of the previous node."""
 
@@ -161,48 +168,45 @@ def _expand(
     (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
     width, area = int(grid.occupancy.shape[1]), grid.occupancy.size
     goal_area = area if len(ends.poses) > 1 else 0
-
-    def cell(x: float, y: float) -> int:
-        return int((y - low) * per_cell) * width + int((x - left) * per_cell)
-
-    def key(x: float, y: float, heading: int) -> tuple[int, int, int]:
-        return int((x - left) / _CELL_M), int((y - low) / _CELL_M), heading
-
-    first = heading_of(start.yaw)
-    cost_at = {key(start.x, start.y, first): 0.0}
-    heap: list[tuple[float, int, float, float, float, int, int]] = [
-        (ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)
-    ]
+    x, y, heading = start.x, start.y, heading_of(start.yaw)
+    here = int((y - low) * per_cell) * width + int((x - left) * per_cell)
+    # a state is numbered by its heading and its cell; calls and tuples in these loops would double the time
+    state = (int((x - left) / _CELL_M) * _STRIDE + int((y - low) / _CELL_M)) * HEADINGS + heading
+    cost_at = {state: 0.0}
+    heap = [(ahead[here], 0, 0.0, x, y, heading, -1, here, state)]
     nodes: list[Node] = []
     pushed = 0
     while heap and len(nodes) < max_expansions:
-        estimate, _, cost, x, y, heading, before = heapq.heappop(heap)
-        if cost > cost_at[key(x, y, heading)]:
+        estimate, _, cost, x, y, heading, before, here, state = heapq.heappop(heap)
+        if cost > cost_at[state]:
             continue
         if estimate > most_m:
             return None
+        number = len(nodes)
         nodes.append((x, y, heading, before))
-        here = cell(x, y)
         if goal[heading * goal_area + here]:
             return _trace(nodes)
-        for mid_x, mid_y, end_x, end_y, turned, length, turn in MOVES[heading]:
-            spot = cell(x + end_x, y + end_y)
+        layer = heading * area
+        for mid_x, mid_y, end_x, end_y, turned, length, extra in _ARCS[heading]:
+            to_x, to_y = x + end_x, y + end_y
+            spot = int((to_y - low) * per_cell) * width + int((to_x - left) * per_cell)
             if not flags[turned * area + spot]:
                 continue
-            if length:
-                if not flags[heading * area + cell(x + mid_x, y + mid_y)]:
-                    continue
-                price = cost + length * weights[spot] + turn * _TURN_COST_M
-            elif moving[here]:
+            if not flags[layer + int((y + mid_y - low) * per_cell) * width + int((x + mid_x - left) * per_cell)]:
                 continue
-            else:
-                price = cost + turn * _SPOT_TURN_COST_M
-            place = key(x + end_x, y + end_y, turned)
-            if price < cost_at.get(place, math.inf) - 1e-9 and ahead[spot] < math.inf:
-                cost_at[place] = price
+            price = cost + length * weights[spot] + extra
+            state_to = (int((to_x - left) / _CELL_M) * _STRIDE + int((to_y - low) / _CELL_M)) * HEADINGS + turned
+            if price < cost_at.get(state_to, math.inf) - 1e-9 and ahead[spot] < math.inf:
+                cost_at[state_to] = price
                 pushed += 1
-                entry = (price + ahead[spot], pushed, price, x + end_x, y + end_y, turned, len(nodes) - 1)
-                heapq.heappush(heap, entry)
+                heapq.heappush(heap, (price + ahead[spot], pushed, price, to_x, to_y, turned, number, spot, state_to))
+        price = cost + _SPOT_TURN_COST_M
+        for turned in () if moving[here] else _SPOT_TURNS[heading]:
+            state_to = state - heading + turned
+            if flags[turned * area + here] and price < cost_at.get(state_to, math.inf) - 1e-9:
+                cost_at[state_to] = price
+                pushed += 1
+                heapq.heappush(heap, (price + ahead[here], pushed, price, x, y, turned, number, here, state_to))
     return None
 
 

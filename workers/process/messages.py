@@ -21,6 +21,8 @@ class SimulationOrder(Model):
     """Job to simulate."""
     scene_path: Path
     """Path of the compiled scene, already fetched and checked."""
+    light_path: Path | None = None
+    """Path of the light groups of the scene, already fetched and checked."""
     bundle_path: Path
     """Path of the finished bundle; the file appears there when it is complete."""
     sid: str

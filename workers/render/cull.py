@@ -6,6 +6,7 @@ Pure geometry of bounding boxes. Does not render, and does not account for occlu
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ from workers.render import Window
 
 _MARGIN_PX = 2
 """Margin of a window around projected corners, pixels; OpenGL rounds corners to fractions of a pixel."""
+_IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
+"""(8, 3) whether a corner of a box has its upper x, y and z."""
 _DEPTH_MARGIN_M = 1e-3
 """Margin of depths, metres; a depth image is rounded to float32."""
 
@@ -51,9 +54,8 @@ class PartBounds:
         """Returns the corners (8, 3) of the box around parts with vertices, metres; (0, 3) around no part."""
         if not len(chosen):
             return np.empty((0, 3))
-        low = (self.centre - self.half)[chosen].min(axis=0)
-        high = (self.centre + self.half)[chosen].max(axis=0)
-        return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(8, 3)
+        centre, half = self.centre[chosen], self.half[chosen]
+        return np.asarray(np.where(_IS_HIGH, (centre + half).max(axis=0), (centre - half).min(axis=0)))
 
     @functools.cached_property
     def facts(self) -> NDArray[np.float64]:
@@ -131,7 +133,7 @@ def window_of_corners(
     """
     if not len(corners):
         return Window(0, 0, 0, 0), 0.0
-    x, y, _, w = clip @ np.column_stack((corners, np.ones(len(corners)))).T
+    x, y, _, w = clip[:, :3] @ corners.T + clip[:, 3:]
     if w.min() <= near_m:
         return Window(0, 0, size, size), float(w.max())
     columns, rows = (x / w + 1) / 2 * size, (1 - y / w) / 2 * size

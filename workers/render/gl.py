@@ -30,7 +30,7 @@ from workers.render.compose import compose_image
 from workers.render.cull import edges_of
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
-from workers.render.shelf import KEPT_SCENES, SceneShelf
+from workers.render.shelf import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
 
 _KEPT_TARGETS = 16
@@ -77,7 +77,7 @@ class GlRenderer(Closing):
         self._pid = os.getpid()
         self._is_open = True
         self.description = _describe(self._context)
-        self._shelf = SceneShelf(self._prepare, kept_scenes)
+        self._shelf = PreparedSceneCache(self._prepare, kept_scenes)
         self._scene: GpuScene | None = None
         self._sky = SkyPainter(None)
         with self._context:
@@ -128,7 +128,7 @@ class GlRenderer(Closing):
             self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
             self._lap("render")
             rgb = target.read_colour()
-            relief = target.read_relief(image, rgb)
+            relief = target.read_depth_and_ids(image, rgb)
         self._sky.paint(rgb, relief.depth, view.optical, image)
         self._lap("read-back")
         return RenderedFrame(rgb, relief.depth, relief.ids)
@@ -183,7 +183,7 @@ class GlRenderer(Closing):
             scene.draw_bare(parts, matrix)
             self._context.finish()
             self._lap("render")
-            relief = target.read_relief(self._image(), window=window)
+            relief = target.read_depth_and_ids(self._image(), window=window)
         self._lap("read-back")
         return relief
 
@@ -211,7 +211,7 @@ class GlRenderer(Closing):
             self._context.finish()
             self._lap("render")
             rgb = target.read_colour(channels=3 if plan.sampling is None else 4)
-            relief = target.read_relief(clip_range, rgb)
+            relief = target.read_depth_and_ids(clip_range, rgb)
             codes = self._render_normals(scene, target, views) if normals else None
         for face, eye in looks:
             part = np.s_[face.top : face.top + face.view.height, : face.view.width]

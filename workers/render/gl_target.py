@@ -90,13 +90,15 @@ class GlTarget:
         self._images.viewport = _guarded(face.top, view.width, view.height)
 
     def read_colour(self, channels: int = 3) -> NDArray[np.uint8]:
-        """Returns (height, width, channels) colour; pixels without a surface are undefined until `read_relief`."""
+        """Returns (height, width, channels) colour; undefined without a surface, until `read_depth_and_ids`."""
         width, height = self._shape
         rgb = np.empty((height, width, channels), np.uint8)
         self._images.read_into(rgb, components=channels, attachment=0)
         return rgb
 
-    def read_relief(self, view: Perspective, *beside: NDArray[np.uint8], window: Window | None = None) -> DepthAndIds:
+    def read_depth_and_ids(
+        self, view: Perspective, *beside: NDArray[np.uint8], window: Window | None = None
+    ) -> DepthAndIds:
         """Returns depth and ids; sets ids and the images `beside` to 0 where no surface is within the clip range."""
         box = _box(window or Window(0, 0, self._shape[1], self._shape[0]))
         shape = box[3], box[2]

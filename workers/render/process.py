@@ -21,7 +21,7 @@ from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedFrame
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind
-from workers.render.shelf import KEPT_SCENES, SceneShelf
+from workers.render.shelf import KEPT_SCENES, PreparedSceneCache
 
 
 class ProcessRenderer(Closing):
@@ -48,7 +48,7 @@ class ProcessRenderer(Closing):
         """
         self._size, self._lap = _checked(size), lap
         self._process = RenderingProcess(kind, size, kept_scenes)
-        self._shelf = SceneShelf(_Storage(self._process).store, kept_scenes)
+        self._shelf = PreparedSceneCache(_Storage(self._process).store, kept_scenes)
         self.description = self._process.description
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ Scene = TypeVar("Scene")
 Prepared = TypeVar("Prepared", bound=_Closable)
 
 
-class SceneShelf(Generic[Scene, Prepared]):
+class PreparedSceneCache(Generic[Scene, Prepared]):
     """LRU cache of prepared scenes by key."""
 
     def __init__(self, prepare: Callable[[Scene], Prepared], capacity: int) -> None:

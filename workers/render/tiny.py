@@ -27,7 +27,7 @@ from workers.physics.bullet import BulletClient, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame
 from workers.render.compose import compose_image
-from workers.render.shelf import KEPT_SCENES, SceneShelf
+from workers.render.shelf import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
 
 _TEXTURE_PX = 128
@@ -51,7 +51,7 @@ class TinyRenderer(Closing):
         self._camera = CameraConfig()
         self._size = size
         self._lap = lap
-        self._shelf = SceneShelf(TinyScene, kept_scenes)
+        self._shelf = PreparedSceneCache(TinyScene, kept_scenes)
         self._scene: TinyScene | None = None
         self._sky = SkyPainter(None)
 

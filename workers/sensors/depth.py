@@ -153,19 +153,16 @@ def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Boo
 def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
     """Returns (H, W) random values between which is interpolated: whole numbers below 2^24, which float32 adds
     exactly."""
-    rows, columns = (_interpolation(side) for side in shape)
-    coarse = key.bits(Effect.HOLES, (rows.shape[1], columns.shape[1]), step) >> 8
-    return np.asarray(rows @ coarse.astype(np.float32) @ columns.T)
+    height, width = shape
+    coarse = key.bits(Effect.HOLES, (-(-height // _HOLE_BLOCKS) + 1, -(-width // _HOLE_BLOCKS) + 1), step) >> 8
+    return _interpolated(_interpolated(coarse.astype(np.float32), height).T, width).T
 
 
-@functools.lru_cache(maxsize=16)
-def _interpolation(side: int) -> Singles:
-    """Returns the weights (side, values) of linear interpolation, multiplied by `_HOLE_BLOCKS`."""
-    blocks, share = np.arange(side), np.arange(side) % _HOLE_BLOCKS
-    weights = np.zeros((side, -(-side // _HOLE_BLOCKS) + 1), np.float32)
-    weights[blocks, blocks // _HOLE_BLOCKS] = _HOLE_BLOCKS - share
-    weights[blocks, blocks // _HOLE_BLOCKS + 1] = share
-    return weights
+def _interpolated(values: Singles, side: int) -> Singles:
+    """Returns rows (side, N) between rows (M, N) at a distance of `_HOLE_BLOCKS`, multiplied by `_HOLE_BLOCKS`."""
+    share = np.arange(_HOLE_BLOCKS, dtype=np.float32)[:, None]
+    between = values[:-1, None] * (_HOLE_BLOCKS - share) + values[1:, None] * share
+    return between.reshape(-1, values.shape[1])[:side]
 
 
 @functools.lru_cache(maxsize=64)

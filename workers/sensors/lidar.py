@@ -116,11 +116,16 @@ def noisy_ranges(scan: LidarScan, noise: LidarNoise, key: NoiseKey, step: int) -
 def ray_directions(lidar: Lidar2d | Lidar3d) -> Floats:
     """Returns unit vectors (lines, samples, 3) of the rays in the sensor frame (x forward, y left, z up)."""
     elevations = np.radians(lidar.elevations_deg if isinstance(lidar, Lidar3d) else (0.0,))
-    span = lidar.azimuth_max_deg - lidar.azimuth_min_deg
-    azimuths = np.radians(lidar.azimuth_min_deg + np.arange(lidar.samples) * (span / lidar.samples))
+    azimuths = ray_azimuths(lidar)
     flat, up = cos(elevations)[:, None], sin(elevations)[:, None]
     x, y = flat * cos(azimuths), flat * sin(azimuths)
-    return np.stack((x, y, np.broadcast_to(up, x.shape)), axis=2)
+    return np.moveaxis(np.stack((x, y, np.broadcast_to(up, x.shape))), 0, 2)
+
+
+def ray_azimuths(lidar: Lidar2d | Lidar3d) -> Floats:
+    """Returns the azimuths (samples,) of the rays of each line, radians, in the order of measurement."""
+    span = lidar.azimuth_max_deg - lidar.azimuth_min_deg
+    return np.asarray(np.radians(lidar.azimuth_min_deg + np.arange(lidar.samples) * (span / lidar.samples)))
 
 
 def points_of(scan: LidarScan, lidar: Lidar2d | Lidar3d) -> Singles:

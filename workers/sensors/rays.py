@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +31,7 @@ class SceneRays:
         triangles = scene.positions[firsts[:, None] + np.arange(3)]
         normals = _unit_normals(triangles)
         self._ids = np.repeat(scene.part_instance, counts)
-        self._planes = np.column_stack((normals, _dot(normals, triangles[:, 0].astype(np.float64))))
+        self._planes = np.stack((*normals.T, _dot(normals.T, triangles[:, 0].T.astype(np.float64))))
         self._is_two_sided = _two_sided(triangles, normals)
         self._caster = Caster(triangles)
 
@@ -61,9 +63,9 @@ class SceneRays:
     def _meet(self, met: NDArray[np.int32], origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Returns distances (N,) to the planes of triangles, and scalar products (N,) of their normals and
         directions."""
-        planes = self._planes.take(met, axis=0, mode="clip")
-        slants = _dot(planes, directions)
-        height = planes[:, 3] - _dot(planes, origins)
+        *normals, offsets = (row.take(met, mode="clip") for row in self._planes)
+        slants = _dot(normals, directions.T)
+        height = offsets - _dot(normals, origins.T)
         return np.divide(height, slants, out=np.zeros_like(height), where=slants != 0), slants
 
     def _backs(self, met: NDArray[np.int32], slants: Floats) -> NDArray[np.intp]:
@@ -79,16 +81,16 @@ def _unit_normals(triangles: Singles) -> Floats:
 
 def _two_sided(triangles: Singles, normals: Floats) -> Bools:
     """Returns for each triangle whether another one at the same place faces the other way, as in a sheet of paper."""
-    found, is_first = np.zeros(len(triangles), bool), _dot(normals, _TILTED) > 0
+    found, is_first = np.zeros(len(triangles), bool), _dot(normals.T, _TILTED) > 0
     for half in (is_first, ~is_first):
         own, others = normals[half].astype(np.float32), triangles[~half]
         if len(own) and len(others):
             centres = triangles[half].mean(axis=1) + _SAME_M * own
             met = Caster(others).first_triangles(centres, -own, np.full(len(own), 2 * _SAME_M, np.float32))
-            found[half] = (met >= 0) & (_dot(normals[~half][met], own) < -0.99)
+            found[half] = (met >= 0) & (_dot(normals[~half][met].T, own.T) < -0.99)
     return found
 
 
-def _dot(left: Floats, right: Floats | Singles) -> Floats:
-    """Returns the scalar products (N,) of vectors (N, 3)."""
-    return np.asarray(left[:, 0] * right[..., 0] + left[:, 1] * right[..., 1] + left[:, 2] * right[..., 2])
+def _dot(left: Floats | Sequence[Floats], right: Floats | Singles) -> Floats:
+    """Returns the scalar products (N,) of vectors, given as coordinates (3, N) or (3,)."""
+    return np.asarray(left[0] * right[0] + left[1] * right[1] + left[2] * right[2])

@@ -14,7 +14,7 @@ from functools import partial
 from typing import BinaryIO
 
 from schemas.bundle import BundleWriter, EpisodeArrays
-from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
+from schemas.episode import EpisodeMeta, Provenance, Rollout, Route, format_of
 from schemas.instruction.referents import referents_of
 from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
@@ -26,10 +26,12 @@ from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.render import Renderer
+from workers.render import Renderer, as_partial
+from workers.sim.appearance import show_appearance
 from workers.sim.frames import add_frames, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.sensors import LoadedSurroundings, add_measurements
 from workers.sim.spawn import draw_poses, is_spawn_stable
 
 _NO_DIGEST = "0" * 32
@@ -109,13 +111,21 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
 
 
 def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
-    """Returns whether heading and image of a pose meet the job's conditions; renders only if the job has any."""
-    if job.start_view is None:
+    """Returns whether heading and image of a pose meet the job's conditions; renders only what decides."""
+    view, own, least = job.start_view, target.instance_id, job.gains.min_mask_px
+    if view is None:
         return True
     x, y, _ = target.centroid_m
     bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
-    ids = renderer.render_depth_and_ids(pose).ids
-    return not start_view_findings(job.start_view, target.instance_id, bearing_rad, ids, job.gains.min_mask_px)
+    if view.within_rad is not None and abs(bearing_rad) > view.within_rad:
+        return False
+    parts = as_partial(renderer)
+    if parts is not None:
+        is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
+        is_wanted = is_shown or not view.shows_target
+        if not (is_wanted and (view.rivals if is_shown else view.alike)):
+            return is_wanted
+    return not start_view_findings(view, own, bearing_rad, renderer.render_depth_and_ids(pose).ids, least)
 
 
 def _shows_target(attempt: _Attempt, planned: tuple[Waypoint, ...]) -> bool:
@@ -144,18 +154,23 @@ def _drive_and_seal(
     poses = done.arrays.poses
     if done.end_reason is not EndReason.SUCCESS:
         return AttemptFailure(FailReason(done.end_reason), done.end, len(poses))
-    writer = BundleWriter(attempt.out, stage.lap)
+    writer, shown = BundleWriter(attempt.out, stage.lap), None
     if job.record is Recording.STATES:
         add_sampled_digests(writer, stage.renderer, job, poses)
     else:
         tell = partial(attempt.on_step, len(poses))
-        visible = add_frames(writer, stage.renderer, job, poses, target.instance_id, lambda _frames: tell())
+        shown = show_appearance(job, job.view.appearance, place, stage.renderer, poses)
+        visible = add_frames(writer, shown.renderer, job, poses, target.instance_id, lambda _frames: tell())
         done = replace(done, steps_visible=visible)
+        scene = LoadedSurroundings(shown.place, stage.renderer)
+        add_measurements(writer, scene, job, done.arrays, tell, shown.change)
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
+    if shown is not None:
+        meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
     sealed = writer.finish(done.arrays, meta)
     stage.lap("bundle")
     return Success(sealed)
@@ -166,6 +181,7 @@ def describe_episode(
 ) -> EpisodeMeta:
     """Returns the metadata of a successful episode, without digests."""
     return EpisodeMeta(
+        format=format_of(job),
         episode_id=job.episode_id,
         job=job,
         target_prim_path=target.prim_path,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from functools import partial
 from typing import BinaryIO
 
 from schemas.bundle import BundleReader, BundleWriter
@@ -14,15 +15,17 @@ from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import Recording
 from workers.render.differing import differing_frame
+from workers.sim.appearance import show_appearance
 from workers.sim.attempt import Success
 from workers.sim.frames import add_frames
 from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.sensors import LoadedSurroundings, add_measurements
 
 
 def render_recording(
     job: Job, stage: SceneRenderer, states: bytes, out: BinaryIO, on_step: Callable[[int], None]
 ) -> Success:
-    """Renders the frames of a recorded episode and streams its bundle into `out`.
+    """Renders the frames and the rig of a recorded episode and streams its bundle into `out`.
 
     Args:
         job: job of the episode, which records frames.
@@ -38,8 +41,9 @@ def render_recording(
     with BundleReader(io.BytesIO(states)) as recorded:
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
-        stage.renderer.load(place.scene, job.camera)
-        writer, sampled = BundleWriter(out, stage.lap), recorded.meta.sampled_digests
+        shown = show_appearance(job, job.view.appearance, place, stage.renderer, recorded.arrays.poses)
+        writer = BundleWriter(out, stage.lap)
+        sampled = recorded.meta.sampled_digests if shown.drawn is None else {}  # those of the scene as compiled
 
         def check(count: int) -> None:
             t = count - 1
@@ -48,13 +52,15 @@ def render_recording(
             on_step(count)
 
         target_id = recorded.meta.target_instance_id
-        visible = add_frames(writer, stage.renderer, job, recorded.arrays.poses, target_id, check)
-        meta = recorded.meta.with_frames(job, visible, place.scene.info.instances)
+        visible = add_frames(writer, shown.renderer, job, recorded.arrays.poses, target_id, check)
+        scene, tell = LoadedSurroundings(shown.place, stage.renderer), partial(on_step, recorded.length)
+        add_measurements(writer, scene, job, recorded.arrays, tell, shown.change)
+        meta = recorded.meta.with_frames(job, visible, shown.instances, shown.drawn)
         return Success(writer.finish(recorded.arrays, meta))
 
 
 def _require_job(recorded: Job, job: Job) -> None:
-    """Raises `WorldError` unless a recording is of the job, apart from the plan, whose `record` differs."""
-    of_plan = {"record": job.record, "plan_digest": job.plan_digest, "run": job.run}
+    """Raises `WorldError` unless a recording is of the job, apart from the plan, whose `record` and view differ."""
+    of_plan = {"record": job.record, "view": job.view, "plan_digest": job.plan_digest, "run": job.run}
     if recorded.record is not Recording.STATES or recorded.model_copy(update=of_plan) != job:
         raise WorldError(f"{job.episode_id}: the states are of another job: give the dataset that was recorded")

@@ -7,22 +7,29 @@ from __future__ import annotations
 
 import functools
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.appearance.light_groups import LightGroups, decode_light_groups
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
 from schemas.support.closing import Closing
+from schemas.support.extras import require_package
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
+from workers.appearance import AppearanceScene
 from workers.geometry.grid import Grid, body_centre
 from workers.physics.world import ColliderMesh
 from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
+
+if TYPE_CHECKING:
+    from workers.sensors.rays import SceneRays
 
 _KEPT_SCENES = 2
 
@@ -37,6 +44,25 @@ class LoadedScene:
     """Occupancy grid of the scene."""
     collider: ColliderMesh
     """Obstacles of the scene for physics."""
+    light: LightGroups | None = None
+    """Light groups of the scene, if the appearance of its episodes needs them."""
+
+    @functools.cached_property
+    def appearance(self) -> AppearanceScene:
+        """What the appearance of an episode depends on."""
+        return AppearanceScene(self.scene, self.light)
+
+    @functools.cached_property
+    def rays(self) -> SceneRays:
+        """Ray caster for lidars.
+
+        Raises:
+            UsageError: embreex is not installed; the message names the extra.
+        """
+        require_package("embreex", "a lidar")
+        from workers.sensors.rays import SceneRays
+
+        return SceneRays(self.scene)
 
     def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
         """Returns for base_link poses whether the body centre is on the connected floor."""
@@ -67,18 +93,26 @@ class SceneRenderer(Closing):
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 
-    def load(self, path: Path, sha256: str) -> LoadedScene:
+    def load(self, path: Path, sha256: str, light: Path | None = None) -> LoadedScene:
         """Returns the scene with that digest; reads it from `path` if it is not loaded.
 
+        Args:
+            path: package of the scene.
+            sha256: digest of the package.
+            light: light groups of the scene, if the appearance of its episodes needs them.
+
         Raises:
-            InvalidBundle: the package is damaged or has another format version.
+            InvalidBundle: the package or the light groups are damaged or have another format version.
         """
         if sha256 not in self._loaded:
             with path.open("rb") as file:
                 self._loaded[sha256] = prepare_scene(decode_scene(file))
-            while len(self._loaded) > _KEPT_SCENES:
-                self._loaded.popitem(last=False)
+        if light is not None and self._loaded[sha256].light is None:
+            with light.open("rb") as file:
+                self._loaded[sha256] = replace(self._loaded[sha256], light=decode_light_groups(file))
         self._loaded.move_to_end(sha256)
+        while len(self._loaded) > _KEPT_SCENES:
+            self._loaded.popitem(last=False)
         return self._loaded[sha256]
 
     def loaded(self, sha256: str) -> LoadedScene:

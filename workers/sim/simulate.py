@@ -87,7 +87,7 @@ def _serve(order: SimulationOrder, stage: SceneRenderer, send: SendReport) -> bo
 
 
 def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, progress: _Progress) -> SimulationReport:
-    stage.load(order.scene_path, order.job.scene_sha256)
+    stage.load(order.scene_path, order.job.scene_sha256, order.light_path)
     with part.open("w+b") as file:
         if order.states is None:
             outcome = run_attempt(order.job, stage, file, order.sid, progress)

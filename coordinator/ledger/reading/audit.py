@@ -96,7 +96,7 @@ _HISTORY = f"""
             WHERE a.job_id = jobs.id AND a.settles AND a.outcome IN ({_WORLD})) AS missed,
         (SELECT e.attempt FROM events AS e WHERE e.job_id = jobs.id ORDER BY e.id DESC LIMIT 1) AS last_attempt,
         (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.RETRIED}') AS retries,
-        (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.HURT}') AS hurts,
+        (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.WORKER_FAILED}') AS hurts,
         (SELECT f.attempt FROM jobs AS f WHERE f.idx = jobs.idx AND f.draw = jobs.draw - 1) AS former
     FROM jobs WHERE state IN ({_OPEN}) AND (misses > 0 OR attempt != 1 OR draw > 0 OR crashes != 0 OR not_before > 0
         OR EXISTS (SELECT 1 FROM events AS e WHERE e.job_id = jobs.id))

@@ -15,7 +15,9 @@ from coordinator.expansion.cells import empty_splits
 from coordinator.expansion.file import shrink
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
+from schemas.appearance.file import BUILTIN_APPEARANCES, NO_APPEARANCE
 from schemas.plan import Plan
+from schemas.rig.file import BUILTIN_RIGS, load_rig
 from schemas.terms import ExpertName, Recording, RendererKind
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -53,9 +55,39 @@ record_option = click.option(
 """`--record frames|states`: replaces the plan's recording."""
 
 
+def complete_rig(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Returns the built-in rigs that begin with a word, or a request for file names."""
+    names = [CompletionItem(name) for name in BUILTIN_RIGS if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
+
+
+def rig_option(text: str, multiple: bool = False) -> Callable[[Command], Command]:
+    """Returns the option `--rig RIG`: the name of a built-in rig, or a TOML file."""
+    name = "rigs" if multiple else "rig"
+    return click.option("--rig", name, metavar="RIG", multiple=multiple, shell_complete=complete_rig, help=text)
+
+
+def complete_appearance(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Returns the built-in appearances that begin with a word, or a request for file names."""
+    names = [CompletionItem(name) for name in (*BUILTIN_APPEARANCES, NO_APPEARANCE) if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
+
+
+def appearance_option(default: str) -> Callable[[Command], Command]:
+    """Returns the option `--appearance NAME|FILE`.
+
+    Args:
+        default: effect of the default, as a sentence.
+    """
+    text = f"Appearance of the frames: {', '.join(BUILTIN_APPEARANCES)}, {NO_APPEARANCE}, or a TOML file. {default}"
+    return click.option("--appearance", metavar="NAME|FILE", shell_complete=complete_appearance, help=text)
+
+
 def shrink_options(command: Command) -> Command:
-    """Adds `--scene --episodes --expert --seed --record`, which change these values of a plan."""
+    """Adds `--scene --episodes --expert --seed --record --rig --appearance`, which change these values of a plan."""
     for option in (
+        appearance_option("Default: the plan's."),
+        rig_option("Sensor rig: a built-in name or a TOML file; `paper` is the recorded camera. Default: the plan's."),
         record_option,
         plan_seed_option,
         expert_option,
@@ -78,6 +110,8 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
         expert=ExpertName(expert) if expert else None,
         seed=changes.get("seed"),
         record=Recording(changes["record"]) if changes.get("record") else None,
+        rig=load_rig(changes["rig"], control_hz=None) if changes.get("rig") else None,
+        appearance=changes.get("appearance"),
     )
 
 

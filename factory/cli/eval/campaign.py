@@ -13,6 +13,8 @@ from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn,
 from factory.cli.common.bars import Bars, one_bar
 from factory.cli.common.filters import split_filter
 from factory.dataset.reader import Dataset
+from factory.eval.driving.appearance import live_appearance
+from factory.eval.driving.rig_sensors import require_live
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet, read_specs
@@ -24,8 +26,11 @@ from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.ablation import ABLATIONS
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
+from schemas.appearance import Appearance
 from schemas.errors import UsageError
+from schemas.rig.file import load_rig
 from schemas.terms import RendererKind, Split
+from schemas.view import ViewSettings
 
 _TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
 
@@ -68,6 +73,8 @@ class Asked:
     load_timeout: float
     with_pose: bool
     renderer: RendererKind
+    rig: str | None = None
+    appearance: str | None = None
 
 
 def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
@@ -78,7 +85,8 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
         drives_here: True if this machine runs the episodes, so that the policies must be installed here.
 
     Raises:
-        UsageError: a policy, a split or the specs file does not exist, or a package of a policy is not installed.
+        UsageError: a policy, a split, the specs file or the rig does not exist, a package of a policy or of a sensor is
+            not installed, or the rig cannot be measured during a drive.
     """
     if not asked.policies:
         raise UsageError("--policy is missing; example: factory eval DIR --policy expert")
@@ -87,11 +95,15 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
         if drives_here:
             require_available(name)
     specs = _specs(Dataset(asked.root), asked)
+    rig = None if asked.rig is None else load_rig(asked.rig, specs.settings.task.control_hz)
+    if rig is not None:
+        require_live(rig, specs.settings.task.control_hz)
     setup = Setup(
         settings=specs.settings,
         renderer=asked.renderer,
         act_timeout_s=asked.act_timeout,
         load_timeout_s=asked.load_timeout,
+        view=ViewSettings(rig=rig, appearance=_appearance(asked.appearance)),
     )
     return Campaign(
         specs=specs,
@@ -104,6 +116,10 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
     )
 
 
+def _appearance(reference: str | None) -> Appearance | None:
+    return None if reference is None else live_appearance(reference)
+
+
 def open_store(campaign: Campaign, folder: Path) -> Store:
     """Opens a new or existing results directory."""
     manifest = EvalManifest(
@@ -111,6 +127,7 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
         specs_digest=campaign.specs.digest,
         with_pose=campaign.with_pose,
         act_timeout_s=campaign.setup.act_timeout_s,
+        view=campaign.setup.view,
     )
     return Store(folder, campaign.specs, manifest)
 

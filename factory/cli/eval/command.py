@@ -15,12 +15,14 @@ from coordinator.protocol.tls import Guard
 from factory.cli.common.admission import open_door
 from factory.cli.common.groups import DefaultCommand, DefaultGroup
 from factory.cli.common.options import (
+    appearance_option,
     connect_option,
     count_option,
     former_option,
     listen_option,
     number_option,
     renderer_option,
+    rig_option,
     tls_option,
     workers_option,
     write_option,
@@ -82,6 +84,11 @@ def command() -> None:
 @click.option(
     "--pose", "with_pose", is_flag=True, help="Add the robot's pose, in the start frame, to the observations."
 )
+@rig_option(
+    "Sensors that policies get: a built-in rig or a TOML file. A policy that needs another sensor is refused. Default: "
+    "the recorded camera."
+)
+@appearance_option("Default: the scenes as they were compiled.")
 @count_option("--videos", 12, "Maximum number of videos of failed episodes for each policy.", least=0)
 @click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
 @renderer_option

@@ -101,7 +101,11 @@ def start(
     guard, listen = open_door(tls, listen)
     if states is not None and plan_name is not None:
         raise UsageError(f"--states {states}: the plan is that of the dataset; omit PLAN {plan_name}")
-    rendering = None if states is None else prepare_rendering(states, site)
+    rendering = (
+        None
+        if states is None
+        else prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
+    )
     plan, is_new = begin(plan_name, site, changes)
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)

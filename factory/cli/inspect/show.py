@@ -9,7 +9,7 @@ import click
 from PIL import Image
 
 from factory.cli.common.bars import Bars
-from factory.cli.common.options import count_option, place_argument, write_option
+from factory.cli.common.options import count_option, place_argument, rig_option, write_option
 from factory.cli.common.output import json_option, print_json
 from factory.cli.common.places import episode_path
 from factory.dataset.bundle import EpisodeBundle
@@ -19,6 +19,7 @@ from factory.visualize.panels import draw_contact_sheet
 from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError
+from schemas.rig import Imu, WheelOdometry
 from schemas.rig.file import load_rig
 from schemas.scene import CompiledScene, decode_scene
 from schemas.storage.disk import translated
@@ -33,7 +34,7 @@ _KINDS = (".png", ".mp4", ".gif")
 @click.argument("episode")
 @write_option("FILE", "Output file: .png, .mp4 or .gif. Default: EPISODE.png.", dir_okay=False)
 @count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
-@click.option("--rig", metavar="RIG", help="Show the cameras of a rig, a row for each. Default: the recorded camera.")
+@rig_option("Show the cameras and lidars of a rig, a row for each. Default: the recorded camera.")
 @json_option
 def command(root: Place, episode: str, out: Path | None, columns: int, rig: str | None, as_json: bool) -> None:
     """Write one episode as a contact sheet or a video.
@@ -75,8 +76,8 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
 
 def _rig_sheet(bundle: EpisodeBundle, reference: str, columns: int) -> Image.Image:
     rig = load_rig(reference, bundle.meta.job.task.control_hz)
-    if not rig.cameras:
-        raise UsageError(f"rig {rig.name!r} has no camera to show")
+    if all(isinstance(sensor, Imu | WheelOdometry) for sensor in rig.sensors):
+        raise UsageError(f"rig {rig.name!r} has no camera and no lidar to show")
     return draw_rig_sheet(bundle, rig, columns)
 
 

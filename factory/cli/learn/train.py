@@ -11,7 +11,14 @@ from pydantic import ValidationError
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter, tier_filter
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import count_option, former_option, number_option, place_argument, write_option
+from factory.cli.common.options import (
+    appearance_option,
+    count_option,
+    former_option,
+    number_option,
+    place_argument,
+    write_option,
+)
 from factory.cli.common.output import json_option, print_result, print_table, say_duration
 from factory.cli.common.places import PLACE
 from factory.dataset.reader import Dataset
@@ -83,6 +90,7 @@ def command() -> None:
     "Memory for rendered frames of each split, GB; frames that do not fit are rendered in every epoch.",
     least=0,
 )
+@appearance_option("For datasets of states. Default: the plan's.")
 @count_option("--batch", 32, "Batch size, frames.", most=4096)
 @number_option("RATE", "--rate", 1e-3, "Peak learning rate.", least=1e-7, most=1.0)
 @number_option(
@@ -116,6 +124,7 @@ def bc(
     size: str,
     antialias: int | None,
     memory: float,
+    appearance: str | None,
     batch: int,
     rate: float,
     mask_weight: float,
@@ -144,7 +153,15 @@ def bc(
         mask_weight=mask_weight,
     )
     wanted = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
-    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes, int(memory * 1e9))
+    order = TrainOrder(
+        Dataset(root, appearance=appearance).filter(**wanted),
+        out,
+        options,
+        Split(split),
+        device,
+        minutes,
+        int(memory * 1e9),
+    )
     with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
         report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
     print_result(report, as_json, _print)

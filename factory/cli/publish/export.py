@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import split_filter
-from factory.cli.common.options import former_option, place_argument, workers_option, write_option
+from factory.cli.common.options import former_option, place_argument, rig_option, workers_option, write_option
 from factory.cli.common.output import json_option, print_result, say_duration, stderr
 from factory.export.base import Options
 from factory.export.execution.estimate import ExportEstimate, estimate_export
@@ -83,6 +83,7 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
     "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
 )
 @former_option("--episodes", "episodes", "--episode")
+@rig_option("Export the sensors of a rig. Default: the recorded camera.")
 @workers_option("Number of processes")
 @click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write no files.")
 @format_options
@@ -93,6 +94,7 @@ def command(
     out: Path,
     splits: tuple[str, ...] | None,
     episodes: str | None,
+    rig: str | None,
     workers: int | None,
     dry_run: bool,
     as_json: bool,
@@ -101,7 +103,8 @@ def command(
     """Convert a dataset to another format.
 
     After Ctrl-C, a crash or a full disk, the same command continues the export. An option whose help ends with format
-    names in brackets is valid for these formats only. Exits with 1 if episodes are missing or were skipped.
+    names in brackets is valid for these formats only. RIG is a built-in rig or a TOML file, see `factory rig list`;
+    its sensors are rendered from the recorded poses. Exits with 1 if episodes are missing or were skipped.
     """
     configure_logs()
     order = ExportOrder(
@@ -112,6 +115,7 @@ def command(
         splits=splits or (),
         episodes=tuple(parse_episodes(episodes)) if episodes else (),
         workers=workers or os.cpu_count() or 1,
+        rig=rig,
     )
     if dry_run:
         return _estimate(order, as_json)

@@ -6,22 +6,15 @@ from typing import Any
 
 import click
 import tomli_w
-from click.shell_completion import CompletionItem
 
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import count_option
+from factory.cli.common.options import complete_rig, count_option
 from factory.cli.common.output import json_option, print_json, print_table, print_text
 from schemas.rig import Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
 from schemas.rig.file import BUILTIN_RIGS, DEFAULT_CONTROL_HZ, load_rig
 from workers.geometry.faces import plan_faces
 
-
-def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
-    names = [CompletionItem(name) for name in BUILTIN_RIGS if name.startswith(word)]
-    return names or [CompletionItem(word, type="file")]
-
-
-_rig_argument = click.argument("rig", metavar="RIG", shell_complete=_complete)
+_rig_argument = click.argument("rig", metavar="RIG", shell_complete=complete_rig)
 _control_option = count_option(
     "--control-hz", DEFAULT_CONTROL_HZ, "Control rate that the rates of the sensors must divide, Hz.", most=240
 )

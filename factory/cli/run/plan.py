@@ -57,7 +57,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
     facts = f"{plan.episodes} episodes of {plan.record}, seed {plan.seed}, expert {plan.expert}, run {plan.run}"
-    print_text(f"plan {plan.name}: {facts}")
+    print_text(f"plan {plan.name}: {facts}" + ("" if plan.rig is None else f", {plan.view.describe()}"))
     for scene in plan.scenes:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")

@@ -36,7 +36,12 @@ scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete
 
 
 def chosen_scene(scene: str, seed: int) -> CompiledScene:
-    """Returns the scene with a name or in a file; if the name was imported several times, the last import.
+    """Returns the scene with a name or in a file; raises the errors of `scene_package`."""
+    return open_scene(scene_package(scene, seed))
+
+
+def scene_package(scene: str, seed: int) -> Path:
+    """Returns the package of a name or file; if the name was imported several times, of the last import.
 
     Raises:
         UsageError: the name or file does not exist, or the file is not a scene package.
@@ -51,7 +56,7 @@ def chosen_scene(scene: str, seed: int) -> CompiledScene:
         raise UsageError(f"file {scene} does not exist; give a scene package (*.scene.zip) or the name of a scene")
     if path.is_file() and path.suffix.lower() != ".zip" and not zipfile.is_zipfile(path):
         raise UsageError(f"{find_fault(path)}; import the stage with `factory scene import` and give the package")
-    return open_scene(path if path.is_file() else _package_called(scene, seed))
+    return path if path.is_file() else _package_called(scene, seed)
 
 
 def open_scene(path: Path) -> CompiledScene:

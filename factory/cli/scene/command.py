@@ -12,6 +12,7 @@ from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import count_option, former_option, verbose_option, write_option
 from factory.cli.common.output import json_option, print_json, print_result, stderr
 from factory.cli.scene import inspect as scene_inspect
+from factory.cli.scene import light as scene_light
 from factory.cli.scene import list as scene_list
 from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
@@ -30,6 +31,7 @@ def command() -> None:
 
 command.add_command(scene_list.command)
 command.add_command(scene_inspect.command)
+command.add_command(scene_light.command)
 command.add_command(scene_render.command)
 command.add_command(scene_survey.command)
 command.add_command(scene_targets.command)

@@ -16,6 +16,7 @@ from schemas.support.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from factory.scenes.survey.diversity import LayoutFacts, Spread
+    from schemas.support.numpy_types import Bools
 
 _TRIES_PER_LAYOUT = 3
 
@@ -36,7 +37,9 @@ def survey_family(family: str, layouts: int, first_seed: int, as_json: bool) -> 
     if family not in BUILTIN_SCENES:
         known = ", ".join(BUILTIN_SCENES)
         raise UsageError(f"{family!r} is not a family; families: {known}{did_you_mean(family, BUILTIN_SCENES)}")
-    facts, maps, failed = [], {}, {}
+    facts: list[LayoutFacts] = []
+    maps: dict[int, Bools] = {}
+    failed: dict[int, str] = {}
     seeds = iter(range(first_seed, first_seed + _TRIES_PER_LAYOUT * layouts))
     with stderr.status(f"surveying {family}") as progress:
         while len(facts) < layouts and (seed := next(seeds, None)) is not None:

@@ -22,10 +22,12 @@ from schemas.terms import ExpertName
 class PolicyInput(TypedDict):
     """Observation passed to a policy before each action."""
 
-    rgb: NDArray[np.uint8]
-    """(640, 640, 3) sRGB, top row first."""
-    depth: NDArray[np.float32]
-    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing."""
+    rgb: NotRequired[NDArray[np.uint8]]
+    """(640, 640, 3) sRGB, top row first; only if the robot has the recorded camera, as without `--rig`."""
+    depth: NotRequired[NDArray[np.float32]]
+    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing; with `rgb`."""
+    sensors: NotRequired[dict[str, dict[str, NDArray[Any]]]]
+    """Latest measurement of each sensor of the rig, by sensor and array (docs/rigs.md#policies); only with `--rig`."""
     instruction: str
     step: int
     """Number of executed actions, from 0."""
@@ -50,7 +52,12 @@ class EpisodeInfo:
 
 @runtime_checkable
 class Policy(Protocol):
-    """Policy. The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`."""
+    """Policy.
+
+    The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`. The optional attribute `needs` lists
+    inputs without which the policy is refused: `"rgb"` and `"depth"` of the recorded camera, sensors of the rig such as
+    `"scan"`, or arrays of them such as `"scan/ranges"`.
+    """
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Starts an episode and clears the state of the previous one."""
@@ -124,6 +131,11 @@ class ServerAway(Exception):
 def uses_camera(policy: Policy) -> bool:
     """Returns whether a policy receives camera images: all policies except those that derive from `BlindPolicy`."""
     return not isinstance(policy, BlindPolicy)
+
+
+def needs_of(policy: Policy) -> tuple[str, ...]:
+    """Returns the inputs without which a policy is refused."""
+    return tuple(getattr(policy, "needs", ()))
 
 
 def kind_of_actions(policy: Policy) -> str:

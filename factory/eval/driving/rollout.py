@@ -31,12 +31,14 @@ from factory.eval.driving.policy import (
     kind_of_actions,
     uses_camera,
 )
+from factory.eval.driving.rig_sensors import RigSensors, shows_recorded_camera
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.measure import Goal, footprint_distances
+from schemas.rig import Rig
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
@@ -88,6 +90,14 @@ class _EpisodeRun:
     answers: int = 0
     act_s: float = 0.0
 
+    sensors: RigSensors | None = None
+    """Sensors of the rig; `None` without one."""
+
+    @property
+    def rig(self) -> Rig | None:
+        """Rig of the robot; `None` for the recorded camera."""
+        return self.task.setup.view.rig
+
     @property
     def request(self) -> EvalRequest:
         """Evaluation request of the episode."""
@@ -116,6 +126,7 @@ class _EpisodeRun:
             w_range_rps=(-settings.robot.max_yaw_rate_rps, settings.robot.max_yaw_rate_rps),
             fov_deg=settings.camera.fov_deg,
         )
+        self.sensors = None if self.rig is None else RigSensors(self.rig, self.simulator)
         with self._policy_call(view):
             if isinstance(self.policy, PrivilegedPolicy):
                 job = spec.job(settings, self.policy.expert)
@@ -142,7 +153,11 @@ class _EpisodeRun:
         words, step = self.request.instruction, self.simulator.steps
         if not uses_camera(self.policy):
             return cast(PolicyInput, {"instruction": words, "step": step})  # the policy does not use images
-        seen = PolicyInput(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
+        seen = PolicyInput(instruction=words, step=step)
+        if shows_recorded_camera(self.rig, self.simulator.settings.camera):
+            seen |= {"rgb": view.frame.rgb, "depth": view.frame.depth}
+        if self.sensors is not None:
+            seen["sensors"] = self.sensors.measure()
         if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen

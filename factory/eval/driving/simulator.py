@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.models.spec import EvalSettings, EvalSpec
+from schemas.appearance import Appearance
 from schemas.bundle import EpisodeArrays
 from schemas.errors import WorldError
 from schemas.scene import Target
@@ -19,21 +20,24 @@ from workers.experts.observation import Observation
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.physics.world import World
+from workers.sensors.observation import Trajectory
+from workers.sim.appearance import show_appearance
 from workers.sim.closed_loop import ClosedLoop
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.sensors import LoadedSurroundings
 from workers.sim.spawn import is_spawn_stable
 
 
-class NoFirmStand(WorldError):
+class UnstableStart(WorldError):
     """The robot is not stable at the start pose of a spec."""
 
 
 class Simulator(Closing):
     """Simulator of one episode at a time: call `reset`, then `step` until the view has an end. A context manager."""
 
-    def __init__(self, stage: SceneRenderer, settings: EvalSettings) -> None:
-        """Stores the scene renderer, which the caller opens and closes."""
-        self._stage = stage
+    def __init__(self, stage: SceneRenderer, settings: EvalSettings, appearance: Appearance | None = None) -> None:
+        """Stores the scene renderer, which the caller opens and closes, and the appearance of the episodes."""
+        self._stage, self._appearance = stage, appearance
         self.settings = settings
         self._held = ExitStack()
         self._loop: ClosedLoop | None = None
@@ -51,7 +55,7 @@ class Simulator(Closing):
             loaded: Scene of the spec.
 
         Raises:
-            NoFirmStand: The robot is not stable at the start pose.
+            UnstableStart: The robot is not stable at the start pose.
             WorldError: The scene does not have the target.
         """
         self.close()
@@ -62,11 +66,12 @@ class Simulator(Closing):
         x, y, yaw = spec.spawn_pose
         if not is_spawn_stable(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
-            raise NoFirmStand(
+            raise UnstableStart(
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
-        self._stage.renderer.load(scene, job.camera)
-        self._loop = ClosedLoop(job, self.target, world, self._stage.renderer)
+        pose = np.array(((x, y, 0.0, 1.0, 0.0, 0.0, 0.0),))
+        self.shown = show_appearance(job, self._appearance, loaded, self._stage.renderer, pose)
+        self._loop = ClosedLoop(job, self.target, world, self.shown.renderer)
         self._held.callback(self._loop.leave)
         return self._loop.view
 
@@ -109,6 +114,18 @@ class Simulator(Closing):
     def arrays(self) -> EpisodeArrays:
         """Returns the recorded arrays of the steps so far: poses and actions of equal length."""
         return self._running.arrays()
+
+    def trajectory(self) -> Trajectory:
+        """Returns the states of the steps so far, from which the sensors of a rig are measured."""
+        track = self.track
+        twists = np.zeros((len(track), 2))
+        twists[: self.steps] = self.arrays().actions_continuous
+        return Trajectory(track, twists, self.settings.task.control_hz, self.spec.seed, episode=1)
+
+    @property
+    def surroundings(self) -> LoadedSurroundings:
+        """Scene of the episode for cameras and lidars."""
+        return LoadedSurroundings(self.shown.place, self.shown.renderer)
 
     def observe(self) -> Observation:
         """Returns the current view, which contains ground truth and must not be passed to a model."""

@@ -15,6 +15,7 @@ from factory.eval.models.result import EpisodeResult, Variant
 from factory.eval.models.spec import EvalSettings, EvalSpec
 from schemas.base import Model, Name, Positive, Sha256
 from schemas.terms import RendererKind
+from schemas.view import ViewSettings
 
 Actions = tuple[tuple[float, float], ...]
 """Actions (v, w) in m/s and rad/s, one pair per step."""
@@ -55,6 +56,8 @@ class Setup(PolicyLimits):
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
+    view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
+    """What policies see; omitted if it is the recorded camera."""
 
 
 class EvalTask(Model):

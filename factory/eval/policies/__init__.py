@@ -7,13 +7,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy
+from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy, needs_of
+from factory.eval.driving.rig_sensors import live_arrays, shows_recorded_camera
 from factory.eval.models.messages import PolicyLimits
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import ExpertPolicy, PlaybackPolicy, RandomPolicy, ReplayPolicy, StopPolicy
 from factory.eval.policies.user_class import load_class, require_module
+from schemas.config import CameraConfig
 from schemas.errors import UsageError
+from schemas.rig import Rig
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
 from schemas.terms import ExpertName
@@ -29,6 +32,7 @@ __all__ = [
     "make_policy",
     "renders_apart",
     "require_available",
+    "require_inputs",
 ]
 
 PolicyFactory = Callable[[str, PolicyLimits], Policy]
@@ -157,6 +161,33 @@ def make_policy(name: str, limits: PolicyLimits, file: Path | None = None) -> Po
     return policy
 
 
+def require_inputs(name: str, policy: Policy, rig: Rig | None, camera: CameraConfig) -> None:
+    """Raises an error unless the robot has all inputs that a policy needs.
+
+    Args:
+        name: Name of the policy.
+        policy: Policy.
+        rig: Rig of the robot; `None` for the recorded camera.
+        camera: Recorded camera.
+
+    Raises:
+        UsageError: An input is missing.
+    """
+    given = ["rgb", "depth"] if shows_recorded_camera(rig, camera) else []
+    for sensor in rig.sensors if rig else ():
+        given += [sensor.name, *(f"{sensor.name}/{array}" for array in live_arrays(sensor))]
+    missing = [need for need in needs_of(policy) if need not in given]
+    if missing:
+        what = "the recorded camera" if rig is None else f"rig {rig.name!r}"
+        remedy = (
+            "omit --rig, or use --rig paper" if {"rgb", "depth"} & {*missing} else "give --rig RIG with that sensor"
+        )
+        raise UsageError(
+            f"policy {name} needs {', '.join(missing)}, which {what} does not have; its inputs: {', '.join(given)}: "
+            f"{remedy}"
+        )
+
+
 def file_of(name: str) -> Path | None:
     """Returns the file of a policy, or `None` for policies without a file.
 
@@ -168,7 +199,7 @@ def file_of(name: str) -> Path | None:
 
 
 def describe_knowledge(policy: Policy) -> str:
-    """Returns what a policy goes by, for the results."""
+    """Returns the inputs of a policy, for the results."""
     return policy.knows if isinstance(policy, BlindPolicy) else "camera and instruction"
 
 

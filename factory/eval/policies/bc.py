@@ -6,7 +6,7 @@ Loads the checkpoint on construction. Uses camera and instruction only.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,9 @@ class BcPolicy:
     Args:
         name: Training folder, or its `policy.pt`.
     """
+
+    needs: ClassVar[tuple[str, ...]] = ("rgb", "depth")
+    """Inputs without which the policy is refused."""
 
     def __init__(self, name: str) -> None:
         torch = self._torch = load_torch()

@@ -100,7 +100,8 @@ class RemotePolicy:
     """Policy that requests each action from a server.
 
     A request contains `rgb`, `depth`, `prompt` (the instruction), `step` (0 starts an episode), `episode` and `seed`,
-    and `pose` if enabled. The reply contains `actions` (v, w) or `tokens`, of shape (2,) or as a chunk (H, 2).
+    with `--pose` also `pose`, and with a rig `sensors` (maps of arrays by sensor). The reply contains `actions` (v, w)
+    or `tokens`, of shape (2,) or as a chunk (H, 2).
     """
 
     def __init__(self, address: str, limits: PolicyLimits) -> None:
@@ -111,6 +112,12 @@ class RemotePolicy:
         """Whether this connection has received a reply; the first reply has a longer timeout."""
         self._held = ExitStack()
         self._connect(min(limits.reconnect_s, limits.load_timeout_s))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Inputs without which the policy is refused: the list `needs` of the server's greeting."""
+        found = self.metadata.get("needs", ()) if isinstance(self.metadata, dict) else ()
+        return tuple(map(str, found)) if isinstance(found, list | tuple) else ()
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Stores the fields sent with every observation; the server learns of the new episode by step 0."""

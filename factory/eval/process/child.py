@@ -21,12 +21,13 @@ import sys
 import traceback
 from collections.abc import Callable
 
+from factory.dataset.packages import light_file
 from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerAway
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies import describe_knowledge, make_policy
+from factory.eval.policies import describe_knowledge, make_policy, require_inputs
 from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
@@ -54,7 +55,7 @@ def main() -> int:
         setup = order.task.setup
         with (
             SceneRenderer(setup.renderer, apart=arguments.render_apart) as stage,
-            Simulator(stage, setup.settings) as simulator,
+            Simulator(stage, setup.settings, setup.view.appearance) as simulator,
         ):
             driver = _Driver(setup, stage, simulator, shared, tell)
             tell(EvalReport(kind=EvalReportKind.READY, detail=stage.renderer.description))
@@ -109,7 +110,9 @@ class _Driver:
     def _drive(self, order: DriverOrder) -> EpisodeResult:
         policy = self._policy_of(order)
         self._status.begin(Activity.SIMULATING)
-        loaded = self._stage.load(order.package, order.task.request.spec.scene_sha256)
+        sha256, appearance = order.task.request.spec.scene_sha256, self._setup.view.appearance
+        light = None if appearance is None or appearance.light is None else light_file(order.package, sha256)
+        loaded = self._stage.load(order.package, sha256, light)
         result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have restarted: repeat the episode once
@@ -129,7 +132,9 @@ class _Driver:
                 with contextlib.suppress(Exception):
                     close()
             self._policy, self._name = None, name
-            self._policy = make_policy(name, self._setup, order.policy_file)
+            policy = make_policy(name, self._setup, order.policy_file)
+            require_inputs(name, policy, self._setup.view.rig, self._setup.settings.camera)
+            self._policy = policy
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
             knows = describe_knowledge(self._policy)

@@ -29,7 +29,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.eval.models.messages import EvalTask
 from factory.eval.process.run import Pace
 from factory.eval.remote.driven import read_driven
-from factory.eval.remote.judge import ResultJudge
+from factory.eval.remote.result_validator import ResultValidator
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, with_actions
@@ -100,7 +100,7 @@ def run_fleet(
         listen=door.listen,
         settings=_SETTINGS,
         guard=door.guard,
-        checker=ResultJudge(tasks),
+        checker=ResultValidator(tasks),
         evaluation=evaluation,
         connect=door.connect,
     )

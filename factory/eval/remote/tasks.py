@@ -94,7 +94,7 @@ def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attac
     settings = campaign.specs.settings
     numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
     name = f"{EVALUATION_PREFIX}{_digest(campaign, tasks, attached)}"
-    return plan.model_copy(update={"name": name, "scenes": scenes, "budget": _BUDGET, **numbers})
+    return plan.model_copy(update={"name": name, "scenes": scenes, "budget": _BUDGET, "rig": None, **numbers})
 
 
 def planned_of(task: EvalTask) -> PlannedJob:

@@ -18,6 +18,7 @@ from factory.eval.specs.from_dataset import Places
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
 from schemas.storage.disk import replacing
+from schemas.view import ViewSettings
 from workers.sim.scene_renderer import SceneRenderer
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
@@ -98,6 +99,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         episodes=len(campaign.specs.specs),
         success=campaign.specs.settings.task.success,
         success_radius_m=campaign.specs.settings.task.success_radius_m,
+        view=campaign.setup.view,
         complete=is_complete,
         policies=tuple(scores),
         remarks=tuple(_remarks(campaign)),
@@ -109,6 +111,8 @@ def _remarks(campaign: Campaign) -> list[str]:
     moved = sum(spec.spawn_source == "frame" for spec in specs)
     ways = sum(spec.geodesic_m is None for spec in specs)
     remarks = []
+    if campaign.setup.view != ViewSettings():
+        remarks.append(f"policies see {campaign.setup.view.describe()}")
     if moved:
         remarks.append(
             f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "

@@ -18,6 +18,7 @@ from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256
 from schemas.instruction.language import TEMPLATES
 from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier
+from schemas.view import ViewSettings
 
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
@@ -134,6 +135,8 @@ class Evaluation(Model):
     success: SuccessMeasure = SuccessMeasure.CENTROID
     """Measure of the distance to the target."""
     success_radius_m: float
+    view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
+    """What policies saw; omitted if it was the recorded camera."""
     complete: bool
     """Whether every episode of every policy is finished."""
     policies: tuple[PolicyScores, ...]

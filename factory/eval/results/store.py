@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Variant
 from factory.eval.models.spec import SpecSet, read_specs, write_specs
@@ -21,6 +21,7 @@ from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import replacing, translated
 from schemas.support.closing import Closing
+from schemas.view import ViewSettings
 
 _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
 
@@ -34,6 +35,8 @@ class EvalManifest(Model):
     specs_digest: Sha256
     with_pose: bool
     act_timeout_s: NonNegative
+    view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
+    """What policies see; omitted if it is the recorded camera."""
 
 
 class Store(Closing):
@@ -127,7 +130,9 @@ class Store(Closing):
 
 
 def _short(value: object) -> str:
-    """Returns the text of a manifest entry; shortens digests."""
+    """Returns the text of a manifest entry; shortens digests and settings."""
+    if isinstance(value, ViewSettings):
+        return value.describe()
     return f"{value[:12]}..." if isinstance(value, str) and len(value) == 64 else repr(value)
 
 

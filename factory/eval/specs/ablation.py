@@ -43,7 +43,7 @@ def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, 
     return {spec.spec_id: spec.instruction for spec in specs.specs}
 
 
-def donors(specs: SpecSet) -> dict[str, str]:
+def playback_sources(specs: SpecSet) -> dict[str, str]:
     """Returns another archived episode for each spec id, whose actions a playback executes.
 
     Raises:

@@ -9,7 +9,7 @@ from factory.eval.models.messages import Actions, EvalRequest, EvalTask, Setup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies import find_policy
-from factory.eval.specs.ablation import donors, instructions
+from factory.eval.specs.ablation import instructions, playback_sources
 from factory.eval.specs.from_dataset import Places
 from schemas.bundle import BundleReader
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
@@ -118,5 +118,5 @@ def require_recordings(policy: str, specs: SpecSet) -> None:
 def _recordings(policy: str, specs: SpecSet) -> dict[str, str]:
     require_recordings(policy, specs)
     if policy == "playback":
-        return donors(specs)
+        return playback_sources(specs)
     return {spec.spec_id: spec.source_episode for spec in specs.specs if spec.source_episode is not None}

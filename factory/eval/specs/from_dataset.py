@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
+from factory.dataset.packages import light_file
 from factory.dataset.reader import Dataset
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet, spread
 from factory.runs.catalog import find_package
+from schemas.appearance.light_groups import decode_light_groups
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
@@ -48,13 +51,16 @@ class Places:
             self._paths[sha256] = find_package(self._root, name, sha256).path
         return self._paths[sha256]
 
-    def load(self, name: str, sha256: str) -> LoadedScene:
-        """Returns a loaded scene; raises `ArchiveCorrupt` if the dataset does not have it."""
+    def load(self, name: str, sha256: str, with_light: bool = False) -> LoadedScene:
+        """Returns a loaded scene, with its light groups if wanted; raises `ArchiveCorrupt` if the dataset lacks it."""
         if sha256 not in self._loaded:
             with self.path(name, sha256).open("rb") as file:
                 self._loaded[sha256] = prepare_scene(decode_scene(file))
-            while len(self._loaded) > self._keep:
-                del self._loaded[next(iter(self._loaded))]
+        if with_light and self._loaded[sha256].light is None:
+            with light_file(self.path(name, sha256), sha256).open("rb") as file:
+                self._loaded[sha256] = replace(self._loaded[sha256], light=decode_light_groups(file))
+        while len(self._loaded) > self._keep:
+            del self._loaded[next(iter(self._loaded))]
         return self._loaded[sha256]
 
 

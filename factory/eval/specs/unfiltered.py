@@ -16,7 +16,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
 from coordinator.expansion.file import shrink
 from factory.dataset.reader import Dataset
-from factory.eval.driving.simulator import NoFirmStand, Simulator
+from factory.eval.driving.simulator import Simulator, UnstableStart
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places, categories_in_view
 from factory.runs.catalog import find_package
@@ -119,7 +119,7 @@ def _spec(
             drawn = _described(job, pose)
             try:
                 view = simulator.reset(drawn, place)
-            except NoFirmStand:
+            except UnstableStart:
                 continue
             if not is_view_clear(job, target, stage.renderer, view.pose):
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,10 +18,11 @@ from factory.export.execution.pool import ExportTask, make_piece, run_tasks
 from factory.export.execution.report import ExportReport, Skip
 from factory.export.execution.selection import select
 from factory.export.output import Output
-from factory.export.registry import AnyExporter, find_exporter, require_packages
+from factory.export.registry import AnyExporter, find_exporter, require_packages, require_rig_support
 from factory.export.source import open_source, rows_digest
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
+from schemas.rig import Rig
 from schemas.storage.place import Place
 
 _NAMED = 5
@@ -61,6 +63,8 @@ class ExportOrder:
     """Selected ids; empty for all."""
     workers: int = 0
     """Number of worker processes; 0 exports in this process."""
+    rig: str | Rig | None = None
+    """Sensors to export instead of the recorded camera: a rig, the name of a built-in one, or a TOML file."""
 
 
 @dataclass
@@ -133,10 +137,12 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
     """Returns the selected episodes and the initial manifest of the export. Writes nothing.
 
     Raises:
-        UsageError: the options do not fit the format or the dataset, or no episode is selected.
+        UsageError: the options or the rig do not fit the format or the dataset, or no episode is selected.
         WorldError: the dataset does not exist.
     """
-    whole = open_source(order.root)
+    if order.rig is not None:
+        require_rig_support(exporter)
+    whole = open_source(order.root, order.rig)
     if isinstance(order.root, Path):
         one, two = order.root.resolve(), order.out.resolve()
         if one == two or one in two.parents or two in one.parents:
@@ -146,6 +152,10 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
             )
     dataset = select(whole, order.splits, order.episodes)
     order.options.check(dataset.meta)
+    options = order.options.model_dump(mode="json")
+    if dataset.rig is not None:
+        exporter.check_rig(dataset.rig, order.options)
+        options["rig"] = f"{dataset.rig.name} {hashlib.sha256(dataset.rig.model_dump_json().encode()).hexdigest()[:12]}"
     digest = rows_digest(dataset.metadata)
     source = Source(
         run=whole.meta.run,
@@ -157,7 +167,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
     manifest = ExportManifest(
         format=exporter.name,
         format_version=exporter.version,
-        options=order.options.model_dump(mode="json"),
+        options=options,
         source=source,
         software=of_software(whole.meta, exporter.requires),
     )

@@ -11,14 +11,19 @@ from coordinator.tables.card_configs import Configs
 from factory.dataset.episode import Episode
 from factory.export.base import Decimated, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
-from factory.export.lerobot.features import DEPTH, IDS, LeRobotOptions, features_of
+from factory.export.lerobot.features import features_of
+from factory.export.lerobot.layout import ImageFeature, Layout, LeRobotOptions, layout_of
 from factory.export.lerobot.measure import Stats
 from factory.export.lerobot.numbering import Numbering, number_pieces
 from factory.export.lerobot.piece import LeRobotFacts, write_piece
 from factory.export.output import Output
+from factory.export.rig.document import RIG_FILE, rig_json, rig_table
+from schemas.config import CameraConfig
 from schemas.dataset_meta import DatasetMeta
+from schemas.rig import CameraOutput, DepthKind, Rig
 
 ROBOT = "nova_carter"
+_RIG_FILE = f"meta/{RIG_FILE}"
 OptionsT = TypeVar("OptionsT", bound=Decimated)
 _TEXT = """\
 A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, {fps} frames a second{decimated}.
@@ -29,13 +34,12 @@ A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, 
 
 | column | what |
 |---|---|
-| `observation.images.front` | 640 x 640 RGB video (H.264, a key frame every other frame) |
 {images}| `observation.state` | x, y, yaw since the first frame in its frame (m, rad), measured v and w (m/s, rad/s) |
 | `action` | commanded v in m/s, w in rad/s{mean} |
 | `tokens` | the action on the 7 x 7 grid, 0..6 each |
 | `pose` | x, y, z, qw, qx, qy, qz of base_link in the world frame |
 | `task` | the instruction |
-
+{sensors}
 Frame t is what the robot saw before action t. Splits: {splits} (ranges of `episode_index`); {where}.
 {hub}"""
 _MEAN = ", the mean of the {stride} commands until the next frame"
@@ -50,9 +54,16 @@ _WHERE = {
     "v2.1": "`meta/episodes.jsonl` also has split, scene, tier, target, template, goal and errors of every episode",
 }
 _IMAGES = {
-    DEPTH: "metric depth along the optical axis as lossless 12-bit video; 0 where nothing was hit",
-    IDS: "instance ids as 16-bit PNG; their meaning is listed in the original dataset's `meta.json`",
+    CameraOutput.RGB: "{width} x {height} RGB video (H.264, a key frame every other frame)",
+    CameraOutput.DEPTH: "metric depth along the optical axis as lossless 12-bit video; 0 where nothing was hit",
+    CameraOutput.IDS: "instance ids as 16-bit PNG; their meaning is listed in the original dataset's `meta.json`",
 }
+_RADIAL = "distance from the camera as lossless 12-bit video, metres; 0 where nothing was hit"
+_HELD = """
+A row has the latest measurement of each sensor at or before its time. `observation.<sensor>` is angular velocity
+(rad/s) and specific force (m/s2) of an IMU, or the ranges of a lidar in metres, 0 without a return;
+`observation.state` is the odometry of the rig if it has one.
+"""
 
 
 class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
@@ -60,7 +71,12 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
 
     requires = ("av",)
     assembles = True
+    takes_rig = True
     facts = LeRobotFacts
+
+    def check_rig(self, rig: Rig, options: OptionsT) -> None:
+        """Validates that features differ and that the sides of videos are even."""
+        layout_of(_widened(options), CameraConfig(), rig)
 
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> LeRobotFacts:
         """Writes videos and columns of one episode."""
@@ -73,18 +89,18 @@ class LeRobotExport:
 
     out: Output
     meta: DatasetMeta
-    options: LeRobotOptions
+    layout: Layout
+    rig: Rig | None
+    """Rig whose sensors are exported; `None` for the recorded camera."""
     stride: int
     """Stride of the exported frames."""
     fps: int
     """Frames per second of the export."""
-    far_m: float
-    """Far plane of the camera, metres; range of the depth codes."""
     numbering: Numbering
 
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
-        text = card_text(version, self.options, self.fps, self.stride, self.numbering.splits)
+        text = card_text(version, self)
         self.out.write_text(CARD_FILE, export_card(self.meta, len(self.numbering), text, configs, ["LeRobot"]))
 
     def write_stats(self, stats: Stats) -> None:
@@ -102,8 +118,10 @@ class LeRobotExport:
             "splits": self.numbering.splits,
             "robot_type": ROBOT,
             "fps": self.fps,
-            "features": features_of(self.options, self.fps, self.far_m),
+            "features": features_of(self.layout, self.fps),
         }
+        if self.rig is not None:
+            self.out.write_text(_RIG_FILE, rig_json(self.rig, self.fps * self.stride))
         self._write_json("meta/info.json", {"codebase_version": version, **known, **values, **shared})
 
     def _write_json(self, name: str, values: dict[str, Any]) -> None:
@@ -117,10 +135,10 @@ def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
     return LeRobotExport(
         out=export.out,
         meta=export.dataset.meta,
-        options=options,
+        layout=layout_of(options, plan.camera, export.dataset.rig),
+        rig=export.dataset.rig,
         stride=stride,
         fps=plan.task.control_hz // stride,
-        far_m=plan.camera.far_m,
         numbering=number_pieces(export.pieces, stride),
     )
 
@@ -130,9 +148,10 @@ def _widened(options: Decimated) -> LeRobotOptions:
     return LeRobotOptions.model_validate(options.model_dump())
 
 
-def card_text(version: str, options: LeRobotOptions, fps: int, stride: int, splits: dict[str, str]) -> str:
+def card_text(version: str, dataset: LeRobotExport) -> str:
     """Returns the text of the card below the title."""
-    chosen = [key for key, there in ((DEPTH, options.depth), (IDS, options.ids)) if there]
+    fps, stride, splits = dataset.fps, dataset.stride, dataset.numbering.splits
+    sensors = "" if dataset.rig is None else _HELD + rig_table(dataset.rig, fps * stride, _RIG_FILE)
     hub = (
         f"\nOn the Hub the repository needs a tag equal to the version, or LeRobot will not load it: "
         f'`HfApi().create_tag(REPO, tag="{version}", repo_type="dataset")`.\n'
@@ -142,9 +161,16 @@ def card_text(version: str, options: LeRobotOptions, fps: int, stride: int, spli
         fps=fps,
         decimated="" if stride == 1 else f", every {stride}th of the recorded ones",
         example=_EXAMPLES[version],
-        images="".join(f"| `{key}` | {_IMAGES[key]} |\n" for key in chosen),
+        images="".join(f"| `{image.key}` | {_about(image)} |\n" for image in dataset.layout.images),
+        sensors=sensors,
         mean="" if stride == 1 else _MEAN.format(stride=stride),
         splits=", ".join(f"{name} {span}" for name, span in splits.items()),
         where=_WHERE[version],
         hub=hub,
     )
+
+
+def _about(image: ImageFeature) -> str:
+    if image.output is CameraOutput.DEPTH and image.camera is not None and image.camera.depth is DepthKind.RADIAL:
+        return _RADIAL
+    return _IMAGES[image.output].format(width=image.width, height=image.height)

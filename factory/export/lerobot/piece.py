@@ -13,29 +13,23 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, stride_of
-from factory.export.lerobot.columns import FrameColumns, frame_columns, kept_frames
-from factory.export.lerobot.features import (
-    DEPTH,
-    FILES,
-    IDS,
-    LARGEST_CODE,
-    RGB,
-    VECTORS,
-    DepthCode,
-    LeRobotOptions,
-    data_schema,
-    video_keys,
-)
+from factory.export.lerobot.columns import frame_columns, kept_frames
+from factory.export.lerobot.depth_code import LARGEST_CODE, DepthCode
+from factory.export.lerobot.features import data_schema
+from factory.export.lerobot.layout import STATE, ImageFeature, Layout, LeRobotOptions, layout_of
+from factory.export.lerobot.rig_columns import rig_columns
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
+from factory.export.rig.reader import SensorReader
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.png import encode_png
+from schemas.rig import CameraOutput
 
 FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _NUMBERED_LATER = ("episode_index", "index", "task_index")
 _EVERY_PX = 4  # LeRobot computes statistics from every fourth row and column of images of this size
-_CODECS = {RGB: RGB_CODEC, DEPTH: DEPTH_CODEC}
-_LARGEST = {RGB: 255, DEPTH: LARGEST_CODE, IDS: 65535}
+_CODECS = {CameraOutput.RGB: RGB_CODEC, CameraOutput.DEPTH: DEPTH_CODEC}
+_LARGEST = {CameraOutput.RGB: 255, CameraOutput.DEPTH: LARGEST_CODE, CameraOutput.IDS: 65535}
 
 
 class LeRobotFacts(EpisodeFacts):
@@ -48,79 +42,104 @@ class LeRobotFacts(EpisodeFacts):
 
 
 def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRobotFacts:
-    """Writes `front.mp4`, optionally `depth.mp4`, and `frames.parquet`."""
+    """Writes a video for each video feature, and `frames.parquet`."""
     meta = episode.meta
     hz = meta.job.task.control_hz
     stride = stride_of(options.fps, hz)
-    code = DepthCode(meta.job.camera.far_m)
+    layout = layout_of(options, meta.job.camera, episode.rig)
+    reader = SensorReader(episode) if episode.rig else None
     kept = kept_frames(len(episode), stride)
     sampled = sampled_frames(len(kept))
-    tallies = {key: empty_tally(key) for key in _image_keys(options)}
-    pictures: list[bytes] = []
+    tallies = {image.key: empty_tally(image) for image in layout.images}
+    pictures: dict[str, list[bytes]] = {image.key: [] for image in layout.pictures}
     with ExitStack() as stack:
         writers = {
-            key: stack.enter_context(
-                VideoWriter(folder / FILES[key], _CODECS[key], hz // stride, FRAME_SIZE_PX, FRAME_SIZE_PX)
+            image.key: stack.enter_context(
+                VideoWriter(folder / image.file, _CODECS[image.output], hz // stride, image.width, image.height)
             )
-            for key in video_keys(options)
+            for image in layout.videos
         }
         for number, t in enumerate(kept):
-            images: dict[str, Image] = {RGB: episode.rgb(t)}
-            if options.depth:
-                images[DEPTH] = code.encode(episode.depth(t))
-            if options.ids:
-                pictures.append(episode.stored(f"seg_front/{t:06d}.png"))
-            for key, writer in writers.items():
-                writer.add(images[key])
-            if number in sampled:
-                _count(tallies, images, episode, t)
+            for feature in layout.images:
+                source = _FrameSource(episode, reader, feature, t)
+                if feature.is_video:
+                    writers[feature.key].add(source.codes())
+                else:
+                    pictures[feature.key].append(source.png())
+                if number in sampled:
+                    tallies[feature.key].add(source.codes()[::_EVERY_PX, ::_EVERY_PX])
     columns = frame_columns(episode.actions, episode.poses, hz, stride)
-    pq.write_table(_table(columns, pictures, options), folder / FRAMES_FILE, compression="snappy")
+    values = {STATE: columns.state}
+    values |= {name: getattr(columns, name) for name in layout.columns if hasattr(columns, name)}
+    if reader is not None:
+        values |= rig_columns(layout, reader, kept)
+    pq.write_table(_table(values, pictures, layout), folder / FRAMES_FILE, compression="snappy")
     counts = {key: tally.result() for key, tally in tallies.items()}
     return LeRobotFacts(frames=len(kept), images=counts, states_digest=episode.states_digest)
 
 
-def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], options: LeRobotOptions) -> pa.Table:
+class _FrameSource:
+    """One image feature at one step; the image is read at most once."""
+
+    def __init__(self, episode: Episode, reader: SensorReader | None, feature: ImageFeature, t: int) -> None:
+        self._episode, self._reader, self._feature, self._t = episode, reader, feature, t
+        self._codes: Image | None = None
+
+    def codes(self) -> Image:
+        """Returns the image as it is encoded: colour (H, W, 3) uint8, depth codes or ids (H, W) uint16."""
+        if self._codes is None:
+            image = self._read()
+            is_depth = self._feature.output is CameraOutput.DEPTH
+            self._codes = DepthCode(self._feature.largest_m).encode(image) if is_depth else image
+        return self._codes
+
+    def png(self) -> bytes:
+        """Returns the PNG of the ids; that of the recorded camera is copied."""
+        if self._reader is None:
+            return self._episode.stored(f"seg_front/{self._t:06d}.png")
+        return encode_png(self.codes())
+
+    def _read(self) -> Any:
+        feature = self._feature
+        if self._reader is None or feature.camera is None:
+            return getattr(self._episode, feature.output)(self._t)
+        return self._reader.arrays(feature.camera, self._t)[feature.output]
+
+
+def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], layout: Layout) -> pa.Table:
     """Returns the rows of a piece with index columns, in the final column order."""
-    schema = data_schema(options)
+    schema = data_schema(layout)
     table = pq.read_table(folder / FRAMES_FILE, columns=[name for name in schema.names if name not in _NUMBERED_LATER])
     for name in _NUMBERED_LATER:
         table = table.append_column(name, pa.array(numbers[name], pa.int64()))
     return table.select(schema.names).cast(schema)
 
 
-def empty_tally(key: str) -> ImageTally:
+def empty_tally(image: ImageFeature) -> ImageTally:
     """Returns an empty histogram for the codes of an image feature."""
-    return ImageTally(3 if key == RGB else 1, _LARGEST[key])
+    return ImageTally(image.channels, _LARGEST[image.output])
 
 
-def stats_of_images(images: dict[str, ImageCounts], far_m: float) -> dict[str, Any]:
+def stats_of_images(counts: dict[str, ImageCounts], layout: Layout) -> dict[str, Any]:
     """Returns the statistics of image features: RGB in 0..1, depth in metres, ids unscaled."""
-    code = DepthCode(far_m)
-    decoders = {
-        RGB: lambda values: values / 255.0,
-        DEPTH: code.decode,
-        IDS: lambda values: values,
-    }
-    return {key: image_stats(counts, decoders[key]) for key, counts in images.items()}
+    return {image.key: image_stats(counts[image.key], _decoder(image)) for image in layout.images}
 
 
-def _image_keys(options: LeRobotOptions) -> tuple[str, ...]:
-    return (*video_keys(options), *((IDS,) if options.ids else ()))
+def _decoder(image: ImageFeature) -> Any:
+    match image.output:
+        case CameraOutput.RGB:
+            return lambda values: values / 255.0
+        case CameraOutput.DEPTH:
+            return DepthCode(image.largest_m).decode
+    return lambda values: values
 
 
-def _count(tallies: dict[str, ImageTally], images: dict[str, Image], episode: Episode, t: int) -> None:
-    for key, tally in tallies.items():
-        image = episode.ids(t) if key == IDS else images[key]
-        tally.add(image[::_EVERY_PX, ::_EVERY_PX])
-
-
-def _table(columns: FrameColumns, pictures: list[bytes], options: LeRobotOptions) -> pa.Table:
-    values = {"observation.state": columns.state}
-    values |= {name: getattr(columns, name) for name in VECTORS if hasattr(columns, name)}
-    schema = pa.schema([field for field in data_schema(options) if field.name not in _NUMBERED_LATER])
+def _table(values: dict[str, NDArray[Any]], pictures: dict[str, list[bytes]], layout: Layout) -> pa.Table:
+    schema = pa.schema([field for field in data_schema(layout) if field.name not in _NUMBERED_LATER])
     arrays = [
-        _pictures(pictures, field.type) if field.name == IDS else _column(values[field.name], field.type)
+        _pictures(pictures[field.name], field.type)
+        if field.name in pictures
+        else _column(values[field.name], field.type)
         for field in schema
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
@@ -129,8 +148,18 @@ def _table(columns: FrameColumns, pictures: list[bytes], options: LeRobotOptions
 def _column(values: NDArray[np.generic], kind: pa.DataType) -> pa.Array:
     if values.ndim == 1:
         return pa.array(values, kind)
+    if values.ndim == 3:
+        lines = _ragged(
+            _ragged(pa.array(values.reshape(-1), kind.value_type.value_type), values.shape[2]), values.shape[1]
+        )
+        return lines.cast(kind)
     flat = pa.array(np.ascontiguousarray(values).reshape(-1), kind.value_type)
     return pa.FixedSizeListArray.from_arrays(flat, type=kind)
+
+
+def _ragged(values: pa.Array, size: int) -> pa.ListArray:
+    """Returns lists of `size` values each."""
+    return pa.ListArray.from_arrays(pa.array(np.arange(0, len(values) + 1, size), pa.int32()), values)
 
 
 def _pictures(pictures: list[bytes], kind: pa.DataType) -> pa.Array:

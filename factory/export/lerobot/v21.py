@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 from factory.export.base import Decimated, Finish
 from factory.export.lerobot.columns import STATE_NAMES
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
-from factory.export.lerobot.features import FILES, RGB, data_schema
+from factory.export.lerobot.features import data_schema
+from factory.export.lerobot.layout import RGB, STATE, Layout
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import Numbered
 from factory.export.lerobot.piece import LeRobotFacts, read_columns
@@ -56,14 +57,14 @@ class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
         dataset = describe_dataset(export)
         for numbered in dataset.numbering:
             _place(dataset, numbered)
-        stats = DatasetStats(dataset.far_m)
+        stats = DatasetStats(dataset.layout)
         _write_lists(dataset, stats)
-        dataset.write_stats(_without_counts(stats.result(dataset.numbering, dataset.options)))
-        export.out.write_text("meta/modality.json", json.dumps(MODALITY, indent=4) + "\n")
+        dataset.write_stats(_without_counts(stats.result(dataset.numbering)))
+        export.out.write_text("meta/modality.json", json.dumps(modality_of(dataset.layout), indent=4) + "\n")
         dataset.write_card(VERSION, {"frames": {"train": "data/*/*.parquet"}})
         dataset.write_info(
             VERSION,
-            total_videos=len(dataset.numbering),
+            total_videos=len(dataset.numbering) * len(dataset.layout.videos),
             total_chunks=-(-len(dataset.numbering) // _CHUNK),
             chunks_size=_CHUNK,
             data_path=_DATA_PATH,
@@ -71,20 +72,33 @@ class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
         )
 
 
-def _path(template: str, numbered: Numbered) -> str:
+def modality_of(layout: Layout) -> dict[str, dict[str, dict[str, Any]]]:
+    """Returns the content of `modality.json`: `MODALITY` with the cameras and sensors of the export."""
+    videos = {image.key.rpartition(".")[2]: {"original_key": image.key} for image in layout.videos}
+    sensors = {
+        name.rpartition(".")[2]: {"start": 0, "end": column.shape[0], "dtype": column.dtype, "original_key": name}
+        for name, column in layout.columns.items()
+        if column.sensor is not None and name != STATE and len(column.shape) == 1
+    }
+    return MODALITY | {"state": MODALITY["state"] | sensors, "video": videos}
+
+
+def _path(template: str, numbered: Numbered, key: str = "") -> str:
     index = numbered.episode_index
-    return template.format(episode_chunk=index // _CHUNK, episode_index=index, video_key=RGB)
+    return template.format(episode_chunk=index // _CHUNK, episode_index=index, video_key=key)
 
 
 def _place(dataset: LeRobotExport, numbered: Numbered) -> None:
-    data, video = _path(_DATA_PATH, numbered), _path(_VIDEO_PATH, numbered)
+    data = _path(_DATA_PATH, numbered)
     if not dataset.out.has(data):
         with dataset.out.replacing(data) as part:
-            table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.options)
-            table = table.cast(data_schema(dataset.options, "Sequence"))  # LeRobot 0.3 uses version 3 of `datasets`
+            table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout)
+            table = table.cast(data_schema(dataset.layout, "Sequence"))  # LeRobot 0.3 uses version 3 of `datasets`
             pq.write_table(table, part, compression="snappy")
-    if not dataset.out.has(video):
-        dataset.out.link(numbered.piece.folder / FILES[RGB], video)
+    for image in dataset.layout.videos:
+        video = _path(_VIDEO_PATH, numbered, image.key)
+        if not dataset.out.has(video):
+            dataset.out.link(numbered.piece.folder / image.file, video)
 
 
 def _write_lists(dataset: LeRobotExport, stats: DatasetStats) -> None:
@@ -95,7 +109,7 @@ def _write_lists(dataset: LeRobotExport, stats: DatasetStats) -> None:
             episodes.write(_line(row | numbered.about()))
     with dataset.out.replacing("meta/episodes_stats.jsonl") as part, part.open("w", encoding="utf-8") as lines:
         for numbered in dataset.numbering:
-            found = episode_stats(numbered, dataset.options, dataset.far_m)
+            found = episode_stats(numbered, dataset.layout)
             stats.merge(numbered, found)
             lines.write(_line({"episode_index": numbered.episode_index, "stats": found}))
     tasks = [{"task_index": number, "task": task} for number, task in enumerate(dataset.numbering.tasks)]

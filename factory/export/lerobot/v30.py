@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 from coordinator.tables.write import parquet_schema
 from factory.export.base import Finish
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
-from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, video_keys
+from factory.export.lerobot.features import data_schema
+from factory.export.lerobot.layout import ImageFeature, Layout, LeRobotOptions
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
 from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
@@ -60,10 +61,10 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     """Joins pieces to files within limits and writes their description to `meta/`."""
     dataset = describe_dataset(export)
     data = _write_data(dataset, limits)
-    videos = {key: _write_videos(dataset, key, limits) for key in video_keys(dataset.options)}
-    stats = DatasetStats(dataset.far_m)
+    videos = {image.key: _write_videos(dataset, image, limits) for image in dataset.layout.videos}
+    stats = DatasetStats(dataset.layout)
     _write_episodes(dataset, data, videos, stats, limits)
-    dataset.write_stats(stats.result(dataset.numbering, dataset.options))
+    dataset.write_stats(stats.result(dataset.numbering))
     with dataset.out.replacing("meta/tasks.parquet") as part:
         pq.write_table(tasks_table(dataset.numbering.tasks), part, compression="snappy")
     dataset.write_card(
@@ -79,15 +80,16 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     )
 
 
-def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema:
+def episodes_schema(layout: Layout) -> pa.Schema:
     """Returns the schema of `meta/episodes`: the columns of LeRobot in its order, then additional columns."""
     fields = [("episode_index", pa.int64()), ("tasks", pa.list_(pa.string())), ("length", pa.int64())]
     fields += [(name, pa.int64()) for name in ("data/chunk_index", "data/file_index")]
     fields += [(name, pa.int64()) for name in ("dataset_from_index", "dataset_to_index")]
-    for key in video_keys(options):
+    for key in (image.key for image in layout.videos):
         fields += [(f"videos/{key}/{name}", pa.int64()) for name in ("chunk_index", "file_index")]
         fields += [(f"videos/{key}/{name}", pa.float64()) for name in ("from_timestamp", "to_timestamp")]
-    for key in (*images, *VECTORS):
+    images = [image.key for image in layout.images]
+    for key in (*images, *layout.columns):
         kind = _NESTED if key in images else _SCALAR
         for stat in ("min", "max", "mean", "std", "count", *QUANTILES):
             fields.append((f"stats/{key}/{stat}", pa.list_(pa.int64()) if stat == "count" else kind))
@@ -117,7 +119,7 @@ def tasks_table(tasks: Sequence[str]) -> pa.Table:
 def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
     """Writes the data files with one row group per episode and returns the position of each episode."""
     places: Places = {}
-    schema = data_schema(dataset.options)
+    schema = data_schema(dataset.layout)
     for number, group in enumerate(_grouped(dataset.numbering, FRAMES_FILE, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
@@ -129,21 +131,21 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for numbered in group:
-                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), dataset.options))
+                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout))
     return places
 
 
-def _write_videos(dataset: LeRobotExport, key: str, limits: FileLimits) -> Places:
+def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimits) -> Places:
     """Writes the video files of a feature and returns the position of each episode."""
     places: Places = {}
-    for number, group in enumerate(_grouped(dataset.numbering, FILES[key], limits.video_mib)):
+    for number, group in enumerate(_grouped(dataset.numbering, image.file, limits.video_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         begun = group[0].first
         places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / dataset.fps) for numbered in group}
-        name = f"videos/{key}/{_FILE.format(chunk, file)}.mp4"
+        name = f"videos/{image.key}/{_FILE.format(chunk, file)}.mp4"
         if not dataset.out.has(name):
             with dataset.out.replacing(name) as part:
-                join_videos((numbered.piece.folder / FILES[key] for numbered in group), part, dataset.fps)
+                join_videos((numbered.piece.folder / image.file for numbered in group), part, dataset.fps)
     return places
 
 
@@ -152,7 +154,7 @@ def _write_episodes(
 ) -> None:
     """Writes `meta/episodes` and merges the statistics of every episode."""
     numbering = dataset.numbering
-    schema = episodes_schema(dataset.options, tuple(numbering.episodes[0].piece.facts.images))
+    schema = episodes_schema(dataset.layout)
     for number, begin in enumerate(range(0, len(numbering), limits.episodes)):
         place = divmod(number, limits.chunk_files)
         some = numbering.episodes[begin : begin + limits.episodes]
@@ -163,7 +165,7 @@ def _write_episodes(
             for first in range(0, len(some), _EPISODES_A_BATCH):
                 rows = []
                 for numbered in some[first : first + _EPISODES_A_BATCH]:
-                    found = episode_stats(numbered, dataset.options, dataset.far_m)
+                    found = episode_stats(numbered, dataset.layout)
                     stats.merge(numbered, found)
                     where = _placed(numbered, dataset.fps, data, videos, place)
                     rows.append(where | _flat(found) | numbered.about())

@@ -7,6 +7,7 @@ imports `mcap`.
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,12 +16,17 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from factory.dataset.episode import Episode
 from factory.export.base import Decimated, EpisodeFacts, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
+from factory.export.mcap.card import foxglove_card, ros2_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
+from factory.export.mcap.rig_frames import require_different_frames
+from factory.export.rig.document import RIG_FILE, rig_json
+from factory.export.rig.reader import SensorReader
 from factory.export.source import describe_episode, to_json
 from factory.runs.catalog import find_package
 from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
+from schemas.rig import Camera, Rig
 from schemas.scene import CompiledScene, decode_scene
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
@@ -34,38 +40,6 @@ _LATEST_S = 2**31 - 1
 _NANOSECONDS = 1_000_000_000
 _CHUNK_BYTES = 4 << 20
 _LIBRARY = "minivla-factory"
-_FOXGLOVE_CARD = """
-One MCAP file an episode, `episodes/ep_000001.mcap`, chunked, zstd, indexed; times count from frame 0.
-
-| topic | schema |
-|---|---|
-| `/camera/rgb` | foxglove.CompressedImage, PNG 640 x 640 |
-| `/camera/depth` | foxglove.RawImage, 32FC1, metres along the optical axis, 0 where nothing was hit |
-| `/camera/ids` | foxglove.RawImage, 16UC1, instance ids; the attachment `meta.json` names them |
-| `/camera/calibration` | foxglove.CameraCalibration |
-| `/tf` | foxglove.FrameTransforms: world -> base_link -> front_optical |
-| `/odom` | foxglove.Odometry: pose in the world, twist measured from the poses |
-| `/action` | minivla.Action: commanded v_mps, w_rps and their tokens |
-| `/instruction`, `/target`, `/map` | foxglove.Log, SceneUpdate, Grid; at frame 0 |
-| `/path/driven`, `/path/planned` | foxglove.PosesInFrame; at frame 0 |
-"""
-_ROS2_CARD = """
-One MCAP file an episode, `episodes/ep_000001.mcap`, of profile `ros2` (CDR), chunked, zstd, indexed; for `ros2 bag`,
-`rosbags` and Foxglove. Episode n starts {spacing} (n - 1) s after {start} s since 1970.
-
-| topic | message |
-|---|---|
-| `/camera/rgb/image_raw/compressed` | sensor_msgs/CompressedImage, PNG 640 x 640 |
-| `/camera/depth/image_raw` | sensor_msgs/Image, 32FC1, metres along the optical axis, +Inf where nothing was hit |
-| `/camera/ids/image_raw` | sensor_msgs/Image, mono16, instance ids; the attachment `meta.json` names them |
-| `/camera/rgb/camera_info`, `/camera/depth/camera_info` | sensor_msgs/CameraInfo |
-| `/tf`, `/tf_static` | map -> odom -> base_link -> front_camera_link -> front_camera_optical_frame |
-| `/odom` | nav_msgs/Odometry: pose in odom, which is exact here, twist measured from the poses |
-| `/cmd_vel` | geometry_msgs/Twist: the command |
-| `/action_tokens` | std_msgs/UInt8MultiArray: the command on the 7 x 7 grid |
-| `/instruction`, `/target`, `/map` | std_msgs/String, visualization_msgs/MarkerArray, nav_msgs/OccupancyGrid; once |
-| `/path/driven`, `/path/planned` | nav_msgs/Path; once |
-"""
 
 
 class McapOptions(Decimated):
@@ -112,8 +86,13 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
     version = 3
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
+    takes_rig = True
     options = McapOptions
     facts = EpisodeFacts
+
+    def check_rig(self, rig: Rig, options: McapOptions) -> None:  # noqa: ARG002 - frames do not depend on the options
+        """Validates that the frames of the sensors differ."""
+        require_different_frames(rig)
 
     def write_episode(self, episode: Episode, options: McapOptions, folder: Path) -> EpisodeFacts:
         """Writes `episodes/<id>.mcap`."""
@@ -128,23 +107,35 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
             out = _Recording(file, episode, profile, start_ns)
             for message in profile.static_messages(episode, scene, start_ns):
                 out.add(start_ns, message)
+            reader = None if episode.rig is None else SensorReader(episode)
             twists = measured_twists(episode.poses, job.task.control_hz)
             for t in range(len(episode)):
                 stamp_ns = start_ns + stamp_of(t, job.task.control_hz)
-                for message in profile.frame_messages(episode, t, stamp_ns, twists[t], t % stride == 0):
+                has_images = t % stride == 0
+                for message in profile.frame_messages(episode, t, stamp_ns, twists[t], has_images and reader is None):
                     out.add(stamp_ns, message)
+                if reader is not None:
+                    for message in _measured(reader, profile, t, stamp_ns, has_images):
+                        out.add(stamp_ns, message)
             out.finish()
         return EpisodeFacts(frames=-(-len(episode) // stride))
 
     def finish(self, export: Finish[McapOptions, EpisodeFacts]) -> None:
         """Writes the card."""
-        meta, pieces, options = export.dataset.meta, len(export.pieces), export.options
-        if options.ros2:
-            text = _ROS2_CARD.format(spacing=_SPACING_S, start=options.start_s)
-            card = export_card(meta, pieces, text, tags=("mcap", "ros2"))
-        else:
-            card = export_card(meta, pieces, _FOXGLOVE_CARD, tags=("mcap", "foxglove"))
+        meta, pieces, options, rig = export.dataset.meta, len(export.pieces), export.options, export.dataset.rig
+        hz = meta.plan.task.control_hz
+        text = ros2_card(_SPACING_S, options.start_s, rig, hz) if options.ros2 else foxglove_card(rig, hz)
+        card = export_card(meta, pieces, text, tags=("mcap", "ros2" if options.ros2 else "foxglove"))
         export.out.write_text(CARD_FILE, card)
+
+
+def _measured(
+    reader: SensorReader, profile: Profile, t: int, stamp_ns: int, with_cameras: bool
+) -> Iterator[TopicMessage]:
+    """Yields the messages of the sensors that measure at step t."""
+    for sensor in reader.rig.sensors:
+        if t % reader.strides[sensor.name] == 0 and (with_cameras or not isinstance(sensor, Camera)):
+            yield from profile.sensor_messages(reader, sensor, t, stamp_ns)
 
 
 class _Recording:
@@ -174,11 +165,14 @@ class _Recording:
         self._out.add_metadata("episode", {name: str(value) for name, value in facts.items()})
         described = to_json(describe_episode(episode)).encode()
         self._out.add_attachment(start_ns, start_ns, "meta.json", "application/json", described)
+        if episode.rig is not None:
+            text = rig_json(episode.rig, episode.meta.job.task.control_hz)
+            self._out.add_attachment(start_ns, start_ns, RIG_FILE, "application/json", text.encode())
 
     def add(self, stamp_ns: int, message: TopicMessage) -> None:
         """Appends a message."""
         profile = self._profile
-        schema = profile.topics[message.topic]
+        schema = message.kind or profile.topics[message.topic]
         if message.topic not in self._channels:
             if schema not in self._schemas:
                 data = profile.schema_of(schema)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
+from factory.export.mcap.rig_frames import links_of, odometry_links
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.measure import yaw_of
@@ -52,6 +53,8 @@ class TopicMessage(NamedTuple):
 
     topic: str
     values: Mapping[str, Any]
+    kind: str = ""
+    """Message type, if the profile does not list the topic."""
 
 
 def stamp_of(t: int, hz: int) -> int:
@@ -83,7 +86,7 @@ def frame_messages(
     """Yields the transforms, calibration, odometry and action of a frame, and its images.
 
     Args:
-        episode: the episode.
+        episode: the episode; if it has a rig, the transforms are those of its sensors, and there is no calibration.
         t: index of the frame.
         stamp_ns: time of the frame, nanoseconds.
         twist: (2,) measured v (m/s) and w (rad/s).
@@ -92,8 +95,9 @@ def frame_messages(
     stamp, camera = _timestamp(stamp_ns), episode.meta.job.camera
     action, tokens = episode.actions[t], episode.tokens[t]
     body = pose_of(episode.poses[t].tolist())
-    yield TopicMessage("/tf", {"transforms": [_transform(BASE, WORLD, body, stamp), _camera_transform(camera, stamp)]})
-    yield TopicMessage("/camera/calibration", {"timestamp": stamp, **calibration(camera)})
+    yield TopicMessage("/tf", {"transforms": [_transform(BASE, WORLD, body, stamp), *_mounts(episode, stamp)]})
+    if episode.rig is None:
+        yield TopicMessage("/camera/calibration", {"timestamp": stamp, **calibration(camera)})
     v, w = (float(value) for value in twist)
     yield TopicMessage(
         "/odom",
@@ -182,6 +186,19 @@ def _transform(child: str, parent: str, pose: dict[str, dict[str, float]], stamp
         "translation": pose["position"],
         "rotation": pose["orientation"],
     }
+
+
+def stamped(stamp_ns: int, frame: str) -> dict[str, Any]:
+    """Returns the first fields of a message: time and frame."""
+    return {"timestamp": _timestamp(stamp_ns), "frame_id": frame}
+
+
+def _mounts(episode: Episode, stamp: dict[str, int]) -> Iterator[dict[str, Any]]:
+    if episode.rig is None:
+        yield _camera_transform(episode.meta.job.camera, stamp)
+        return
+    for link in (*links_of(episode.rig, BASE), *odometry_links(episode.rig, WORLD, episode.poses[0].tolist())):
+        yield _transform(link.child, link.parent, pose_of(link.pose), stamp)
 
 
 def _camera_transform(camera: CameraConfig, stamp: dict[str, int]) -> dict[str, Any]:

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.mcap import messages as foxglove
+from factory.export.mcap import rig_foxglove, rig_ros2
 from factory.export.mcap import ros2_messages as ros2
 from factory.export.mcap.messages import TopicMessage
 from factory.export.mcap.protobuf import descriptor_set
 from factory.export.mcap.protobuf import encode as encode_protobuf
 from factory.export.mcap.ros2_cdr import definition_of
 from factory.export.mcap.ros2_cdr import encode as encode_cdr
+from factory.export.rig.reader import SensorReader
+from schemas.rig import Sensor
 from schemas.scene import CompiledScene
 
 _LATCHED_QOS = """\
@@ -56,6 +59,8 @@ class Profile:
     """Episode, scene and time of frame 0 (nanoseconds) -> messages that are published once."""
     frame_messages: Callable[[Episode, int, int, NDArray[np.float64], bool], Iterator[TopicMessage]]
     """Episode, frame, time of the frame, measured twist (2,) and whether to add images -> messages of the frame."""
+    sensor_messages: Callable[[SensorReader, Sensor, int, int], Iterator[TopicMessage]]
+    """Sensors of an episode, one sensor, step and time of its measurement (nanoseconds) -> messages."""
     facts_of_topic: Callable[[str], dict[str, str]] = lambda _topic: {}
     """Topic -> metadata of its channel."""
 
@@ -69,6 +74,7 @@ FOXGLOVE = Profile(
     encode=encode_protobuf,
     static_messages=foxglove.static_messages,
     frame_messages=foxglove.frame_messages,
+    sensor_messages=rig_foxglove.sensor_messages,
 )
 ROS2 = Profile(
     name="ros2",
@@ -79,5 +85,6 @@ ROS2 = Profile(
     encode=encode_cdr,
     static_messages=ros2.static_messages,
     frame_messages=ros2.frame_messages,
+    sensor_messages=rig_ros2.sensor_messages,
     facts_of_topic=lambda topic: {"offered_qos_profiles": _LATCHED_QOS if topic in ros2.LATCHED else ""},
 )

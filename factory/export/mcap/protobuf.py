@@ -1,4 +1,4 @@
-"""Encodes messages of Foxglove and `minivla.Action` as Protobuf, and returns the descriptors that readers need.
+"""Encodes messages of Foxglove, `minivla.Action` and `minivla.Imu` as Protobuf, and returns their descriptors.
 
 The only module that imports `protobuf` and the generated classes of Foxglove. Does not decode messages.
 """
@@ -12,14 +12,25 @@ from typing import Any
 
 ACTION = "minivla.Action"
 """Message type that is not part of Foxglove's schemas."""
-_FIELDS = (
-    ("timestamp", "TYPE_MESSAGE"),
-    ("v_mps", "TYPE_DOUBLE"),
-    ("w_rps", "TYPE_DOUBLE"),
-    ("v_token", "TYPE_INT32"),
-    ("w_token", "TYPE_INT32"),
-)
-"""Fields of `minivla.Action`, numbered from 1."""
+IMU = "minivla.Imu"
+"""Message type of an IMU, which Foxglove's schemas do not have."""
+_TIME, _VECTOR = ".google.protobuf.Timestamp", ".foxglove.Vector3"
+_FIELDS = {
+    ACTION: (
+        ("timestamp", _TIME),
+        ("v_mps", "TYPE_DOUBLE"),
+        ("w_rps", "TYPE_DOUBLE"),
+        ("v_token", "TYPE_INT32"),
+        ("w_token", "TYPE_INT32"),
+    ),
+    IMU: (
+        ("timestamp", _TIME),
+        ("frame_id", "TYPE_STRING"),
+        ("angular_velocity", _VECTOR),
+        ("linear_acceleration", _VECTOR),
+    ),
+}
+"""Message type -> fields, numbered from 1, with the type of their values: a scalar or a message."""
 
 
 def encode(message: str, values: Mapping[str, Any]) -> bytes:
@@ -48,28 +59,33 @@ def descriptor_set(message: str) -> bytes:
 
 @functools.cache
 def _class_of(message: str) -> Any:
-    if message == ACTION:
-        return _action_class()
+    if message in _FIELDS:
+        return _class_of_fields(message)
     package, _, name = message.rpartition(".")
     return getattr(importlib.import_module(f"{package}_schemas_protobuf.{name}_pb2"), name)
 
 
-def _action_class() -> Any:
+def _class_of_fields(message: str) -> Any:
+    from foxglove_schemas_protobuf import Vector3_pb2
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-    fields = [
-        {"name": name, "number": number, "label": "LABEL_OPTIONAL", "type": kind}
-        for number, (name, kind) in enumerate(_FIELDS, 1)
-    ]
-    fields[0]["type_name"] = ".google.protobuf.Timestamp"
+    package, _, name = message.rpartition(".")
+    kinds = {kind for _, kind in _FIELDS[message]}
+    imports = [file.DESCRIPTOR for kind, file in ((_TIME, timestamp_pb2), (_VECTOR, Vector3_pb2)) if kind in kinds]
     file = descriptor_pb2.FileDescriptorProto(
         name="minivla.proto",
-        package="minivla",
+        package=package,
         syntax="proto3",
-        dependency=[timestamp_pb2.DESCRIPTOR.name],
-        message_type=[{"name": "Action", "field": fields}],
+        dependency=[found.name for found in imports],
+        message_type=[{"name": name, "field": [_field(*field) for field in enumerate(_FIELDS[message], 1)]}],
     )
     pool = descriptor_pool.DescriptorPool()
-    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
-    pool.AddSerializedFile(file.SerializeToString())
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(ACTION))
+    for data in (*(found.serialized_pb for found in imports), file.SerializeToString()):
+        pool.AddSerializedFile(data)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(message))
+
+
+def _field(number: int, field: tuple[str, str]) -> dict[str, Any]:
+    name, kind = field
+    values = {"name": name, "number": number, "label": "LABEL_OPTIONAL"}
+    return values | ({"type": "TYPE_MESSAGE", "type_name": kind} if kind.startswith(".") else {"type": kind})

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibration, paths_of, pose_of
+from factory.export.mcap.rig_frames import links_of, odometry_links
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene, Target
 
@@ -59,11 +60,11 @@ def static_messages(episode: Episode, scene: CompiledScene, stamp_ns: int) -> It
         stamp_ns: time of frame 0, nanoseconds.
     """
     job = episode.meta.job
-    yield TopicMessage("/tf_static", {"transforms": list(_static_transforms(job.camera, stamp_ns))})
+    yield TopicMessage("/tf_static", {"transforms": list(_static_transforms(episode, stamp_ns))})
     yield TopicMessage("/instruction", {"data": job.instruction})
     yield TopicMessage("/target", {"markers": _markers(scene.info.target(job.target_id), stamp_ns)})
     yield TopicMessage("/map", _map(scene, stamp_ns))
-    header = _header(MAP, stamp_ns)
+    header = header_of(MAP, stamp_ns)
     for topic, poses in paths_of(episode, scene):
         yield TopicMessage(topic, {"header": header, "poses": [{"header": header, "pose": pose} for pose in poses]})
 
@@ -83,14 +84,14 @@ def frame_messages(
     action, body = episode.actions[t], pose_of(episode.poses[t].tolist())
     yield TopicMessage("/tf", {"transforms": [_transform(ODOM, BASE, body, stamp_ns)]})
     moving = {"linear": {"x": float(twist[0])}, "angular": {"z": float(twist[1])}}
-    header = _header(ODOM, stamp_ns)
+    header = header_of(ODOM, stamp_ns)
     yield TopicMessage(
         "/odom", {"header": header, "child_frame_id": BASE, "pose": {"pose": body}, "twist": {"twist": moving}}
     )
     yield TopicMessage("/cmd_vel", {"linear": {"x": float(action[0])}, "angular": {"z": float(action[1])}})
     yield TopicMessage("/action_tokens", {"data": episode.tokens[t].astype(np.uint8)})
     if with_images:
-        yield from _image_messages(episode, t, _header(OPTICAL, stamp_ns))
+        yield from _image_messages(episode, t, header_of(OPTICAL, stamp_ns))
 
 
 def _image_messages(episode: Episode, t: int, header: dict[str, Any]) -> Iterator[TopicMessage]:
@@ -100,25 +101,30 @@ def _image_messages(episode: Episode, t: int, header: dict[str, Any]) -> Iterato
     yield TopicMessage("/camera/rgb/image_raw/compressed", colour)
     yield TopicMessage("/camera/rgb/camera_info", info)
     metres = np.where(depth > 0, depth, np.float32(np.inf)).astype("<f4")
-    yield TopicMessage("/camera/depth/image_raw", _image(header, "32FC1", metres))
+    yield TopicMessage("/camera/depth/image_raw", image_of(header, "32FC1", metres))
     yield TopicMessage("/camera/depth/camera_info", info)
-    yield TopicMessage("/camera/ids/image_raw", _image(header, "mono16", episode.ids(t).astype("<u2")))
+    yield TopicMessage("/camera/ids/image_raw", image_of(header, "mono16", episode.ids(t).astype("<u2")))
 
 
-def _header(frame: str, stamp_ns: int) -> dict[str, Any]:
+def header_of(frame: str, stamp_ns: int) -> dict[str, Any]:
+    """Returns a std_msgs/Header."""
     stamp = {"sec": stamp_ns // _NANOSECONDS, "nanosec": stamp_ns % _NANOSECONDS}
     return {"stamp": stamp, "frame_id": frame}
 
 
 def _transform(parent: str, child: str, pose: dict[str, dict[str, float]], stamp_ns: int) -> dict[str, Any]:
     moved = {"translation": pose["position"], "rotation": pose["orientation"]}
-    return {"header": _header(parent, stamp_ns), "child_frame_id": child, "transform": moved}
+    return {"header": header_of(parent, stamp_ns), "child_frame_id": child, "transform": moved}
 
 
-def _static_transforms(camera: CameraConfig, stamp_ns: int) -> Iterator[dict[str, Any]]:
-    qx, qy, qz, qw = OPTICAL_FROM_BASE
+def _static_transforms(episode: Episode, stamp_ns: int) -> Iterator[dict[str, Any]]:
+    camera, (qx, qy, qz, qw) = episode.meta.job.camera, OPTICAL_FROM_BASE
     mount = (camera.x_m, camera.y_m, camera.z_m, 1.0, 0.0, 0.0, 0.0)
     yield _transform(MAP, ODOM, pose_of((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)), stamp_ns)
+    if (rig := episode.rig) is not None:
+        for link in (*links_of(rig, BASE), *odometry_links(rig, ODOM, episode.poses[0].tolist())):
+            yield _transform(link.parent, link.child, pose_of(link.pose), stamp_ns)
+        return
     yield _transform(BASE, CAMERA, pose_of(mount), stamp_ns)
     yield _transform(CAMERA, OPTICAL, pose_of((0.0, 0.0, 0.0, qw, qx, qy, qz)), stamp_ns)
 
@@ -137,9 +143,10 @@ def _camera_info(camera: CameraConfig, header: dict[str, Any]) -> dict[str, Any]
     }
 
 
-def _image(header: dict[str, Any], encoding: str, image: NDArray[Any]) -> dict[str, Any]:
-    height, width = image.shape
-    step = width * image.itemsize
+def image_of(header: dict[str, Any], encoding: str, image: NDArray[Any]) -> dict[str, Any]:
+    """Returns a sensor_msgs/Image of an array (H, W) or (H, W, C), little-endian."""
+    height, width = image.shape[:2]
+    step = image.nbytes // height
     data = image.tobytes()
     return {"header": header, "height": height, "width": width, "encoding": encoding, "step": step, "data": data}
 
@@ -151,13 +158,13 @@ def _map(scene: CompiledScene, stamp_ns: int) -> dict[str, Any]:
     origin = pose_of((x, y, info.floor_height_m, 1.0, 0.0, 0.0, 0.0))
     size = {"resolution": info.grid_resolution_m, "width": columns, "height": rows, "origin": origin}
     data = np.where(scene.occupancy > 0, _OCCUPIED, _FREE).astype(np.int8).reshape(-1)
-    return {"header": _header(MAP, stamp_ns), "info": size, "data": data}
+    return {"header": header_of(MAP, stamp_ns), "info": size, "data": data}
 
 
 def _markers(target: Target, stamp_ns: int) -> list[dict[str, Any]]:
     x, y, z = target.centroid_m
     width, depth, height = target.size_m
-    header = _header(MAP, stamp_ns)
+    header = header_of(MAP, stamp_ns)
     box = {
         "type": _CUBE,
         "pose": {"position": {"x": x, "y": y, "z": z}, "orientation": _UPRIGHT},

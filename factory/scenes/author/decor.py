@@ -32,7 +32,7 @@ def _boards(rng: Generator, rows: Floats, columns: Floats) -> Floats:
     board = (rows // 64).astype(int)
     offset = rng.integers(0, TEXTURE_SIZE, 8)[board]
     piece = ((columns + offset) % TEXTURE_SIZE // 256).astype(int)
-    tone = 0.82 + 0.14 * rng.random((8, 2))[board, piece] + 0.035 * clouds(rng, 1.3, stretch=14.0)
+    tone: Floats = 0.82 + 0.14 * rng.random((8, 2))[board, piece] + 0.035 * clouds(rng, 1.3, stretch=14.0)
     tone[(rows % 64 < 2) | ((columns + offset) % 256 < 2)] *= 0.62
     return tone
 
@@ -86,7 +86,7 @@ def _bricks(rng: Generator, rows: Floats, columns: Floats) -> Floats:
     course = (rows // 64).astype(int)
     shifted = columns + 64 * (course % 2)
     brick = (shifted % TEXTURE_SIZE // 128).astype(int)
-    tone = 0.8 + 0.16 * rng.random((8, 4))[course, brick] + 0.03 * clouds(rng, 0.8)
+    tone: Floats = 0.8 + 0.16 * rng.random((8, 4))[course, brick] + 0.03 * clouds(rng, 0.8)
     tone[(rows % 64 < 6) | (shifted % 128 < 6)] = 0.97
     return tone
 

@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.compile.colour import dominant_name, linear_of, srgb_of
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
+from schemas.appearance.colour_names import dominant_name, linear_of, srgb_of
 from schemas.support.numpy_types import Floats
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

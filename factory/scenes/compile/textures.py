@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from factory.scenes.compile.colour import linear_of
+from schemas.appearance.colour_names import linear_of
 from schemas.scene import TEXTURE_SIZE_PX
 
 MAX_LAYERS = 64

@@ -19,9 +19,9 @@ _NOISE = (
 )
 _ASSET = re.compile(r"@([^@]*)@")
 _REMEDIES = (
-    ("cycle", "take the reference out that leads back"),
-    ("could not open asset", "put the file there or take the reference out"),
-    ("could not load sublayer", "put the file there or take the sublayer out"),
+    ("cycle", "remove the circular reference"),
+    ("could not open asset", "add the file or remove the reference"),
+    ("could not load sublayer", "add the file or remove the sublayer"),
 )
 
 

@@ -24,7 +24,7 @@ from workers.geometry.rays import Caster
 
 _COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (8, 8), (4, 4)
-_FINE_SKY, _FINE_LAMPS = (16, 64), (12, 24)
+FINE_SKY, FINE_LAMPS = (16, 64), (12, 24)
 _EVEN_STEPS = (1, 2)
 """Distances over which noise is averaged, texels."""
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
@@ -67,10 +67,10 @@ def bake_light(
     owner[texels.cell] = texels.chart
     cast, known = _cast_light(caster, texels.cast(), lamps, owner)
     touch = contact_shade(triangles, floor_m, texels.points.mean(axis=1), texels.axes[:, 2])
-    filled = fill_hidden(np.concatenate((cast, _maps(layout.shape, texels, touch))), known, owner)
+    filled = fill_hidden(np.concatenate((cast, texel_maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
-    emitting = _mask(layout.shape, texels, glow[texels.chart] > 0)
-    grey = _maps(layout.shape, texels, _chart_means(charts, reflectance)[texels.chart])[0]
+    emitting = texel_mask(layout.shape, texels, glow[texels.chart] > 0)
+    grey = texel_maps(layout.shape, texels, _chart_means(charts, reflectance)[texels.chart])[0]
     picture = tone(sky * rim, whole * free, known & ~emitting, grey)
     picture[emitting] = 255
     return LightMap(layout.uvs.astype(np.float32), picture)
@@ -78,11 +78,11 @@ def bake_light(
 
 def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tuple[Floats, Bools]:
     """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
-    sky, open_spots = sky_light(caster, texels, _FINE_SKY)
-    whole, free = lamp_light(caster, texels, open_spots, lamps, _FINE_LAMPS)
-    known = _mask(owner.shape, texels, np.asarray(open_spots.any(axis=1)))
-    bent = _mask(owner.shape, texels, texels.is_bent)
-    cast = _maps(owner.shape, texels, sky, free, whole)
+    sky, open_spots = sky_light(caster, texels, FINE_SKY)
+    whole, free = lamp_light(caster, texels, open_spots, lamps, FINE_LAMPS)
+    known = texel_mask(owner.shape, texels, np.asarray(open_spots.any(axis=1)))
+    bent = texel_mask(owner.shape, texels, texels.is_bent)
+    cast = texel_maps(owner.shape, texels, sky, free, whole)
     smooth, is_near = smooth_charts(cast, known, owner)
     for step in _EVEN_STEPS:
         smooth[:2] = even_out(smooth[:2], is_near, owner, step)
@@ -110,7 +110,7 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
     return np.asarray(total / np.bincount(charts.of_triangle))
 
 
-def _maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
+def texel_maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
     """Writes values (N,) of the texels into maps (K, H, W), zero elsewhere."""
     flat = np.zeros((len(values), *shape))
     for each, target in zip(values, flat, strict=True):
@@ -118,7 +118,8 @@ def _maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
     return flat
 
 
-def _mask(shape: tuple[int, int], texels: Texels, chosen: Bools) -> Bools:
+def texel_mask(shape: tuple[int, int], texels: Texels, chosen: Bools) -> Bools:
+    """Writes values (N,) of the texels into a mask (H, W), false elsewhere."""
     mask = np.zeros(shape, bool)
     mask[texels.cell] = chosen
     return mask

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Floats
 
-_SKY_SHARE, _FLOOR = 0.42, 0.03
-_CONTACT = 2.0
+SKY_SHARE, FLOOR = 0.42, 0.03
+CONTACT = 2.0
 """Exponent of the openness; above 1, corners and floor under furniture are darker than physically correct."""
-_SHELTER = 0.6
+SHELTER = 0.6
 """Exponent of the openness for lamp light; it adds soft contact shadows."""
 _EXPOSURE = 1.3
 """Mean light before the shoulder, in units of the light that maps to 0.5."""
 _GREY, _ADAPTION = 0.38, 0.6
 """Reference reflectance of the exposure, and exponent of the correction for lighter and darker scenes."""
 _MOST_CORRECTION = 1.35
-_WHITE = 3.0
+WHITE = 3.0
 """Light that maps to 1, in the same units."""
 _LAMP_TINT = np.array((1.0, 0.965, 0.885))
 _SKY_TINT = np.array((0.94, 0.975, 1.0))
-_GAMMA = 2.2
+GAMMA = 2.2
 
 
 def tone(sky: Floats, direct: Floats, measured: NDArray[np.bool_], grey: Floats) -> NDArray[np.uint8]:
@@ -39,13 +39,13 @@ def tone(sky: Floats, direct: Floats, measured: NDArray[np.bool_], grey: Floats)
     lit = measured & (direct > 0)
     mean = float(direct[lit].mean()) if lit.any() else 1.0
     open_, lamps = sky, direct / mean
-    ambient = _FLOOR + _SKY_SHARE * open_[..., None] ** _CONTACT * _SKY_TINT
-    light = ambient + (1 - _SKY_SHARE) * (lamps * open_**_SHELTER)[..., None] * _LAMP_TINT
+    ambient = FLOOR + SKY_SHARE * open_[..., None] ** CONTACT * _SKY_TINT
+    light = ambient + (1 - SKY_SHARE) * (lamps * open_**SHELTER)[..., None] * _LAMP_TINT
     exposed = float(light[lit].mean()) if lit.any() else 1.0
     scale = _EXPOSURE * _correction(grey[lit]) / exposed
-    bright = np.minimum(light * scale, _WHITE)
-    shown = bright * (1 + bright / _WHITE**2) / (1 + bright)
-    return np.asarray(np.rint(255 * shown ** (1 / _GAMMA)), np.uint8)
+    bright = np.minimum(light * scale, WHITE)
+    shown = bright * (1 + bright / WHITE**2) / (1 + bright)
+    return np.asarray(np.rint(255 * shown ** (1 / GAMMA)), np.uint8)
 
 
 def _correction(grey: Floats) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from sqlalchemy.engine import Connection
 
-from coordinator.chores import LeaseLimit
+from coordinator.housekeeping import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.reading.audit import find_damage
 from coordinator.ledger.reading.progress import read_progress

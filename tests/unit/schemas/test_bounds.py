@@ -13,7 +13,7 @@ from pydantic import Field, TypeAdapter, ValidationError, create_model
 import coordinator.protocol.relay
 import schemas.protocol.messages
 from coordinator.protocol.protocol import ParsedRequest, parse
-from coordinator.protocol.relay import MAX_FILES, Duty, Inventory, Refused
+from coordinator.protocol.relay import MAX_FILES, Inventory, OrdersRequest, Refused
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.validation.validator import Verdict
 from schemas.base import MAX_COUNT, MAX_ROWS, Model
@@ -166,7 +166,7 @@ def test_the_largest_honest_messages_are_read() -> None:
         "fail": Fail(sid=sid, lease=lease, reason=FailReason.CRASH, detail='{"a": 1}' * 250, seconds=1e9),
         "done": Done(sid=sid, lease=lease, sha256="f" * 64, size=1 << 40, via="f" * 32),
         "inventory": Inventory(first=1, last=MAX_COUNT, files=((MAX_COUNT, 1 << 40),) * MAX_FILES),
-        "orders": Duty(router="f" * 32, most=64, busy=("h" * 48,) * 64),
+        "orders": OrdersRequest(router="f" * 32, most=64, busy=("h" * 48,) * 64),
         "refused": Refused(sid=sid, lease=lease, detail="\N{SNOWMAN}" * 2000),
     }
     for verb, message in messages.items():

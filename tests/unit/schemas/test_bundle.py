@@ -15,6 +15,7 @@ from schemas.bundle import BundleReader, BundleWriter, member_names
 from schemas.config import DemonstrationConfig
 from schemas.encoding.container import ContainerWriter
 from schemas.encoding.ndarray import encode_npy
+from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import InvalidBundle
 from schemas.terms import Recording, SuccessMeasure
 from tests.builders.bundle import BundleParts, bundle_bytes, former_parts, job_for, parts_for
@@ -146,8 +147,8 @@ def test_members_in_another_order_are_refused() -> None:
 
 
 def test_newer_format_is_refused_by_number() -> None:
-    text = refused(edited(lambda meta: meta.update(format=3, novelty=True)))
-    assert "bundle format 3, this software reads up to 2: upgrade minivla-factory" in text
+    text = refused(edited(lambda meta: meta.update(format=BUNDLE_FORMAT + 1, novelty=True)))
+    assert f"bundle format {BUNDLE_FORMAT + 1}, this software reads up to {BUNDLE_FORMAT}: upgrade" in text
 
 
 @pytest.mark.parametrize(

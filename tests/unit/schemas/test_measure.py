@@ -55,6 +55,14 @@ def test_a_ring_is_at_one_distance_in_the_given_directions(goal: Goal) -> None:
     assert goal.distances(goal.outline()) == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("goal", [BY_SURFACE, BY_CENTROID])
+def test_rings_at_several_distances_have_the_bits_of_each_ring(goal: Goal) -> None:
+    angle = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    rays, distances = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([0.3, 1.5, 2.5])
+    at_once = goal.ring(np.tile(rays, (3, 1)), np.repeat(distances, 48))
+    assert np.array_equal(at_once, np.concatenate([goal.ring(rays, distance) for distance in distances]))
+
+
 def test_the_shortest_way_into_the_goal_leads_to_the_nearest_side() -> None:
     gap, end = BY_SURFACE.entry(np.array([1.2, 3.5]))
     assert gap == pytest.approx(2.0)

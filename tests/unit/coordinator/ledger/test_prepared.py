@@ -9,10 +9,10 @@ from sqlalchemy import Connection, Engine, bindparam, insert, select, text, upda
 from sqlalchemy.exc import IntegrityError, ProgrammingError
 
 from coordinator.ledger.engine import open_reader, open_writer
-from coordinator.ledger.moves import JOB
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import METADATA, events, jobs, workers
+from coordinator.ledger.transitions import JOB
 from coordinator.ledger.writer import Writer
 
 HIRE = PreparedStatement(insert(workers))

@@ -11,7 +11,7 @@ from coordinator.ledger.states import (
     OPEN_STATES,
     TRANSITIONS,
     Event,
-    IllegalMove,
+    InvalidTransition,
     JobState,
     diagram,
     next_state,
@@ -30,7 +30,7 @@ def test_every_event_has_a_source_and_leads_to_one_state(event):
 
 @pytest.mark.parametrize(("state", "event"), sorted(set(itertools.product(JobState, Event)) - set(TRANSITIONS)))
 def test_an_unlisted_pair_raises_naming_both(state, event):
-    with pytest.raises(IllegalMove, match=f"a job that is {state} cannot be {event}"):
+    with pytest.raises(InvalidTransition, match=f"a job that is {state} cannot be {event}"):
         next_state(state, event)
 
 

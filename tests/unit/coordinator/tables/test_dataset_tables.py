@@ -14,7 +14,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.instances import Side
 from coordinator.tables.write import SIDE_COLUMN, write_tables
 from schemas.dataset import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
-from schemas.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta
+from schemas.dataset_meta import DATASET_FORMAT, DatasetMeta, GateOutcome, git_commit, read_dataset_meta
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
 from tests.builders.bundle import job_for, parts_for
@@ -130,8 +130,8 @@ def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
 def test_newer_format_is_refused_by_number(tmp_path: Path) -> None:
     write(tmp_path, 1, 1)
     path = tmp_path / "dataset_meta.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 2, "novelty": True}))
-    with pytest.raises(WorldError, match="has dataset format 2, this software reads up to 1: upgrade"):
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"format": DATASET_FORMAT + 1, "novelty": True}))
+    with pytest.raises(WorldError, match=f"format {DATASET_FORMAT + 1}, this software reads up to {DATASET_FORMAT}: "):
         read_dataset_meta(tmp_path)
 
 

@@ -58,6 +58,9 @@ def test_every_command_that_prints_a_result_can_print_json() -> None:
         (("scene", "inspect", "hos"), [("plain", "hospital")]),
         (("scene", "inspect", "my_"), [("file", "my_")]),
         (("export", "dataset", "--to", "gn"), [("plain", "gnm")]),
+        (("render", "dataset", "--rig", "pan"), [("plain", "panorama")]),
+        (("run", "--rig", "turtle"), [("plain", "turtlebot4")]),
+        (("eval", "dataset", "--rig", "mine"), [("file", "mine")]),
     ],
 )
 def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, ...], found: list[object]) -> None:

@@ -49,6 +49,15 @@ def test_rows_are_those_of_the_file(shared: Path) -> None:
     assert [columns.row(n) for n in range(3)] == pq.read_table(shared / "metadata.parquet").select(NAMES).to_pylist()
 
 
+@pytest.mark.parametrize("rows", [(1,), (0, 1, 2)])
+@pytest.mark.parametrize("column", ["steps_visible", "geodesic_m", "target_in_view", "created_at", "software"])
+def test_rows_with_missing_values_are_those_of_the_file(own: Path, column: str, rows: tuple[int, ...]) -> None:
+    for row in rows:
+        change(own, lambda table, row=row: with_value(table, column, row, None))  # type: ignore[misc]
+    columns = Columns(own)
+    assert [columns.row(n) for n in range(3)] == pq.read_table(own / "metadata.parquet").select(NAMES).to_pylist()
+
+
 def test_the_metadata_table_has_the_values_of_the_file(shared: Path) -> None:
     table = pq.read_table(shared / "metadata.parquet").select(NAMES)
     assert Dataset(shared).metadata.to_pydict() == table.to_pydict()

@@ -199,7 +199,7 @@ def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
 def test_newer_dataset_is_refused_by_number(own: Path) -> None:
     path = own / "dataset_meta.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 9}))
-    with pytest.raises(WorldError, match="dataset format 9, this software reads up to 1: upgrade"):
+    with pytest.raises(WorldError, match="dataset format 9, this software reads up to 2: upgrade"):
         Dataset(own)
 
 

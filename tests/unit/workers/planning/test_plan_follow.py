@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from schemas.config import PlannerConfig, RobotConfig
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist, slew
 from workers.planning import Waypoint
-from workers.planning.follow import Follower, legs_of
+from workers.planning.follow import Follower, interpolate, legs_of
 
 ROBOT, CONFIG = RobotConfig(), PlannerConfig()
 STRAIGHT = tuple(Waypoint(0.2 * step, 0.0, 0.0) for step in range(11))
@@ -94,3 +95,20 @@ def test_an_empty_path_needs_no_driving():
     follower = Follower((Waypoint(0.0, 0.0, 0.0),), ROBOT, CONFIG)
     assert follower.is_done
     assert follower.act(Pose.planar(0, 0, 0), 1.0) == (0.0, 0.0)
+
+
+def test_interpolation_at_one_place_has_the_bits_of_numpy():
+    rng = np.random.default_rng(3)
+    for count in (2, 3, 40):
+        places = np.cumsum(rng.uniform(0.01, 0.3, count))
+        values = rng.normal(0.0, 5.0, count)
+        beside = rng.uniform(places[0] - 0.2, places[-1] + 0.2, 500)
+        for place in (*places.tolist(), *beside.tolist()):
+            assert interpolate(place, places.tolist(), values.tolist()) == np.interp(place, places, values)
+
+
+def test_the_nearest_point_is_searched_at_the_places_of_linspace():
+    (leg,) = legs_of(STRAIGHT)
+    for along_m in (0.0, 0.137, 1.55, 1.9999, leg.length_m):
+        places = np.linspace(along_m, min(along_m + 0.5, leg.length_m), 26)
+        assert [leg.nearest(place, 0.3, along_m) for place in places.tolist()] == places.tolist()

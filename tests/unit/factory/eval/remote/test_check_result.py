@@ -15,7 +15,7 @@ from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
 from factory.eval.policies.note import PolicyNote
 from factory.eval.remote.driven import Driven, read_driven, write_driven
-from factory.eval.remote.judge import ResultJudge, result_digest, result_findings
+from factory.eval.remote.result_validator import ResultValidator, result_digest, result_findings
 from schemas.encoding.container import ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.scene import Target
@@ -119,7 +119,7 @@ def bundle_of(result: EpisodeResult, note: PolicyNote = NOTE) -> bytes:
 def judged(tmp_path: Path, data: bytes) -> Any:
     path = tmp_path / "1.1.zip"
     path.write_bytes(data)
-    return ResultJudge({1: TASK}).check(path, job_for(1), TARGET)
+    return ResultValidator({1: TASK}).check(path, job_for(1), TARGET)
 
 
 def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from factory.eval.models.result import Variant
-from factory.eval.specs.ablation import donors, instructions
+from factory.eval.specs.ablation import instructions, playback_sources
 from schemas.errors import UsageError
 from tests.builders.eval_results import spec_of, specs_of
 from tests.builders.scene import box_room
@@ -61,8 +61,8 @@ def test_an_impossible_ablation_is_reported() -> None:
 
 
 def test_a_donor_is_another_archived_episode() -> None:
-    found = donors(SET)
+    found = playback_sources(SET)
     assert set(found) == {spec.spec_id for spec in SET.specs}
     assert all(found[spec.spec_id] != spec.source_episode for spec in SET.specs)
     with pytest.raises(UsageError, match="at least two"):
-        donors(specs_of(spec_of(1)))
+        playback_sources(specs_of(spec_of(1)))

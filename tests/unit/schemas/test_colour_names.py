@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import XKCD_COLORS, to_rgb
 
-from factory.scenes.compile.colour import dominant_name, lab_of, linear_of, name_indices, srgb_of
+from schemas.appearance.colour_names import dominant_name, lab_of, linear_of, name_indices, srgb_of
 from schemas.terms import COLOUR_NAMES
 
 

@@ -20,8 +20,8 @@ from coordinator.context import RunContext
 from coordinator.ledger import claims
 from coordinator.ledger.claims import held_too_long, lease_of
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.moves import JobRow
 from coordinator.ledger.opening import note_sandbox
+from coordinator.ledger.transitions import JobRow
 from coordinator.meters import Meter
 from coordinator.periodic_tasks import PeriodicTask
 from coordinator.protocol.protocol import Terms, fail_attempt
@@ -98,7 +98,7 @@ def _log_ended(ended: Sequence[JobRow]) -> None:
     )
 
 
-class RoomWatch:
+class FreeSpaceMonitor:
     """Checks the free space below which no job is leased.
 
     Args:
@@ -126,7 +126,7 @@ class RoomWatch:
         )
 
 
-class RunChores:
+class Housekeeping:
     """Tasks that are repeated until the end of a run.
 
     Args:
@@ -135,7 +135,7 @@ class RunChores:
         elapsed: monotonic clock, seconds.
     """
 
-    def __init__(self, run: RunContext, room: RoomWatch, elapsed: Callable[[], float]) -> None:
+    def __init__(self, run: RunContext, room: FreeSpaceMonitor, elapsed: Callable[[], float]) -> None:
         self._run, self._room = run, room
         self._writer = run.ledger.writer
         self._watch = ClockWatch(run.clock, elapsed)

@@ -53,7 +53,7 @@ def result_digest(result: EpisodeResult) -> str:
     return hashlib.sha256(canonical_json(result, exclude=_CLOCKS).encode()).hexdigest()[:32]
 
 
-class ResultJudge:
+class ResultValidator:
     """Validator of evaluation results.
 
     Args:

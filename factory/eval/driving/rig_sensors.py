@@ -1,0 +1,88 @@
+"""Latest measurements of the sensors of a rig in a running episode, as policies and the Gymnasium environment get them.
+
+They equal those of `Episode.observe` and `Episode.motion` for the same drive and seed. Ids are ground truth and are
+not given. Runs no episode.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from numpy.typing import NDArray
+
+from factory.eval.driving.simulator import Simulator
+from schemas.config import CameraConfig
+from schemas.encoding.arrays import ArraySpec
+from schemas.errors import UsageError
+from schemas.rig import CameraOutput, Imu, PinholeCamera, Rig, Sensor, WheelOdometry
+from schemas.rig.arrays import arrays_of
+from schemas.rig.file import paper_rig, require_rates
+from workers.sensors.observation import Trajectory, arrays_in, measure, observe
+from workers.sim.sensors import require_packages
+
+SensorArrays = dict[str, dict[str, NDArray[Any]]]
+"""Arrays of the latest measurement by sensor and name."""
+_IDS = "ids"
+
+
+def require_live(rig: Rig, control_hz: int) -> None:
+    """Raises an error unless a rig can be measured during a drive at a control rate.
+
+    Raises:
+        UsageError: A camera has optical flow, which needs the next image, or a package of a sensor is not installed.
+        InvalidRig: A rate does not divide the control rate.
+    """
+    require_rates(rig, control_hz)
+    require_packages(rig)
+    for camera in rig.cameras:
+        if CameraOutput.FLOW in camera.outputs:
+            raise UsageError(
+                f"rig {rig.name!r}: camera {camera.name!r} has the output 'flow', which cannot be measured "
+                "during a drive, because it needs the next image: remove 'flow' from outputs"
+            )
+
+
+def live_arrays(sensor: Sensor) -> dict[str, ArraySpec]:
+    """Returns the specs of one measurement of a sensor by name, without ids."""
+    specs = {name: spec for name, spec in arrays_of(sensor).items() if name != _IDS}
+    is_motion = isinstance(sensor, Imu | WheelOdometry)
+    return {name: replace(spec, shape=spec.shape[1:]) if is_motion else spec for name, spec in specs.items()}
+
+
+def shows_recorded_camera(rig: Rig | None, camera: CameraConfig) -> bool:
+    """Returns whether the recorded camera is available: without a rig, or if a perfect camera of the rig equals it."""
+    if rig is None:
+        return True
+    (paper,) = paper_rig().cameras
+    return camera == CameraConfig() and any(
+        isinstance(each, PinholeCamera) and (each.lens(), each.mount, each.noise) == (paper.lens(), paper.mount, None)
+        for each in rig.cameras
+    )
+
+
+class RigSensors:
+    """Sensors of a rig in the current episode of a simulator; create another object for the next episode."""
+
+    def __init__(self, rig: Rig, simulator: Simulator) -> None:
+        self._rig, self._simulator = rig, simulator
+        self._latest: dict[str, tuple[int, dict[str, NDArray[Any]]]] = {}
+
+    def measure(self) -> SensorArrays:
+        """Returns copies of the latest measurement of each sensor; a sensor with a low rate keeps it until the next."""
+        track = self._simulator.trajectory()
+        for sensor in self._rig.sensors:
+            stride = sensor.stride(track.control_hz)
+            t = (len(track.poses) - 1) // stride * stride
+            if self._latest.get(sensor.name, (-1, {}))[0] != t:
+                self._latest[sensor.name] = t, self._measured(sensor, t, track)
+        return {
+            name: {key: array.copy() for key, array in arrays.items()} for name, (_, arrays) in self._latest.items()
+        }
+
+    def _measured(self, sensor: Sensor, t: int, track: Trajectory) -> dict[str, NDArray[Any]]:
+        if isinstance(sensor, Imu | WheelOdometry):
+            row = t // sensor.stride(track.control_hz)
+            return {name: array[row] for name, array in arrays_in(measure(sensor, track)).items()}
+        found = observe(sensor, t, track, self._simulator.surroundings)
+        return {name: array for name, array in arrays_in(found).items() if name != _IDS}

@@ -1,0 +1,182 @@
+"""Layout of a LeRobot dataset: its image features and numeric columns, of the recorded camera or of a rig. Pure.
+
+LeRobot policies use every column whose name begins with `observation` or `action`; therefore tokens and the world pose
+have other names.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pydantic import Field
+
+from factory.export.base import Decimated
+from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, STATE_NAMES, TOKEN_NAMES
+from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.errors import UsageError
+from schemas.rig import Camera, CameraOutput, DepthKind, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
+from workers.geometry.faces import plan_faces
+
+IMU_NAMES = ("gyro_x_rps", "gyro_y_rps", "gyro_z_rps", "force_x_mps2", "force_y_mps2", "force_z_mps2")
+RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
+STATE = "observation.state"
+
+
+class LeRobotOptions(Decimated):
+    """Options of both LeRobot versions."""
+
+    depth: bool = Field(default=False, description="Also write metric depth, as lossless 12-bit video. Default: no.")
+    ids: bool = Field(default=False, description="Also write instance ids, as 16-bit PNG images. Default: no.")
+
+
+class ImageFeature(NamedTuple):
+    """Image feature: colour and depth are videos, instance ids are PNG images."""
+
+    key: str
+    output: CameraOutput
+    width: int
+    height: int
+    file: str
+    """Name of the video in a piece; empty for an image."""
+    largest_m: float
+    """Upper end of the depth codes, metres."""
+    camera: Camera | None = None
+    """Camera of the rig; `None` for the recorded camera."""
+
+    @property
+    def is_video(self) -> bool:
+        """Whether the feature is a video."""
+        return self.output is not CameraOutput.IDS
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return 3 if self.output is CameraOutput.RGB else 1
+
+
+class Column(NamedTuple):
+    """Numeric column of the data files."""
+
+    dtype: str
+    names: tuple[str, ...] | None = None
+    """Names of the values; `None` for scalars and scans."""
+    shape: tuple[int, ...] = ()
+    """Shape of a value: empty for a scalar, (rays,) or (lines, rays) for a scan."""
+    sensor: Imu | WheelOdometry | Lidar2d | Lidar3d | None = None
+    """Sensor of the rig that measures the values."""
+
+    @property
+    def is_scan(self) -> bool:
+        """Whether a value is a scan, whose statistics are those of all of its ranges together."""
+        return isinstance(self.sensor, Lidar2d | Lidar3d)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Features of a dataset."""
+
+    images: tuple[ImageFeature, ...]
+    columns: Mapping[str, Column]
+    """Name -> column, in the order of the data files, after the images."""
+
+    @property
+    def videos(self) -> tuple[ImageFeature, ...]:
+        """Image features that are videos."""
+        return tuple(image for image in self.images if image.is_video)
+
+    @property
+    def pictures(self) -> tuple[ImageFeature, ...]:
+        """Image features that are images in the data files."""
+        return tuple(image for image in self.images if not image.is_video)
+
+
+def layout_of(options: LeRobotOptions, recorded: CameraConfig, rig: Rig | None) -> Layout:
+    """Returns the layout of the recorded camera, or of the sensors of a rig.
+
+    Raises:
+        UsageError: two sensors of the rig have the same feature, or the sides of a video are odd.
+    """
+    wanted = {CameraOutput.RGB: True, CameraOutput.DEPTH: options.depth, CameraOutput.IDS: options.ids}
+    if rig is None:
+        size, far = FRAME_SIZE_PX, recorded.far_m
+        images = [
+            ImageFeature(RGB, CameraOutput.RGB, size, size, "front.mp4", far),
+            ImageFeature(DEPTH, CameraOutput.DEPTH, size, size, "depth.mp4", far),
+            ImageFeature(IDS, CameraOutput.IDS, size, size, "", far),
+        ]
+    else:
+        images = [image for camera in rig.cameras for image in _images_of(camera, wanted)]
+    columns = [*_COLUMNS.items()] if rig is None else [*_columns_of(rig)]
+    layout = Layout(tuple(image for image in images if wanted[image.output]), dict(columns))
+    _require_different([*(image.key for image in layout.images), *(name for name, _ in columns)])
+    _require_even(layout)
+    return layout
+
+
+def _vector(names: tuple[str, ...], dtype: str = "float32", sensor: Imu | WheelOdometry | None = None) -> Column:
+    return Column(dtype, names, (len(names),), sensor)
+
+
+_COLUMNS: Mapping[str, Column] = {
+    STATE: _vector(STATE_NAMES),
+    "action": _vector(ACTION_NAMES),
+    "tokens": _vector(TOKEN_NAMES, "int64"),
+    "pose": _vector(POSE_NAMES),
+    "timestamp": Column("float32"),
+    **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), Column("int64")),
+}
+"""Numeric columns without a rig."""
+
+
+def _images_of(camera: Camera, wanted: Mapping[CameraOutput, bool]) -> Iterator[ImageFeature]:
+    for output in (CameraOutput.RGB, CameraOutput.DEPTH, CameraOutput.IDS):
+        if output in camera.outputs and wanted[output]:
+            name = camera.name if output is CameraOutput.RGB else f"{camera.name}_{output}"
+            file = "" if output is CameraOutput.IDS else f"{name}.mp4"
+            far = largest_depth(camera) if output is CameraOutput.DEPTH else camera.far_m
+            key = f"observation.images.{name}"
+            yield ImageFeature(key, output, camera.width, camera.height, file, far, camera)
+
+
+def largest_depth(camera: Camera) -> float:
+    """Returns the largest possible value of the depth images of a camera, metres."""
+    if camera.depth is DepthKind.AXIAL:
+        return camera.far_m
+    return camera.far_m * max(face.view.corner for face in plan_faces(camera).faces)
+
+
+def _columns_of(rig: Rig) -> Iterator[tuple[str, Column]]:
+    """Yields the columns of a rig: its first odometry is the state, its other sensors follow the state."""
+    wheels = [sensor for sensor in rig.sensors if isinstance(sensor, WheelOdometry)]
+    yield STATE, _vector(STATE_NAMES, sensor=wheels[0] if wheels else None)
+    for sensor in rig.sensors:
+        name = f"observation.{sensor.name}"
+        match sensor:
+            case Imu():
+                yield name, _vector(IMU_NAMES, sensor=sensor)
+            case WheelOdometry() if sensor is not wheels[0]:
+                yield name, _vector(STATE_NAMES, sensor=sensor)
+            case Lidar2d():
+                yield name, Column("float32", None, (sensor.samples,), sensor)
+            case Lidar3d():
+                yield name, Column("float32", None, (len(sensor.elevations_deg), sensor.samples), sensor)
+    yield from (item for item in _COLUMNS.items() if item[0] != STATE)
+
+
+def _require_different(keys: list[str]) -> None:
+    twice = [key for key, count in Counter(keys).items() if count > 1]
+    if twice:
+        raise UsageError(f"two sensors would be the feature {twice[0]!r}: rename a sensor of the rig")
+
+
+def _require_even(layout: Layout) -> None:
+    for image in layout.videos:
+        if image.width % 2 or image.height % 2:
+            raise UsageError(
+                f"feature {image.key!r} has {image.width} x {image.height} pixels; H.264 video needs even sides: "
+                "change width or height of the camera by one pixel"
+            )

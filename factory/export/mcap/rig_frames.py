@@ -1,0 +1,74 @@
+"""Frames of the sensors of a rig in MCAP files: names and transforms from base_link. Pure.
+
+A sensor has the frame `<name>_link` (x forward, y left, z up); a camera also has `<name>_optical_frame` (z forward, x
+right, y down), which images refer to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.export.rig.calibration import OPTICAL_QUATERNION, mount_row
+from schemas.errors import UsageError
+from schemas.rig import Camera, Rig, Sensor, WheelOdometry
+
+_RESERVED = ("world", "map", "odom", "base_link")
+
+
+class FrameLink(NamedTuple):
+    """Constant transform between two frames."""
+
+    parent: str
+    child: str
+    pose: tuple[float, ...]
+    """x, y, z, qw, qx, qy, qz of the child in its parent."""
+
+
+def frame_of(sensor: Sensor) -> str:
+    """Returns the frame that the measurements of a sensor refer to; that of odometry is base_link at the start."""
+    if isinstance(sensor, WheelOdometry):
+        return f"{sensor.name}_start"
+    return f"{sensor.name}_optical_frame" if isinstance(sensor, Camera) else f"{sensor.name}_link"
+
+
+def links_of(rig: Rig, base: str) -> Iterator[FrameLink]:
+    """Yields the transforms from `base` to every frame of the rig, except those of odometry."""
+    for sensor in rig.sensors:
+        if isinstance(sensor, WheelOdometry):
+            continue
+        link = f"{sensor.name}_link"
+        yield FrameLink(base, link, mount_row(sensor.mount))
+        if isinstance(sensor, Camera):
+            yield FrameLink(link, frame_of(sensor), (0.0, 0.0, 0.0, *OPTICAL_QUATERNION))
+
+
+def planar_row(pose: NDArray[np.float64]) -> tuple[float, ...]:
+    """Returns x, y, z, qw, qx, qy, qz of a pose x, y, heading."""
+    x, y, heading = pose.tolist()
+    return (x, y, 0.0, math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
+
+
+def odometry_links(rig: Rig, world: str, start: tuple[float, ...]) -> Iterator[FrameLink]:
+    """Yields the transform from the world to the frame of each odometry: the pose of base_link at the start."""
+    for sensor in rig.sensors:
+        if isinstance(sensor, WheelOdometry):
+            yield FrameLink(world, frame_of(sensor), start)
+
+
+def require_different_frames(rig: Rig) -> None:
+    """Checks that no two frames have the same name.
+
+    Raises:
+        UsageError: a sensor has the frame of another sensor or of the robot.
+    """
+    seen = set(_RESERVED)
+    for sensor in rig.sensors:
+        names = {frame_of(sensor)} if isinstance(sensor, WheelOdometry) else {frame_of(sensor), f"{sensor.name}_link"}
+        if twice := names & seen:
+            raise UsageError(f"sensor {sensor.name!r}: the frame {min(twice)!r} exists already: rename the sensor")
+        seen |= names

@@ -1,0 +1,81 @@
+"""Reads the measurements of the rig of an episode for exporters: at their times, or the latest before a step.
+
+Every sensor measures at step 0, so that a latest measurement always exists. Encodes nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.dataset.episode import Episode
+from schemas.rig import Camera, Lidar2d, Lidar3d, Rig
+from workers.sensors import CameraObservation, ImuMeasurements, LidarScan, OdometryMeasurements
+
+Array = NDArray[Any]
+Seen = CameraObservation | LidarScan
+Motion = ImuMeasurements | OdometryMeasurements
+
+
+class _Kept(NamedTuple):
+    step: int
+    measurement: Seen
+
+
+class SensorReader:
+    """Measurements of the rig of an episode; each image and scan is computed once if steps ascend.
+
+    Raises:
+        UsageError: the episode has no rig.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        self.motion: dict[str, Motion] = episode.motion()
+        """Measurements of IMUs and odometry over the whole episode, by name."""
+        assert episode.rig is not None, "`motion` has required it"
+        self.rig: Rig = episode.rig
+        self.hz: int = episode.meta.job.task.control_hz
+        """Control rate, steps per second."""
+        self.strides = {sensor.name: sensor.stride(self.hz) for sensor in self.rig.sensors}
+        """Control steps between two measurements, by name."""
+        self._episode = episode
+        self._kept: dict[str, _Kept] = {}
+
+    def latest_step(self, name: str, t: int) -> int:
+        """Returns the step of the latest measurement of a sensor at or before step t."""
+        return t - t % self.strides[name]
+
+    def latest(self, name: str, t: int) -> Seen:
+        """Returns the latest measurement of a camera or lidar at or before step t."""
+        step = self.latest_step(name, t)
+        kept = self._kept.get(name)
+        if kept is None or kept.step != step:
+            kept = self._kept[name] = _Kept(step, self._episode.observe(step, [name])[name])
+        return kept.measurement
+
+    def scan(self, lidar: Lidar2d | Lidar3d, t: int) -> LidarScan:
+        """Returns the latest scan of a lidar at or before step t."""
+        found = self.latest(lidar.name, t)
+        assert isinstance(found, LidarScan)
+        return found
+
+    def arrays(self, sensor: Camera | Lidar2d | Lidar3d, t: int) -> dict[str, Array]:
+        """Returns the latest outputs of a camera, or `ranges` and `ids` of a lidar, at or before step t.
+
+        The flow of the last image, which has no later one, is NaN.
+        """
+        found = self.latest(sensor.name, t)
+        if isinstance(found, LidarScan):
+            return {"ranges": found.ranges, "ids": found.ids}
+        assert isinstance(sensor, Camera)
+        blank = np.full((sensor.height, sensor.width, 2), np.nan, np.float32)
+        return {output: blank if (image := getattr(found, output)) is None else image for output in sensor.outputs}
+
+
+def arrays_of(motion: Motion) -> dict[str, Array]:
+    """Returns the measurements of an IMU or of odometry over an episode by name; each has N rows."""
+    if isinstance(motion, ImuMeasurements):
+        return {"angular_velocity": motion.angular_velocity, "specific_force": motion.specific_force}
+    return {"ticks": motion.ticks, "poses": motion.poses, "twists": motion.twists}

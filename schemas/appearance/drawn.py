@@ -1,0 +1,111 @@
+"""Appearance of one episode: the values of all factors, as they are drawn, recorded and applied. Draws nothing."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from schemas.appearance.ranges import ClutterKind, Gain
+from schemas.base import Count, Finite, Line, Model, Positive
+
+Hex = Annotated[str, Field(pattern=r"^#[0-9a-f]{6}$")]
+"""sRGB colour as `#rrggbb`."""
+
+
+class LampLight(Model):
+    """Light of one lamp group, or of the sky."""
+
+    gain: Gain
+    """Factor of its light; 0 is off."""
+    temperature_k: Positive
+    """Colour temperature, kelvin."""
+
+
+class LightMix(Model):
+    """Light of an episode."""
+
+    lamps: Annotated[tuple[LampLight, ...], Field(max_length=64)]
+    """Light of each lamp group, in the order of the scene's light groups."""
+    sky: LampLight
+    """Light of the sky, and indirect light."""
+    adaption: Annotated[float, Field(ge=0, le=1)]
+    """Share of a change of the mean light that automatic exposure compensates."""
+
+
+class SurfaceChange(Model):
+    """New material of all surfaces of one kind, texture and colour."""
+
+    surface: Line
+    """Kind of the surface: `wall`, `floor`, `ceiling` or `object`."""
+    layer: Annotated[int, Field(ge=-1, le=63)]
+    """Former texture layer, or -1."""
+    colour: Hex
+    """Former colour."""
+    to_colour: Hex
+    """New colour, which multiplies the texture."""
+    texture: Line | None = None
+    """New texture; null keeps the former one."""
+    tile_m: Positive = 1.0
+    """Length of one repeat of a new texture, metres."""
+
+
+class CameraChange(Model):
+    """Change of the cameras."""
+
+    x_m: Finite = 0.0
+    """Displacement along x of base_link, metres."""
+    y_m: Finite = 0.0
+    """Displacement along y of base_link, metres."""
+    z_m: Finite = 0.0
+    """Displacement along z of base_link, metres."""
+    roll_deg: Finite = 0.0
+    """Change of the roll, degrees."""
+    pitch_deg: Finite = 0.0
+    """Change of the pitch, degrees."""
+    yaw_deg: Finite = 0.0
+    """Change of the yaw, degrees."""
+    focal: Positive = 1.0
+    """Factor of the focal length."""
+    exposure_stops: Finite = 0.0
+    """Exposure, stops."""
+
+
+class ClutterObject(Model):
+    """Small object on the floor."""
+
+    kind: ClutterKind
+    """Kind of the object."""
+    x_m: Finite
+    """x of its centre in the world frame, metres."""
+    y_m: Finite
+    """y of its centre in the world frame, metres."""
+    yaw_deg: Finite
+    """Rotation about z, degrees."""
+    size_m: Positive
+    """Largest side, metres."""
+    colour: Hex
+    """Colour of the object."""
+
+
+class DrawnAppearance(Model):
+    """Values of all factors of an episode; a factor that is null, or has no item, was not varied."""
+
+    name: Line
+    """Name of the appearance."""
+    episode: Count
+    """Number of the episode."""
+    light: LightMix | None = None
+    """Light of the episode."""
+    materials: Annotated[tuple[SurfaceChange, ...], Field(max_length=4096)] = ()
+    """Changed materials."""
+    camera: CameraChange | None = None
+    """Change of the cameras."""
+    clutter: Annotated[tuple[ClutterObject, ...], Field(max_length=64)] = ()
+    """Small objects on the floor."""
+
+    @property
+    def changes_scene(self) -> bool:
+        """Whether the scene looks different, apart from the camera's pose and lens."""
+        exposes = self.camera is not None and self.camera.exposure_stops != 0
+        return bool(self.light or self.materials or self.clutter) or exposes

@@ -1,0 +1,50 @@
+"""Loads appearances: built-in ones by name, others from TOML files. Errors name the key of every mistake."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from schemas.appearance.ranges import Appearance
+from schemas.errors import InvalidAppearance, UsageError
+from schemas.support.foreign import path_trouble
+from schemas.support.suggest import did_you_mean
+from schemas.support.toml_file import mistakes_of, read_toml
+
+_FOLDER = Path(__file__).parent / "builtin"
+BUILTIN_APPEARANCES = ("varied", "full", "light", "materials", "camera", "clutter")
+"""Names of the built-in appearances; each is a file in `schemas/appearance/builtin`."""
+NO_APPEARANCE = "none"
+"""Name that shows scenes as they were compiled."""
+
+
+def find_appearance(reference: str) -> Appearance | None:
+    """Returns an appearance as `load_appearance`, or `None` for `none`."""
+    return None if reference == NO_APPEARANCE else load_appearance(reference)
+
+
+def load_appearance(reference: str) -> Appearance:
+    """Returns a built-in appearance by its name, or reads a TOML file.
+
+    Args:
+        reference: name of a built-in appearance, or path of a file.
+
+    Raises:
+        UsageError: neither a built-in appearance nor a file has that name.
+        InvalidAppearance: the file has mistakes; the error lists all of them.
+    """
+    path = _FOLDER / f"{reference}.toml" if reference in BUILTIN_APPEARANCES else Path(reference)
+    trouble = path_trouble(reference)
+    if trouble:
+        raise UsageError(f"cannot read appearance {reference[:80]!r}: {trouble}")
+    if not path.is_file():
+        known = f"the built-in appearances are {', '.join(BUILTIN_APPEARANCES)}"
+        what = "that is a directory; give a TOML file" if path.is_dir() else "no such file"
+        raise UsageError(f"no appearance {reference!r}: {what}; {known}{did_you_mean(path.stem, BUILTIN_APPEARANCES)}")
+    data = read_toml(path, "appearance", InvalidAppearance)
+    data.setdefault("name", path.stem)
+    try:
+        return Appearance.model_validate(data)
+    except ValidationError as error:
+        raise InvalidAppearance(f"{path} is not a valid appearance", mistakes_of(error)) from error

@@ -1,0 +1,131 @@
+"""Ranges of the appearance of an episode: light, materials, camera and clutter. A missing section is not varied.
+
+Draws no values; `workers.appearance` does.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
+
+from schemas.base import Fraction, Model, NonNegative
+
+
+def _ordered(values: tuple[float, float]) -> tuple[float, float]:
+    low, high = values
+    if low > high:
+        raise ValueError(f"the first value, {low:g}, must not be greater than the second, {high:g}: exchange them")
+    return values
+
+
+Gain = Annotated[float, Field(ge=0, le=8)]
+Gains = Annotated[tuple[Gain, Gain], AfterValidator(_ordered)]
+_Kelvin = Annotated[float, Field(ge=1700, le=15_000)]
+Temperatures = Annotated[tuple[_Kelvin, _Kelvin], AfterValidator(_ordered)]
+_Shift = Annotated[float, Field(ge=-0.2, le=0.2)]
+Shifts = Annotated[tuple[_Shift, _Shift], AfterValidator(_ordered)]
+_Turn = Annotated[float, Field(ge=-30, le=30)]
+Turns = Annotated[tuple[_Turn, _Turn], AfterValidator(_ordered)]
+_Focal = Annotated[float, Field(ge=0.5, le=2)]
+_Stops = Annotated[float, Field(ge=-4, le=4)]
+_Number = Annotated[int, Field(ge=0, le=64)]
+_Side = Annotated[float, Field(ge=0.02, le=0.5)]
+
+WallSet = Literal["paint", "brick", "concrete", "panels", "tiles"]
+"""Materials of walls."""
+FloorSet = Literal["wood", "tiles", "carpet", "concrete", "linoleum"]
+"""Materials of floors."""
+ClutterKind = Literal["ball", "bottle", "box", "books", "cone"]
+"""Kinds of small objects; none of them is a category of the task."""
+
+
+class LightRanges(Model):
+    """Ranges of the light; factors multiply the light of the compiled scene."""
+
+    lamps: Gains = (0.5, 1.6)
+    """Factor of the light of each lamp group that is on."""
+    off_share: Fraction = 0.2
+    """Probability that a lamp group is off; one group is always on."""
+    temperature_k: Temperatures = (2700.0, 6500.0)
+    """Colour temperature of each lamp group, kelvin; 4000 K keeps the colour of the compiled scene."""
+    sky: Gains = (0.6, 1.4)
+    """Factor of the light of the sky and of indirect light."""
+    sky_temperature_k: Temperatures = (5000.0, 9000.0)
+    """Colour temperature of the sky, kelvin; 6500 K keeps the colour of the compiled scene."""
+    adaption: Fraction = 0.7
+    """Share of a change of the mean light, in stops, that automatic exposure compensates."""
+
+
+class MaterialRanges(Model):
+    """Sets of the colours and textures of surfaces."""
+
+    walls: tuple[WallSet, ...] = ("paint", "paint", "paint", "brick", "concrete", "panels", "tiles")
+    """Materials of walls; a repeated one is more probable, and an empty list keeps the walls."""
+    floors: tuple[FloorSet, ...] = ("wood", "tiles", "carpet", "concrete", "linoleum")
+    """Materials of floors; an empty list keeps the floors."""
+    ceilings: bool = True
+    """Whether the colour of ceilings varies."""
+    furniture: bool = True
+    """Whether the colours of other objects vary; each keeps its colour name, so that instructions stay true."""
+
+
+class CameraRanges(Model):
+    """Ranges of the mounting pose, lens and exposure; all cameras of a robot change alike."""
+
+    x_m: Shifts = (-0.02, 0.02)
+    """Displacement along x of base_link, metres."""
+    y_m: Shifts = (-0.02, 0.02)
+    """Displacement along y of base_link, metres."""
+    z_m: Shifts = (-0.03, 0.03)
+    """Displacement along z of base_link, metres; a camera stays 2 cm above the floor."""
+    roll_deg: Turns = (-1.5, 1.5)
+    """Change of the mount's roll, degrees."""
+    pitch_deg: Turns = (-3.0, 3.0)
+    """Change of the mount's pitch, degrees."""
+    yaw_deg: Turns = (-3.0, 3.0)
+    """Change of the mount's yaw, degrees."""
+    focal: Annotated[tuple[_Focal, _Focal], AfterValidator(_ordered)] = (0.93, 1.07)
+    """Factor of the focal length; 0.93 and 1.07 turn a field of view of 90 degrees into 94 and 86 degrees."""
+    exposure_stops: Annotated[tuple[_Stops, _Stops], AfterValidator(_ordered)] = (-0.7, 0.7)
+    """Exposure, stops; 1 doubles the light."""
+
+
+class ClutterRanges(Model):
+    """Ranges of small objects on the floor beside the path of the robot."""
+
+    count: Annotated[tuple[_Number, _Number], AfterValidator(_ordered)] = (2, 8)
+    """Number of objects; fewer are placed where no room is found."""
+    size_m: Annotated[tuple[_Side, _Side], AfterValidator(_ordered)] = (0.08, 0.3)
+    """Largest side of an object, metres."""
+    kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1)] = ("ball", "bottle", "box", "books", "cone")
+    """Kinds of the objects."""
+    clearance_m: NonNegative = 0.15
+    """Least distance from the footprint of the robot at every pose of the episode, metres."""
+    reach_m: Annotated[float, Field(gt=0, le=30)] = 4.0
+    """Largest distance from the path, metres."""
+
+
+class Appearance(Model):
+    """Ranges of the appearance of an episode; a section that is null is not varied."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,63}$")] = "own"
+    """Name of the appearance."""
+    light: LightRanges | None = None
+    """Ranges of the light."""
+    materials: MaterialRanges | None = None
+    """Sets of the materials."""
+    camera: CameraRanges | None = None
+    """Ranges of the camera."""
+    clutter: ClutterRanges | None = None
+    """Ranges of the clutter."""
+
+    @property
+    def changes_scenes(self) -> bool:
+        """Whether each episode has its own scene: anything but the pose and lens of the camera is varied."""
+        exposes = self.camera is not None and self.camera.exposure_stops != (0.0, 0.0)
+        return exposes or any((self.light, self.materials, self.clutter))
+
+    def plain(self) -> dict[str, Any]:
+        """Returns the ranges as JSON values, without those that equal their default."""
+        return self.model_dump(mode="json", exclude_unset=False, exclude_defaults=True)

@@ -1,0 +1,46 @@
+"""View settings: what images and measurements of an episode depend on, beside its scene, poses and recorded camera.
+
+The settings are part of a plan, travel in a job, and are recorded in the metadata. Renders nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, PlainSerializer
+
+from schemas.appearance import Appearance
+from schemas.base import Bytes, Model, Sha256
+from schemas.rig import Rig
+
+RigData = Annotated[Rig, PlainSerializer(Rig.plain)]
+"""Rig that is written without values that equal their default, so that a later key changes no digest."""
+AppearanceData = Annotated[Appearance, PlainSerializer(Appearance.plain)]
+"""Appearance that is written without values that equal their default."""
+
+
+class LightFile(Model):
+    """File with the light groups of a scene, which workers fetch by its digest."""
+
+    sha256: Sha256
+    """Digest of the file."""
+    size: Annotated[Bytes, Field(ge=1)]
+    """Size of the file, bytes."""
+
+
+class ViewSettings(Model):
+    """Settings of rendering that a plan, or the command that renders, chooses."""
+
+    rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
+    """Sensors whose measurements are stored beside the recorded camera; null for none."""
+
+    appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Ranges of the appearance; null shows the scene as it was compiled."""
+
+    light: LightFile | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Light groups of the job's scene; null if the light is not varied."""
+
+    def describe(self) -> str:
+        """Returns the settings in a few words."""
+        shown = "the recorded camera" if self.rig is None else f"rig {self.rig.name} ({self.rig.digest[:12]})"
+        return shown if self.appearance is None else f"{shown}, appearance {self.appearance.name}"

@@ -1,0 +1,71 @@
+"""A small rig with noise, and a dataset that stores its measurements."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+from schemas.rig import Rig
+
+SMALL_RIG = """
+name = "small"
+
+[[sensors]]
+name = "front"
+model = "pinhole"
+rate_hz = 20
+width = 96
+height = 64
+fov_deg = 90
+outputs = ["rgb", "depth", "ids", "normals", "flow"]
+mount = { x_m = 0.2, z_m = 0.5 }
+noise = { colour = {}, depth = { model = "stereo" } }
+
+[[sensors]]
+name = "scan"
+model = "lidar2d"
+rate_hz = 10
+samples = 90
+range_min_m = 0.1
+range_max_m = 20
+mount = { x_m = 0.2, z_m = 0.5 }
+noise = {}
+
+[[sensors]]
+name = "imu"
+model = "imu"
+rate_hz = 30
+mount = { x_m = 0.2, z_m = 0.5 }
+noise = {}
+
+[[sensors]]
+name = "wheels"
+model = "odometry"
+noise = {}
+"""
+"""File of a rig with a sensor of each kind; its drives take seconds to render."""
+
+
+def write_rig(folder: Path) -> Path:
+    """Writes the rig to a folder and returns its path."""
+    path = folder / "small.toml"
+    path.write_text(SMALL_RIG)
+    return path
+
+
+def small_rig(*, has_noise: bool = True) -> Rig:
+    """Returns the rig without optical flow, so that it can be measured during a drive."""
+    data = tomllib.loads(SMALL_RIG)
+    data["sensors"][0]["outputs"].remove("flow")
+    for sensor in data["sensors"]:
+        sensor["noise"] = sensor["noise"] if has_noise else None
+    return Rig.model_validate(data)
+
+
+def render_rigged(root: Path, states: Path) -> None:
+    """Renders a states dataset with the small rig into `root`, with one worker. Needs an EGL driver."""
+    rig = write_rig(root.parent)
+    words = ("render", states, "--rig", rig, "-o", root, "--workers", 1, "--renderer", "gl")
+    subprocess.run([sys.executable, "-m", "factory", *map(str, words)], check=True, capture_output=True)

@@ -1,0 +1,149 @@
+"""Places small objects on the floor beside the path of the robot. Pure.
+
+An object keeps a clearance from the footprint at every pose, because the drive was made without it, and it stands
+outside of the triangle of views to the target from the first and the last pose, so that it hides no pixel of it there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy  # loads a submodule at its first use
+
+from schemas.appearance import ClutterObject, ClutterRanges
+from schemas.scene import CompiledScene, Target
+from schemas.support import portable
+from schemas.support.numpy_types import Bools, Floats
+from workers.appearance.chance import Chance
+from workers.appearance.clutter_shapes import RADII
+from workers.appearance.floor import FloorUnder
+from workers.geometry.grid import DISC_OFFSETS_M, DISC_RADIUS_M, Grid
+
+COLOURS = (
+    "#b5201c",
+    "#e0701a",
+    "#e8b81c",
+    "#2c8a3c",
+    "#1f7f82",
+    "#1d4fa8",
+    "#5b9bd5",
+    "#6a3d8f",
+    "#d884a8",
+    "#6b4226",
+    "#cdb892",
+    "#eeeeea",
+    "#85888c",
+    "#3a3c40",
+    "#1c2b52",
+    "#3f7d4a",
+)
+"""Colours of the objects."""
+_GAP_M = 0.05
+"""Free space between an object and anything else, metres."""
+_VIEW_MARGIN_M = 0.15
+"""Margin beside the views to the target, metres; cameras are displaced by centimetres, and the robot is beside them."""
+
+
+def place_clutter(
+    ranges: ClutterRanges, chance: Chance, scene: CompiledScene, target: Target, poses: Floats
+) -> tuple[ClutterObject, ...]:
+    """Returns the objects of an episode.
+
+    Args:
+        ranges: number, kinds and sizes of the objects.
+        chance: random numbers.
+        scene: compiled scene.
+        target: object that stays in view.
+        poses: (T, 7) poses of base_link: x, y, z in metres and the quaternion w, x, y, z.
+    """
+    grid, floor = Grid.from_scene(scene), FloorUnder(scene)
+    swept = _distance_to_path(grid, poses)
+    room = np.minimum(grid.clearance - grid.resolution_m, swept - DISC_RADIUS_M - ranges.clearance_m)
+    room[(swept > ranges.reach_m) | _in_view(grid, target, poses)] = 0.0
+    placed: list[ClutterObject] = []
+    low, high = ranges.count
+    for _ in range(low + chance.below(high - low + 1)):
+        kind, size, colour = chance.choose(ranges.kinds), chance.between(ranges.size_m, 3), chance.choose(COLOURS)
+        yaw, pick = chance.between((-180.0, 180.0), 1), chance.share()
+        radius = RADII[kind] * size + _GAP_M
+        cells = np.flatnonzero(room.ravel() >= radius)
+        if not len(cells):
+            continue
+        cell = np.unravel_index(cells[int(pick * len(cells))], room.shape)
+        x, y = (round(float(value), 3) for value in grid.centre_of(np.array(cell)))
+        if floor.triangle_at(x, y) is None:
+            continue
+        placed.append(ClutterObject(kind=kind, x_m=x, y_m=y, yaw_deg=yaw, size_m=size, colour=colour))
+        rows, columns = np.ogrid[: room.shape[0], : room.shape[1]]
+        gaps = np.hypot(rows - cell[0], columns - cell[1]) * grid.resolution_m - radius
+        room = np.minimum(room, np.maximum(gaps, 0.0))
+    return tuple(placed)
+
+
+def _distance_to_path(grid: Grid, poses: Floats) -> Floats:
+    """Returns (H, W) the distance from each cell to the nearest centre of a disc of the footprint, metres, or less."""
+    yaw = np.array([_yaw(*row[3:]) for row in poses])
+    along = np.asarray(DISC_OFFSETS_M)
+    x = poses[:, 0, None] + along * portable.cos(yaw)[:, None]
+    y = poses[:, 1, None] + along * portable.sin(yaw)[:, None]
+    cells = grid.cell_of(np.stack((x, y), axis=-1)).reshape(-1, 2)
+    free = np.ones(grid.occupancy.shape, bool)
+    inside = ((cells >= 0) & (cells < free.shape)).all(axis=1)
+    free[tuple(cells[inside].T)] = False
+    field = scipy.ndimage.distance_transform_edt(free) * grid.resolution_m
+    return np.asarray(field - grid.resolution_m)  # both points may be anywhere in their cells
+
+
+def _yaw(qw: float, qx: float, qy: float, qz: float) -> float:
+    return math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+
+def _in_view(grid: Grid, target: Target, poses: Floats) -> Bools:
+    """Returns (H, W) the cells near a line from the robot to the target, at the first or at the last pose."""
+    rows, columns = np.indices(grid.occupancy.shape)
+    points = grid.centre_of(np.stack((rows, columns), axis=-1).reshape(-1, 2))
+    corners = np.array(target.footprint_m or _box(target))
+    near = np.zeros(len(points), bool)
+    for pose in (poses[0], poses[-1]):
+        hull = _hull(np.vstack((pose[None, :2], corners)))
+        near |= _distance_to_hull(points, hull) < _VIEW_MARGIN_M + grid.resolution_m + max(RADII.values()) * 0.5
+    return near.reshape(grid.occupancy.shape)
+
+
+def _box(target: Target) -> list[tuple[float, float]]:
+    (left, low), (right, high) = target.taken_m
+    return [(left, low), (right, low), (right, high), (left, high)]
+
+
+def _hull(points: Floats) -> Floats:
+    """Returns the convex hull, counter-clockwise (Andrew's monotone chain)."""
+    ordered = sorted(set(map(tuple, points.tolist())))
+
+    def half(items: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        chain: list[tuple[float, ...]] = []
+        for item in items:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], item) <= 0:
+                chain.pop()
+            chain.append(item)
+        return chain[:-1]
+
+    return np.array(half(ordered) + half(ordered[::-1]))
+
+
+def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _distance_to_hull(points: Floats, hull: Floats) -> Floats:
+    """Returns (N,) the distance from points to a convex polygon, metres; 0 inside."""
+    ends = np.roll(hull, -1, axis=0)
+    least, inside = np.full(len(points), np.inf), np.ones(len(points), bool)
+    for start, end in zip(hull, ends, strict=True):
+        side = end - start
+        gap = points - start
+        share = np.clip((gap[:, 0] * side[0] + gap[:, 1] * side[1]) / max(float((side**2).sum()), 1e-12), 0, 1)
+        off = gap - share[:, None] * side
+        least = np.minimum(least, np.sqrt((off**2).sum(axis=1)))
+        inside &= side[0] * gap[:, 1] - side[1] * gap[:, 0] >= 0
+    return np.where(inside, 0.0, least)

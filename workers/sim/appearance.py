@@ -1,0 +1,70 @@
+"""Shows the appearance of an episode to a renderer: the dressed scene, and the cameras with their change. Draws no
+frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.appearance import Appearance, CameraChange, DrawnAppearance
+from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.errors import WorldError
+from schemas.job import Job
+from schemas.scene import Instance
+from workers.appearance import ShiftedRenderer, draw_appearance, dress_scene
+from workers.render import Renderer
+from workers.sim.scene_renderer import LoadedScene
+
+
+class Shown(NamedTuple):
+    """Scene of an episode as it is rendered."""
+
+    place: LoadedScene
+    """Scene with its appearance; the collider is that of the scene without clutter."""
+    renderer: Renderer
+    """Renderer with that scene loaded, whose recorded camera has its change."""
+    drawn: DrawnAppearance | None = None
+    """Factors of the episode; `None` if the appearance is not varied."""
+
+    @property
+    def instances(self) -> tuple[Instance, ...]:
+        """Instances that the ids refer to, clutter included."""
+        return self.place.scene.info.instances
+
+    @property
+    def change(self) -> CameraChange | None:
+        """Change of the cameras."""
+        return None if self.drawn is None else self.drawn.camera
+
+
+def show_appearance(
+    job: Job, ranges: Appearance | None, place: LoadedScene, renderer: Renderer, poses: NDArray[np.float64]
+) -> Shown:
+    """Draws the appearance of an episode, and loads its scene and camera; without ranges, the scene as it was compiled.
+
+    Args:
+        job: job of the episode.
+        ranges: ranges of the appearance.
+        place: scene of the job.
+        renderer: open renderer.
+        poses: (T, 7) poses of base_link, from which clutter keeps its distance.
+
+    Raises:
+        WorldError: the light is varied, and the scene has no light groups.
+    """
+    if ranges is None:
+        renderer.load(place.scene, job.camera)
+        return Shown(place, renderer)
+    if ranges.light is not None and place.light is None:
+        raise WorldError(f"the light groups of scene {job.scene} are missing: run `factory scene light {job.scene}`")
+    target = place.scene.info.target(job.target_id)
+    drawn = draw_appearance(ranges, job.root_seed, job.index, place.appearance, target, poses)
+    scene = dress_scene(place.scene, place.light, drawn) if drawn.changes_scene else place.scene
+    renderer.load(scene, job.camera)
+    if drawn.camera is not None:
+        renderer = ShiftedRenderer(renderer, job.camera, drawn.camera, FRAME_SIZE_PX)
+    return Shown(replace(place, scene=scene), renderer, drawn)
