@@ -92,10 +92,10 @@ def _chambers(division: Division) -> list[Chamber]:
     x0, y0 = min(a.x0 for a in division.areas), min(a.y0 for a in division.areas)
     x1, y1 = max(a.x1 for a in division.areas), max(a.y1 for a in division.areas)
     rooms = []
-    for number, (wish, area) in enumerate(zip(division.wishes, division.areas, strict=True)):
+    for number, (spec, area) in enumerate(zip(division.specs, division.areas, strict=True)):
         edges = {"S": area.y0 - y0, "N": y1 - area.y1, "W": area.x0 - x0, "E": x1 - area.x1}
         outer = "".join(side for side in _SIDES if edges[side] < 1e-6)
-        rooms.append(Chamber(number, wish.kind, area.grown(-WALL_THICKNESS_M / 2), outer))
+        rooms.append(Chamber(number, spec.kind, area.grown(-WALL_THICKNESS_M / 2), outer))
     for opening in division.openings:
         for own, other in (opening.rooms, opening.rooms[::-1]):
             area = division.areas[own]
@@ -139,7 +139,7 @@ def _wall_runs(areas: Sequence[Rectangle]) -> Iterator[_Run]:
 
 
 def _build_wall(plan: FloorPlan, run: _Run, division: Division, fabric: Fabric) -> None:
-    looks = [None if room is None else fabric.looks[division.wishes[room].kind] for room in (run.below, run.above)]
+    looks = [None if room is None else fabric.looks[division.specs[room].kind] for room in (run.below, run.above)]
     shown = next(look for look in looks if look is not None)
     faces = tuple((look or shown).paint for look in looks)
     trims = tuple(None if look is None else fabric.trim for look in looks)

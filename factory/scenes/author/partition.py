@@ -18,14 +18,14 @@ from schemas.errors import WorldError
 
 _TRIES = 600
 _GIVE = (0.8, 1.25)
-"""Range of the factor by which the floor of a room may differ from its wish."""
+"""Range of the factor by which the floor of a room may differ from its spec."""
 _SLENDER = 2.1
 """Largest ratio of the sides of a room."""
 _END_M = 0.45
 """Least distance between an opening and the end of the common wall, metres."""
 
 
-class Wish(NamedTuple):
+class RoomSpec(NamedTuple):
     """Room of a building program: kind, desired floor and least side, metres."""
 
     kind: str
@@ -48,7 +48,7 @@ class Opening(NamedTuple):
 class Division:
     """Rooms of a floor, and the openings between them."""
 
-    wishes: tuple[Wish, ...]
+    specs: tuple[RoomSpec, ...]
     areas: tuple[Rectangle, ...]
     openings: tuple[Opening, ...]
 
@@ -64,14 +64,14 @@ class Doors(NamedTuple):
 
 
 def divide_floor(
-    rng: Generator, floor: Rectangle, wishes: Sequence[Wish], doors: Doors, hall_m: float | None = None
+    rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], doors: Doors, hall_m: float | None = None
 ) -> Division:
     """Divides a floor so that every room has its least side and can be entered.
 
     Args:
         rng: random generator.
         floor: outer rectangle, between the centre lines of the outer walls.
-        wishes: rooms of the building.
+        specs: rooms of the building.
         doors: widths of the openings.
         hall_m: width of a straight hall across the floor, or `None` for none; the hall is the last room.
 
@@ -80,36 +80,36 @@ def divide_floor(
     """
     for _ in range(_TRIES):
         order = tuple(
-            wishes[k]._replace(area_m2=wishes[k].area_m2 * float(rng.uniform(*_GIVE)))
-            for k in rng.permutation(len(wishes))
+            specs[k]._replace(area_m2=specs[k].area_m2 * float(rng.uniform(*_GIVE)))
+            for k in rng.permutation(len(specs))
         )
         areas = _cut(rng, floor, order) if hall_m is None else _cut_with_hall(rng, floor, order, hall_m)
         if areas is None:
             continue
         if hall_m is not None:
-            order = (*order, Wish("hall", 0.0, hall_m, is_hub=True))
+            order = (*order, RoomSpec("hall", 0.0, hall_m, is_hub=True))
         openings = _open(rng, order, areas, doors)
         if openings is not None:
             return Division(order, tuple(areas), tuple(openings))
     raise WorldError(
-        f"no division of {floor.width:.1f} x {floor.depth:.1f} m into {len(wishes)} rooms was found; use another seed"
+        f"no division of {floor.width:.1f} x {floor.depth:.1f} m into {len(specs)} rooms was found; use another seed"
     )
 
 
-def _suits(area: Rectangle, wish: Wish) -> bool:
+def _suits(area: Rectangle, spec: RoomSpec) -> bool:
     short, long = sorted((area.width, area.depth))
-    return short >= wish.least_m and long <= _SLENDER * short
+    return short >= spec.least_m and long <= _SLENDER * short
 
 
-def _cut(rng: Generator, floor: Rectangle, wishes: Sequence[Wish], strips: float = 0.0) -> list[Rectangle] | None:
-    """Cuts a rectangle in two until each wish has a room of about its floor that suits it; `None` if that fails.
+def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], strips: float = 0.0) -> list[Rectangle] | None:
+    """Cuts a rectangle in two until each spec has a room of about its floor that suits it; `None` if that fails.
 
     `strips` is the probability with which cuts across x are tried first, so that the rooms form a row.
     """
-    if len(wishes) == 1:
-        return [floor] if _suits(floor, wishes[0]) else None
-    total = sum(wish.area_m2 for wish in wishes)
-    shares = [sum(wish.area_m2 for wish in wishes[:k]) / total for k in range(1, len(wishes))]
+    if len(specs) == 1:
+        return [floor] if _suits(floor, specs[0]) else None
+    total = sum(spec.area_m2 for spec in specs)
+    shares = [sum(spec.area_m2 for spec in specs[:k]) / total for k in range(1, len(specs))]
     nearest = sorted(range(len(shares)), key=lambda k: abs(shares[k] - 0.5))[:3]
     ways = [(k, is_along_x) for k in nearest for is_along_x in (True, False)]
     order = sorted(rng.permutation(len(ways)), key=lambda number: not (ways[number][1] or rng.random() > strips))
@@ -121,20 +121,22 @@ def _cut(rng: Generator, floor: Rectangle, wishes: Sequence[Wish], strips: float
         else:
             y = floor.y0 + shares[k] * floor.depth
             parts = floor._replace(y1=y), floor._replace(y0=y)
-        first = _cut(rng, parts[0], wishes[: k + 1], strips)
-        second = None if first is None else _cut(rng, parts[1], wishes[k + 1 :], strips)
+        first = _cut(rng, parts[0], specs[: k + 1], strips)
+        second = None if first is None else _cut(rng, parts[1], specs[k + 1 :], strips)
         if first is not None and second is not None:
             return first + second
     return None
 
 
-def _cut_with_hall(rng: Generator, floor: Rectangle, wishes: Sequence[Wish], hall_m: float) -> list[Rectangle] | None:
+def _cut_with_hall(
+    rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], hall_m: float
+) -> list[Rectangle] | None:
     """Cuts both sides of a hall along x; the hall is the last rectangle."""
-    k = len(wishes) // 2 + int(rng.integers(len(wishes) % 2 + 1))
-    share = sum(wish.area_m2 for wish in wishes[:k]) / sum(wish.area_m2 for wish in wishes)
+    k = len(specs) // 2 + int(rng.integers(len(specs) % 2 + 1))
+    share = sum(spec.area_m2 for spec in specs[:k]) / sum(spec.area_m2 for spec in specs)
     y = floor.y0 + share * (floor.depth - hall_m)
-    south = _cut(rng, floor._replace(y1=y), wishes[:k], 0.85)
-    north = None if south is None else _cut(rng, floor._replace(y0=y + hall_m), wishes[k:], 0.85)
+    south = _cut(rng, floor._replace(y1=y), specs[:k], 0.85)
+    north = None if south is None else _cut(rng, floor._replace(y0=y + hall_m), specs[k:], 0.85)
     if south is None or north is None:
         return None
     return [*south, *north, floor._replace(y0=y, y1=y + hall_m)]
@@ -153,18 +155,18 @@ def _common_wall(one: Rectangle, two: Rectangle) -> tuple[bool, float, float, fl
     return None
 
 
-def _open(rng: Generator, wishes: Sequence[Wish], areas: Sequence[Rectangle], doors: Doors) -> list[Opening] | None:
+def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle], doors: Doors) -> list[Opening] | None:
     """Returns a spanning tree of openings through hubs, with loops between hubs; `None` if a room stays closed."""
-    pairs = [(i, j) for i, j in combinations(range(len(wishes)), 2) if wishes[i].is_hub or wishes[j].is_hub]
+    pairs = [(i, j) for i, j in combinations(range(len(specs)), 2) if specs[i].is_hub or specs[j].is_hub]
     order = [pairs[k] for k in rng.permutation(len(pairs))]
-    order.sort(key=lambda pair: not (wishes[pair[0]].is_hub and wishes[pair[1]].is_hub))
-    group = list(range(len(wishes)))
+    order.sort(key=lambda pair: not (specs[pair[0]].is_hub and specs[pair[1]].is_hub))
+    group = list(range(len(specs)))
     found: list[Opening] = []
     for i, j in order:
         is_loop = group[i] == group[j]
-        if is_loop and not (wishes[i].is_hub and wishes[j].is_hub and rng.random() < doors.loops):
+        if is_loop and not (specs[i].is_hub and specs[j].is_hub and rng.random() < doors.loops):
             continue
-        opening = _opening(rng, (i, j), wishes, areas, doors)
+        opening = _opening(rng, (i, j), specs, areas, doors)
         if opening is not None:
             found.append(opening)
             group = [group[i] if g == group[j] else g for g in group]
@@ -172,14 +174,14 @@ def _open(rng: Generator, wishes: Sequence[Wish], areas: Sequence[Rectangle], do
 
 
 def _opening(
-    rng: Generator, pair: tuple[int, int], wishes: Sequence[Wish], areas: Sequence[Rectangle], doors: Doors
+    rng: Generator, pair: tuple[int, int], specs: Sequence[RoomSpec], areas: Sequence[Rectangle], doors: Doors
 ) -> Opening | None:
     """Returns an opening in the common wall, as wide as the kinds of the rooms permit, or `None`."""
     shared = _common_wall(areas[pair[0]], areas[pair[1]])
     if shared is None:
         return None
     is_along_x, at, low, high = shared
-    wide = doors.open_m.get(frozenset((wishes[pair[0]].kind, wishes[pair[1]].kind)))
+    wide = doors.open_m.get(frozenset((specs[pair[0]].kind, specs[pair[1]].kind)))
     width = doors.usual_m if wide is None else min(float(rng.uniform(*wide)), high - low - 2 * _END_M)
     reach = width / 2 + _END_M
     if width < doors.usual_m or high - low < 2 * reach:

@@ -11,7 +11,7 @@ from numpy.random import Generator
 
 from factory.scenes.author.dwelling import Fabric, Look, build_rooms
 from factory.scenes.author.layouts.home_rooms import furnish_home
-from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
+from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
 from factory.scenes.author.style import Palette, draw_palette
 
@@ -47,27 +47,27 @@ def lay_out_home(plan: FloorPlan) -> None:
 def _divide(rng: Generator) -> Division:
     """Draws the program and the outline; a hall in half of the homes."""
     has_hall = bool(rng.random() < 0.5)
-    wishes = [
-        Wish("living", float(rng.uniform(30, 42)), 4.2, True),
-        Wish("kitchen", float(rng.uniform(16, 21)), 3.1, True),
-        Wish("bedroom", float(rng.uniform(18, 23)), 3.4),
-        Wish("bath", float(rng.uniform(10, 13)), 2.5),
-        Wish("bedroom", float(rng.uniform(16, 20)), 3.3),
+    specs = [
+        RoomSpec("living", float(rng.uniform(30, 42)), 4.2, True),
+        RoomSpec("kitchen", float(rng.uniform(16, 21)), 3.1, True),
+        RoomSpec("bedroom", float(rng.uniform(18, 23)), 3.4),
+        RoomSpec("bath", float(rng.uniform(10, 13)), 2.5),
+        RoomSpec("bedroom", float(rng.uniform(16, 20)), 3.3),
     ]
     if rng.random() < 0.6:
-        wishes.append(Wish("dining", float(rng.uniform(15, 20)), 3.2, True))
+        specs.append(RoomSpec("dining", float(rng.uniform(15, 20)), 3.2, True))
     if rng.random() < 0.6:
-        wishes.append(Wish("study", float(rng.uniform(12.5, 16)), 2.9))
+        specs.append(RoomSpec("study", float(rng.uniform(12.5, 16)), 2.9))
     if rng.random() < 0.5:
-        wishes.append(Wish("laundry", float(rng.uniform(8.5, 11)), 2.3))
+        specs.append(RoomSpec("laundry", float(rng.uniform(8.5, 11)), 2.3))
     if rng.random() < 0.35:
-        wishes.append(Wish("bedroom", float(rng.uniform(15, 18)), 3.2))
+        specs.append(RoomSpec("bedroom", float(rng.uniform(15, 18)), 3.2))
     hall = float(rng.uniform(1.7, 2.3)) if has_hall else None
-    area, ratio = sum(wish.area_m2 for wish in wishes), float(rng.uniform(1.1, 1.6))
+    area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.1, 1.6))
     width = math.sqrt(area * ratio)
     outline = Rectangle(0.0, 0.0, width, area / width + (hall or 0.0))
     doors = Doors(float(rng.uniform(1.0, 1.15)), _OPEN, float(rng.uniform(0.3, 1.0)))
-    return divide_floor(rng, outline, wishes, doors, hall)
+    return divide_floor(rng, outline, specs, doors, hall)
 
 
 def _looks(palette: Palette) -> dict[str, Look]:

@@ -1,4 +1,4 @@
-"""Furnishes the rooms of a home: living and dining room, kitchen, bedrooms, bath, study, laundry and hall.
+"""Furnishes the rooms of a home: lounge and dining room, kitchen, bedrooms, bath, study, laundry and hall.
 
 Places props in metres; larger ones first. Does not build walls.
 """

@@ -9,7 +9,7 @@ import math
 
 from factory.scenes.author.dwelling import Fabric, Look, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
-from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
+from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
 from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
 
@@ -50,17 +50,17 @@ def lay_out_school(plan: FloorPlan) -> None:
 
 def _divide(plan: FloorPlan) -> Division:
     rng = plan.rng
-    wishes = [Wish("class", float(rng.uniform(44, 58)), 5.6) for _ in range(2 + plan.pick(2))]
-    wishes.append(Wish("library", float(rng.uniform(34, 48)), 4.5))
-    wishes.append(Wish("staff", float(rng.uniform(24, 32)), 3.6))
-    wishes.append(Wish("wash", float(rng.uniform(15, 20)), 2.6))
+    specs = [RoomSpec("class", float(rng.uniform(44, 58)), 5.6) for _ in range(2 + plan.pick(2))]
+    specs.append(RoomSpec("library", float(rng.uniform(34, 48)), 4.5))
+    specs.append(RoomSpec("staff", float(rng.uniform(24, 32)), 3.6))
+    specs.append(RoomSpec("wash", float(rng.uniform(15, 20)), 2.6))
     if rng.random() < 0.6:
-        wishes.append(Wish("computing", float(rng.uniform(36, 48)), 4.8))
+        specs.append(RoomSpec("computing", float(rng.uniform(36, 48)), 4.8))
     hall = float(rng.uniform(2.6, 3.6))
-    area, ratio = sum(wish.area_m2 for wish in wishes), float(rng.uniform(1.3, 1.9))
+    area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.3, 1.9))
     width = math.sqrt(area * ratio)
     doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("library", "hall")): (1.6, 2.4)}, 0.0)
-    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), wishes, doors, hall)
+    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, hall)
 
 
 def _looks(palette: Palette) -> dict[str, Look]:

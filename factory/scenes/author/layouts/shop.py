@@ -9,7 +9,7 @@ import math
 
 from factory.scenes.author.dwelling import Fabric, Look, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
-from factory.scenes.author.partition import Division, Doors, Wish, divide_floor
+from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
 from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
 
@@ -52,18 +52,18 @@ def lay_out_shop(plan: FloorPlan) -> None:
 
 def _divide(plan: FloorPlan) -> Division:
     rng = plan.rng
-    wishes = [
-        Wish("sales", float(rng.uniform(85, 130)), 7.0, True),
-        Wish("store", float(rng.uniform(26, 36)), 3.6, True),
-        Wish("office", float(rng.uniform(15, 21)), 2.9),
-        Wish("wash", float(rng.uniform(10, 13)), 2.4),
+    specs = [
+        RoomSpec("sales", float(rng.uniform(85, 130)), 7.0, True),
+        RoomSpec("store", float(rng.uniform(26, 36)), 3.6, True),
+        RoomSpec("office", float(rng.uniform(15, 21)), 2.9),
+        RoomSpec("wash", float(rng.uniform(10, 13)), 2.4),
     ]
     if rng.random() < 0.6:
-        wishes.append(Wish("annex", float(rng.uniform(34, 52)), 4.2, True))
-    area, ratio = sum(wish.area_m2 for wish in wishes), float(rng.uniform(1.0, 1.5))
+        specs.append(RoomSpec("annex", float(rng.uniform(34, 52)), 4.2, True))
+    area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.0, 1.5))
     width = math.sqrt(area * ratio)
     doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("sales", "annex")): (2.4, 4.0)}, 0.6)
-    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), wishes, doors)
+    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), specs, doors)
 
 
 def _looks(palette: Palette) -> dict[str, Look]:

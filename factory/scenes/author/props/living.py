@@ -1,4 +1,4 @@
-"""Builders for living rooms: lamps, televisions, fireplaces, pianos, fans, radiators, clocks, vases, dining tables.
+"""Builders for lounges: lamps, televisions, fireplaces, pianos, fans, radiators, clocks, vases, dining tables.
 
 Lengths in metres, origin on the floor, front facing -y. Does not place props.
 """
