@@ -75,7 +75,9 @@ def test_every_category_has_a_path_from_near_mid_and_far(scene: CompiledScene) -
 def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
     for target in scene.info.targets:
         assert set(target.straight_tiers) <= set(target.connected_tiers)
-        assert Tier.FAR in target.connected_tiers
+        assert set(target.surface_straight_tiers) <= set(target.surface_connected_tiers)
+        is_family = scene.info.name not in PAPER_SCENES  # which has targets too large for the measure by centroid
+        assert Tier.FAR in (target.surface_connected_tiers if is_family else target.connected_tiers)
 
 
 def test_a_closed_scene_has_no_sky(scene: CompiledScene) -> None:
