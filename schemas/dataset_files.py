@@ -8,11 +8,12 @@ EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quara
 LEDGER_FILE = "ledger.db"
 METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
 SHARDS_FILE = "shards.parquet"
+INSTRUCTIONS_FILE, RELABEL_FILE = "instructions.parquet", "relabel.json"
 META_FILE = "dataset_meta.json"
 CARD_FILE = "README.md"
 SPLITS_FOLDER = "data"
-_TABLES = {METADATA_FILE, ATTEMPTS_FILE, SHARDS_FILE}
-_PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, CARD_FILE, QUARANTINE, *_TABLES})
+_TABLES = {METADATA_FILE, ATTEMPTS_FILE, SHARDS_FILE, INSTRUCTIONS_FILE}
+_PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, CARD_FILE, QUARANTINE, RELABEL_FILE, *_TABLES})
 
 
 def is_part(name: str) -> bool:

@@ -49,6 +49,19 @@ class GateOutcome(Model):
     """Number of attempts by fail reason."""
 
 
+class Relabelling(Model):
+    """How the instructions of a dataset were written anew (docs/language.md)."""
+
+    spec: str
+    """Language file, as JSON with all defaults."""
+    languages: tuple[str, ...]
+    """Codes of the languages."""
+    instructions: Annotated[int, Field(ge=0)]
+    """Number of rows of `instructions.parquet`."""
+    recorded: Annotated[int, Field(ge=0)]
+    """Number of episodes that keep their recorded instruction, because no new one fits their target."""
+
+
 class DatasetMeta(Model):
     """Content of `dataset_meta.json`."""
 
@@ -93,6 +106,8 @@ class DatasetMeta(Model):
     every other category occur either in training or in evaluation. Null if the plan does not separate instances."""
     gate: tuple[GateOutcome, ...] = ()
     """Results of the pilot attempts before the run; empty if the gate was skipped."""
+    relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)
+    """How the instructions were written anew; omitted for a dataset with its recorded instructions."""
 
 
 def described_as_frames(meta: DatasetMeta) -> DatasetMeta:

@@ -54,3 +54,7 @@ class InvalidRig(Findings, UsageError):
 
 class InvalidAppearance(Findings, UsageError):
     """Appearance that contradicts itself; lists every mistake with its key."""
+
+
+class InvalidLanguage(Findings, UsageError):
+    """Language file with mistakes, or one that no target of a scene can satisfy; lists every mistake."""

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
+    AliasChoices,
     Field,
     SerializerFunctionWrapHandler,
     ValidationInfo,
@@ -57,7 +58,10 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"})
+_LATER_KEYS = frozenset(
+    {"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"}
+    | {"unit", "up", "models"}
+)
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
@@ -65,8 +69,9 @@ Shares = Mapping[Tier, float] | Mapping[Split, float]
 class ScenePlan(Model):
     """Entry of a plan for one scene."""
 
-    usd: str | None = None
-    """Path of the root layer of a custom scene, relative to the plan file; null for a built-in scene."""
+    file: str | None = Field(default=None, validation_alias=AliasChoices("file", "usd"))
+    """Path of the root file of a custom scene, relative to the plan file; null for a built-in scene. Serialised as
+    `usd`, its former name, so that older digests stay valid."""
     name: Name
     """Name of a built-in scene, or the name of a custom scene in the dataset."""
     episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
@@ -82,7 +87,13 @@ class ScenePlan(Model):
     targets: str | None = None
     """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
     allow_outside: bool = False
-    """Whether textures of a custom scene may be stored outside its folder."""
+    """Whether files of a custom scene may be stored outside its folder."""
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    """Unit of a custom scene; null is the unit that the file states."""
+    up: Literal["y", "z"] | None = None
+    """Axis of a custom scene that points up; null is the axis that the file states."""
+    models: tuple[str, ...] = ()
+    """Folders in which `model://` and `package://` names are searched, relative to the plan file."""
     ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
     """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
     screening: Screening | None = None
@@ -97,21 +108,22 @@ class ScenePlan(Model):
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        return {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
+        used = {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
+        return {"usd" if key == "file" else key: value for key, value in used.items()}
 
     @property
     def categories(self) -> SceneCategories:
         """Seen and held-out categories that apply to this scene."""
-        table = BUILTIN_CATEGORIES.get(self.name, SceneCategories((), ())) if self.usd is None else None
+        table = BUILTIN_CATEGORIES.get(self.name, SceneCategories((), ())) if self.file is None else None
         seen, held_out = table or SceneCategories((), ())
         return SceneCategories(self.seen or seen, self.held_out or held_out)
 
     @field_validator("name")
     @classmethod
     def _is_a_known_scene(cls, name: str, others: ValidationInfo) -> str:
-        if others.data.get("usd") is None and name not in BUILTIN_CATEGORIES:
+        if others.data.get("file") is None and name not in BUILTIN_CATEGORIES:
             known = ", ".join(BUILTIN_CATEGORIES)
-            raise ValueError(f"not a built-in scene ({known}); for a scene of a USD stage give `usd = PATH`")
+            raise ValueError(f"not a built-in scene ({known}); for a scene of a file give `file = PATH`")
         return name
 
     @field_validator("seen", "held_out")
@@ -120,7 +132,7 @@ class ScenePlan(Model):
         scene = others.data.get("name", "")
         known = {*CATEGORIES, *(name for group in BUILTIN_CATEGORIES.get(scene, ()) for name in group)}
         unknown = [name for name in categories if name not in known]
-        if unknown and others.data.get("usd") is None:
+        if unknown and others.data.get("file") is None:
             meant = {name: category_of(name) for name in unknown}
             hints = [f"{name} is a synonym of {found}" for name, found in meant.items() if found in known]
             text = f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}"
@@ -130,8 +142,8 @@ class ScenePlan(Model):
     @field_validator("ceiling_m")
     @classmethod
     def _is_for_a_stage(cls, ceiling_m: float | None, others: ValidationInfo) -> float | None:
-        if ceiling_m is not None and others.data.get("usd") is None:
-            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a USD stage (`usd = PATH`)")
+        if ceiling_m is not None and others.data.get("file") is None:
+            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a file (`file = PATH`)")
         return ceiling_m
 
     @model_validator(mode="after")
@@ -144,7 +156,7 @@ class ScenePlan(Model):
         if unnamed:
             raise ValueError(f"`ambiguous` lists categories that are neither seen nor held out: {', '.join(unnamed)}")
         if not seen:
-            raise ValueError("a scene with `usd` needs `seen = [...]`, the categories to train on")
+            raise ValueError("a scene with `file` needs `seen = [...]`, the categories to train on")
         return self
 
 

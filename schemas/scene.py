@@ -123,7 +123,7 @@ class SceneInfo(Model):
     name: Name
     """Name of the scene."""
     source: Text
-    """Description of the source: `built-in office, seed 0` or the file name of a USD stage."""
+    """Description of the source: `built-in office, seed 0` or the file name of an imported scene."""
     source_sha256: Line
     """Digest of all inputs of the compiler: layers, textures, rules, compiler version."""
     metres_per_unit: Positive

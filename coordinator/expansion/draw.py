@@ -130,7 +130,7 @@ def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> s
     shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
     blocked = f"; present but not reachable: {', '.join(sorted(filter(None, shown)))}" if shown else ""
     remedy = "remove the missing categories from seen and held_out, or change the scene"
-    if scene.usd is not None:
+    if scene.file is not None:
         remedy += ", its rules or its list of targets"
     return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
 

@@ -95,12 +95,15 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
 
 
 def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
-    files = {"usd": scene.usd, "rules": scene.rules, "targets": scene.targets}
-    troubles = {key: path_trouble(str(base / file)) for key, file in files.items() if file}
+    files = {"file": scene.file, "rules": scene.rules, "targets": scene.targets}
+    named = [*files.items(), *(("models", folder) for folder in scene.models)]
+    troubles = {key: path_trouble(str(base / file)) for key, file in named if file}
     if any(troubles.values()):
         lines = [f"scenes.{key}: {trouble}" for key, trouble in troubles.items() if trouble]
         raise InvalidPlan(f"scene {scene.name!r} has invalid file names", lines)
-    return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
+    found = {key: str((base / file).resolve()) for key, file in files.items() if file}
+    models = tuple(str((base / folder).resolve()) for folder in scene.models)
+    return scene.model_copy(update={**found, "models": models})
 
 
 def with_rig(plan: Plan, rig: Rig | None) -> Plan:

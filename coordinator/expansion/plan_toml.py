@@ -11,7 +11,7 @@ def plan_to_toml(plan: Plan) -> str:
     """Returns the plan as TOML. Values that equal their default are omitted, except shares and success measure."""
     shares = {"tiers", "splits"}
     data = plan.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=shares)
-    scenes = data.pop("scenes")
+    scenes = [{"file" if key == "usd" else key: value for key, value in scene.items()} for scene in data.pop("scenes")]
     data["task"] = {"success": str(plan.task.success), **data.pop("task", {})}
     data |= plan.model_dump(mode="json", include=shares)
     data["scenes"] = scenes

@@ -25,7 +25,7 @@ _CARD = """\
 ---
 license: cc-by-4.0
 language:
-- en
+{languages}
 pretty_name: {pretty}
 task_categories:
 - robotics
@@ -47,7 +47,7 @@ size_categories:
 # {run}
 
 {episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
-instruction in English that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
+instruction{english} that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
 stops within {radius:g} m of {goal}.
 
 ## How it was made
@@ -111,12 +111,19 @@ for episode in Dataset(".").filter(split="train_id"):
 - Every episode kept is a success. What failed is in `attempts.parquet`, so that selection by the expert can be
   corrected for; there are no recoveries from errors in the data.
 - {expert_limit}
-- Instructions come from {templates} English templates; `phrase_is_unique` says whether the words fit one object only.
+- {wording}
 - Distances follow the tiers' ranges as far as rooms allow: objects without a long free line have short starts only.
 
 ## Licence
 The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
+_TEMPLATES = (
+    "Instructions come from {} English templates; `phrase_is_unique` says whether the words fit one object only."
+)
+_RELABELLED = (
+    "Instructions were written by `factory relabel` after the drives; `instructions.parquet` has all of them\n"
+    "  with their meaning. A verifier accepted each of them. `meta.json` of an episode has the recorded instruction."
+)
 _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
   table in `meta.json`), """
@@ -172,7 +179,9 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
-        templates=len(TEMPLATES),
+        languages="\n".join(f"- {code}" for code in (meta.relabelling.languages if meta.relabelling else ("en",))),
+        english="" if meta.relabelling else " in English",
+        wording=_RELABELLED if meta.relabelling else _TEMPLATES.format(len(TEMPLATES)),
     )
 
 

@@ -45,7 +45,7 @@ class CommandEntry(NamedTuple):
 VERBS = MappingProxyType(
     {
         "run": CommandEntry("run.run", _MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
-        "render": CommandEntry("run.render", _MAKE, "Render a states dataset into a dataset that stores frames."),
+        "render": CommandEntry("run.render", _MAKE, "Render the frames and sensors of a states dataset."),
         "plan": CommandEntry("run.plan", _MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
         "scene": CommandEntry("scene.command", _MAKE, "Build, import, inspect and render scenes."),
         "rig": CommandEntry("rig.command", _MAKE, "List, show and check sensor rigs."),
@@ -61,6 +61,7 @@ VERBS = MappingProxyType(
         "show": CommandEntry("inspect.show", _INSPECT, "Write one episode as a contact sheet or a video."),
         "view": CommandEntry("inspect.view", _INSPECT, "Open one episode in the Rerun viewer."),
         "export": CommandEntry("publish.export", _USE, "Convert a dataset to another format."),
+        "relabel": CommandEntry("publish.relabel", _USE, "Write new verified instructions for a dataset."),
         "push": CommandEntry("publish.push", _USE, "Upload a dataset or an export to the Hugging Face Hub."),
         "train": CommandEntry("learn.train", _LEARN, "Train baseline policies. Requires the extra `train`."),
         "eval": CommandEntry("eval.command", _LEARN, "Evaluate policies in closed loop on the episodes of a dataset."),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -21,7 +22,7 @@ from factory.dataset.vocabulary import require_known
 from schemas.appearance import Appearance
 from schemas.appearance.file import find_appearance
 from schemas.dataset import EpisodeSummary, file_name_of
-from schemas.dataset_files import METADATA_FILE
+from schemas.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
 from schemas.encoding.table_digest import table_digest
 from schemas.errors import ArchiveCorrupt, UsageError
@@ -29,8 +30,9 @@ from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
-from schemas.storage.place import Place, place_of
+from schemas.storage.place import Place, place_of, table_of
 from schemas.storage.shard_index import packed_place
+from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
 from schemas.terms import Recording
 
@@ -114,6 +116,23 @@ class Dataset:
             ArchiveCorrupt: A column is damaged.
         """
         return map(self._columns.row, range(len(self)) if self._chosen is None else self._chosen.tolist())
+
+    @cached_property
+    def instructions(self) -> pa.Table:
+        """Table with one row for each instruction of these episodes, written by `factory relabel` (docs/language.md).
+
+        Raises:
+            UsageError: The dataset has its recorded instructions only.
+            ArchiveCorrupt: The table is damaged.
+        """
+        if self.meta.relabelling is None:
+            raise UsageError(f"{self.root} has its recorded instructions only: `factory relabel` writes new ones")
+        path = self.root / INSTRUCTIONS_FILE
+        try:
+            table = pq.read_table(table_of(path))
+        except (pa.ArrowException, *PARSER_ERRORS) as error:
+            raise ArchiveCorrupt(f"{path} is damaged ({error}): run `factory relabel` again") from error
+        return table.filter(pc.is_in(table["episode_id"], self.column("episode_id").cast(pa.string())))
 
     @property
     def digest(self) -> str:

@@ -119,17 +119,17 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
 
 def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
     book, chosen = _edits(scene)
-    if scene.usd is None:
+    if scene.file is None:
         return build_scene(scene.name, scene.seed, cache, book, chosen, tell)
-    return import_scene(Path(scene.usd), scene.name, cache, book, chosen, _limits(scene), tell)
+    return import_scene(Path(scene.file), scene.name, cache, book, chosen, _limits(scene), tell)
 
 
 def _find(scene: ScenePlan, cache: Path) -> Path | None:
     book, chosen = _edits(scene)
-    if scene.usd is None:
+    if scene.file is None:
         path = package_path(scene.name, scene.seed, cache, book, chosen)
         return path if path.is_file() else None
-    return find_import(Path(scene.usd), scene.name, cache, book, chosen, _limits(scene))
+    return find_import(Path(scene.file), scene.name, cache, book, chosen, _limits(scene))
 
 
 def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
@@ -138,7 +138,13 @@ def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
 
 
 def _limits(scene: ScenePlan) -> StageLimits:
-    return StageLimits(allow_outside=scene.allow_outside, ceiling_m=scene.ceiling_m)
+    return StageLimits(
+        allow_outside=scene.allow_outside,
+        ceiling_m=scene.ceiling_m,
+        unit=scene.unit,
+        up=scene.up,
+        models=tuple(map(Path, scene.models)),
+    )
 
 
 def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:

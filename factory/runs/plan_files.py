@@ -1,4 +1,4 @@
-"""Checks that the files named in a plan can be read: stages, rules, target lists. Opens no stage and builds nothing."""
+"""Checks that the files named in a plan can be read: scenes, rules, target lists. Opens no scene and builds nothing."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def require_files(plan: Plan, kept: Collection[str] = ()) -> None:
 
 
 def _missing_of(scene: ScenePlan) -> Iterator[str]:
-    fault = find_fault(Path(scene.usd)) if scene.usd is not None else ""
+    fault = find_fault(Path(scene.file)) if scene.file is not None else ""
     if fault:
-        yield f"usd: {fault}"
+        yield f"file: {fault}"
     if scene.rules is not None:
         yield from (f"rules: {line}" for line in _refusal(scene, Path(scene.rules), None))
     if scene.targets is not None:
         targets = Path(scene.targets)
         first = (
-            f"; before that `factory scene import {shlex.quote(scene.usd)} --name {scene.name}`" if scene.usd else ""
+            f"; before that `factory scene import {shlex.quote(scene.file)} --name {scene.name}`" if scene.file else ""
         )
         first = "" if targets.is_file() else first
         yield from (f"targets: {line}{first}" for line in _refusal(scene, None, targets))

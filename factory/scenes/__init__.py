@@ -1,4 +1,4 @@
-"""Builds scene packages from built-in layouts and from the user's USD stages. Workers read the packages only.
+"""Builds scene packages from built-in layouts and from the user's scene files. Workers read the packages only.
 
 Importing this package does not load USD; `factory.scenes.compile.compiler` loads it.
 """

@@ -1,4 +1,4 @@
-"""Writes compiled scene packages to the cache: built-in scenes by name and seed, a user's USD stage by path.
+"""Writes compiled scene packages to the cache: built-in scenes by name and seed, a user's scene by path.
 
 The cache key is the digest of all inputs. Packages are written atomically. Does not compile; see `scenes.compile`.
 """
@@ -40,7 +40,7 @@ def package_path(
         UsageError: `name` is not a built-in scene.
     """
     if name not in BUILTIN_SCENES:
-        known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a USD"
+        known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a file"
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or rules_of(name)).model_dump_json()
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
@@ -110,10 +110,10 @@ def import_scene(
     limits: StageLimits = USUAL_LIMITS,
     tell: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Compiles a user's USD stage unless the cache contains a package of the same inputs.
+    """Compiles a user's scene unless the cache contains a package of the same inputs.
 
     Args:
-        path: root layer of the stage.
+        path: root file of the scene.
         name: name of the scene; lower case, different from the built-in scenes.
         cache: directory of packages; created if missing.
         rules: category rules; the built-in table when `None`.
@@ -125,8 +125,8 @@ def import_scene(
         The path of the package; its name contains the first digits of the SHA-256 of its content.
 
     Raises:
-        UsageError: the file does not exist or is not USD, the name is not valid, or `targets` names prims that the
-            stage does not have.
+        UsageError: the file does not exist or has another format, the name is not valid, or `targets` names
+            prims that the scene does not have.
         WorldError: the stage cannot be compiled; the message states the reason.
     """
     require_stage(path)
@@ -171,9 +171,9 @@ def _read_stage(
 ) -> tuple[Extraction, str]:
     """Returns the extracted stage, and the SHA-256 of all inputs of its package."""
     _require_usd()
-    from factory.scenes.importer import extract_stage
+    from factory.scenes.formats import extract_scene
 
-    extraction = extract_stage(path, limits)
+    extraction = extract_scene(path, limits)
     book = (rules or load_rules()).model_dump_json()
     parts = (path.name, extraction.files_sha256, *extraction.notes, book, targets and targets.digest)
     made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts)))
@@ -198,5 +198,5 @@ def load_edits(
 
 
 def _require_usd() -> None:
-    for module in ("pxr", "mapbox_earcut", "embreex"):
-        require_package(module, "building a scene from USD")
+    for module in ("pxr", "mapbox_earcut", "embreex", "defusedxml", "collada"):
+        require_package(module, "building a scene")

@@ -1,4 +1,4 @@
-"""Limits of a scene import: number of triangles, and files outside the folder of the stage; and what is added to it.
+"""Options of a scene import: limits, files outside of its folder, unit and up axis, and a ceiling that is added.
 
 Data only; the importer enforces the limits.
 """
@@ -6,8 +6,15 @@ Data only; the importer enforces the limits.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 MAX_TRIANGLES = 10_000_000
+MAX_FILE_MB = 1000
+Unit = Literal["m", "cm", "mm", "in"]
+"""Unit of a file that does not state it."""
+UpAxis = Literal["y", "z"]
+"""Axis of a file that points up."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +27,14 @@ class StageLimits:
     """Whether textures outside the folder of the root layer are read."""
     ceiling_m: float | None = None
     """Height above the floor of a flat ceiling that is added over the stage, metres; `None` adds none."""
+    unit: Unit | None = None
+    """Unit of a 3D file; `None` is the unit that it states."""
+    up: UpAxis | None = None
+    """Up axis of a 3D file; `None` is the axis that it states."""
+    models: tuple[Path, ...] = ()
+    """Folders in which `model://` and `package://` names are searched."""
+    max_file_mb: int = MAX_FILE_MB
+    """Maximum size of one file that is not USD, megabytes."""
 
 
 USUAL_LIMITS = StageLimits()

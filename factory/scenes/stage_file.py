@@ -1,6 +1,6 @@
-"""Detects the format of 3D files by their first bytes, and suggests a converter for formats other than USD.
+"""Detects the format of scene files by their first bytes, and suggests a converter for formats that are not read.
 
-Reads the beginning of one file. Does not open stages and does not need USD.
+Reads the beginning of one file. Does not open scenes and does not need USD.
 """
 
 from __future__ import annotations
@@ -16,7 +16,12 @@ from schemas.errors import UsageError
 
 STAGE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _READ_BYTES = 1 << 16
-_SUPPORTED = "supported are USD stages: .usd, .usda, .usdc, .usdz"
+SCENE_SUFFIXES = (
+    *STAGE_SUFFIXES,
+    *(".gltf", ".glb", ".obj", ".ply", ".stl", ".dae", ".sdf", ".world", ".urdf", ".mjcf", ".xml"),
+)
+_READ = ("glTF", "OBJ", "PLY", "STL", "COLLADA", "SDF", "URDF", "MJCF")
+_SUPPORTED = f"supported are {', '.join(SCENE_SUFFIXES)}"
 _USD: Mapping[str, tuple[bytes, tuple[str, ...]]] = MappingProxyType(
     {
         "a USD text layer": (b"#usda ", (".usd", ".usda")),
@@ -36,7 +41,15 @@ _MAGIC: Mapping[bytes, str] = MappingProxyType(
     }
 )
 _ROOT_ELEMENTS: Mapping[str, str] = MappingProxyType(
-    {"COLLADA": "COLLADA", "sdf": "SDF", "world": "SDF", "robot": "URDF", "mujoco": "MJCF", "mujocoinclude": "MJCF"}
+    {
+        "COLLADA": "COLLADA",
+        "sdf": "SDF",
+        "gazebo": "SDF",
+        "world": "SDF",
+        "robot": "URDF",
+        "mujoco": "MJCF",
+        "mujocoinclude": "MJCF",
+    }
 )
 _SUFFIXES: Mapping[str, str] = MappingProxyType(
     {
@@ -55,30 +68,15 @@ _SUFFIXES: Mapping[str, str] = MappingProxyType(
         ".mjcf": "MJCF",
     }
 )
-_BLENDER_READS: Mapping[str, str] = MappingProxyType(
-    {
-        "glTF": "import_scene.gltf",
-        "FBX": "import_scene.fbx",
-        "OBJ": "wm.obj_import",
-        "COLLADA": "wm.collada_import",
-        "PLY": "wm.ply_import",
-        "STL": "wm.stl_import",
-    }
-)
-"""Format -> Blender operator that imports it; `wm.collada_import` is in Blender up to 4.5."""
-_CONVERTERS: Mapping[str, str] = MappingProxyType(
-    {
-        "SDF": "convert it with sdf2usd of gz-usd (Gazebo)",
-        "URDF": "convert it with urdf-usd-converter (PyPI) or the URDF importer of Isaac Sim",
-        "MJCF": "convert it with mujoco-usd-converter (PyPI) or the MJCF importer of Isaac Sim",
-    }
-)
+_CONVERTERS: Mapping[str, str] = MappingProxyType({"FBX": "import_scene.fbx", "Blender": ""})
+"""Format -> Blender operator that imports it; empty for Blender's own files."""
+_LFS = b"version https://git-lfs"
 _COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 _ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
 
 
 def require_stage(path: Path) -> None:
-    """Checks that a file can be a USD stage.
+    """Checks that a file can be a scene of a supported format.
 
     Raises:
         UsageError: the file does not exist, is a directory or has another format; the message names a converter.
@@ -89,21 +87,37 @@ def require_stage(path: Path) -> None:
 
 
 def find_fault(path: Path) -> str:
-    """Returns the reason why a file is not a USD stage, with a remedy, or an empty string if it can be one.
+    """Returns the reason why a file is not a scene, with a remedy, or an empty string if it can be one.
 
     Args:
         path: path as given by the user; messages quote it.
     """
     if path.is_dir():
-        return f"{path} is a directory; give the stage's root layer, a file in it ({_SUPPORTED})"
+        return f"{path} is a directory; give the scene's root file, a file in it ({_SUPPORTED})"
     if not path.is_file():
-        return f"no USD file at {path}; give the path of a stage's root layer"
+        return f"no scene file at {path}; give the path of a scene's root file"
     try:
-        with path.open("rb") as file:
-            head = file.read(_READ_BYTES)
+        head = _head(path)
     except OSError as error:
         return f"cannot read {path} ({error.strerror}); check its permissions"
     return _judge(path, head)
+
+
+def kind_of_file(path: Path) -> str:
+    """Returns the format of a file: `USD`, `glTF`, `OBJ`, `PLY`, `STL`, `COLLADA`, `SDF`, `URDF` or `MJCF`, or another.
+
+    The first bytes have precedence over the suffix. Empty for an unknown format or a file that cannot be read.
+    """
+    suffix = path.suffix.lower()
+    try:
+        return _kind_of(_head(path)) or ("USD" if suffix in STAGE_SUFFIXES else _SUFFIXES.get(suffix, ""))
+    except OSError:
+        return ""
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_READ_BYTES)
 
 
 def _judge(path: Path, head: bytes) -> str:
@@ -112,13 +126,16 @@ def _judge(path: Path, head: bytes) -> str:
         if head.startswith(magic) and (kind != "a zip archive" or suffix in STAGE_SUFFIXES):
             wanted = path.with_suffix(suffixes[-1]).name
             return "" if suffix in suffixes else f"{path} holds {kind}, which USD opens as {wanted}; rename the file"
+    if head.startswith(_LFS):
+        return f"{path} is a pointer of Git LFS, not the file itself; fetch it with: git lfs pull"
     foreign = _kind_of(head)
     if foreign and suffix in STAGE_SUFFIXES:
-        return f"{path} holds {foreign} under the name of a USD stage; {_SUPPORTED}; {_remedy(path, foreign)}"
-    if suffix in STAGE_SUFFIXES:
-        return ""  # USD reports the error itself
+        remedy = "rename the file" if foreign in _READ else _remedy(path, foreign)
+        return f"{path} holds {foreign} under the name of a USD stage; {_SUPPORTED}; {remedy}"
     kind = foreign or _SUFFIXES.get(suffix, "")
-    what = f"is {kind}, not a USD stage" if kind else "is not a USD stage"
+    if kind in _READ or suffix in STAGE_SUFFIXES:
+        return ""  # the reader reports errors in the content
+    what = f"is {kind}, which is not read" if kind else "is not a scene"
     return f"{path} {what}; {_SUPPORTED}; {_remedy(path, kind)}"
 
 
@@ -144,14 +161,12 @@ def _names_gltf(text: str) -> bool:
 
 
 def _remedy(path: Path, kind: str) -> str:
-    if kind in _CONVERTERS:
-        return _CONVERTERS[kind]
-    if kind not in {*_BLENDER_READS, "Blender"}:
-        return "export it as USD from the program that created it"
-    export = f"bpy.ops.wm.usd_export(filepath={path.stem + '.usdc'!r})"
+    if kind not in _CONVERTERS:
+        return "export it as glTF or USD from the program that created it"
+    export = f"bpy.ops.export_scene.gltf(filepath={path.stem + '.glb'!r})"
     if kind == "Blender":
         return f"convert it: blender --background {shlex.quote(path.name)} --python-expr {_quoted(export)}"
-    read = f"bpy.ops.{_BLENDER_READS[kind]}(filepath={path.name!r})"
+    read = f"bpy.ops.{_CONVERTERS[kind]}(filepath={path.name!r})"
     script = f"import bpy; bpy.ops.wm.read_factory_settings(use_empty=True); {read}; {export}"
     return f"convert it: blender --background --python-expr {_quoted(script)}"
 

@@ -105,7 +105,9 @@ def verify(
     report.rendered = len(drawn)
     rows = RowCheck(dataset, report)
     frames_of = _reference_episodes(reference, dataset, drawn)
-    checks = _plan_checks(rows, _check_scenes(root, meta, report), report, drawn, frames_of)
+    checks = _plan_checks(
+        rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None
+    )
     for done, result in enumerate(_run_checks(checks, processes), 1):
         report.findings += result.findings
         report.difference.merge(result.difference)
@@ -158,12 +160,13 @@ def _plan_checks(
     report: VerifyReport,
     drawn: Collection[str],
     frames_of: Mapping[str, Episode],
+    relabelled: bool,
 ) -> Iterator[EpisodeCheck]:
     for row in rows:
         target, findings = target_of(row, scenes.get(row.scene))
         report.findings += findings
         name = row.episode_id
-        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name))
+        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name), relabelled)
 
 
 def _run_checks(checks: Iterator[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:

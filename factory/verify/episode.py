@@ -23,6 +23,8 @@ from schemas.storage.place import Place, opened
 from schemas.storage.shard_index import episode_place
 
 _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
+_RELABELLED = frozenset({"instruction", "template_id"})
+"""Columns that `factory relabel` changes."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class EpisodeCheck:
     """Whether to render frames again and compare them with their digests."""
     reference: Episode | None = None
     """The same episode in a frames recording, to measure how far pixels differ."""
+    relabelled: bool = False
+    """Whether the row has a new instruction, which differs from that of the episode."""
 
 
 class EpisodeFindings(NamedTuple):
@@ -69,7 +73,7 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
             if check.deep:
                 with BundleReader(file) as bundle:
                     violations = validate(bundle, target=check.target)
-                    differences = _differences(row, summary_of(bundle.meta, sha256, size))
+                    differences = _differences(row, summary_of(bundle.meta, sha256, size), check.relabelled)
                 found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
             if check.render:
@@ -106,9 +110,10 @@ def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | N
         return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
 
 
-def _differences(row: EpisodeSummary, found: EpisodeSummary) -> list[str]:
+def _differences(row: EpisodeSummary, found: EpisodeSummary, relabelled: bool) -> list[str]:
+    ignored = _OF_THE_FILE | _RELABELLED if relabelled else _OF_THE_FILE
     return [
         f"{name}: {METADATA_FILE} says {getattr(row, name)}, the episode {getattr(found, name)}"
         for name in EpisodeSummary.model_fields
-        if name not in _OF_THE_FILE and getattr(row, name) != getattr(found, name)
+        if name not in ignored and getattr(row, name) != getattr(found, name)
     ]

@@ -53,20 +53,20 @@ def test_showing_a_plan_with_a_missing_stage_names_the_expected_path(factory, tm
     plan.write_text(
         '[splits]\ntrain_id = 1.0\n[[scenes]]\nname = "lab"\nusd = "lab/w.usda"\nseen = ["chair"]\nepisodes = 2\n'
     )
-    assert f"no USD file at {tmp_path}/lab/w.usda" in factory("plan", "show", plan, expect=2).stderr
+    assert f"no scene file at {tmp_path}/lab/w.usda" in factory("plan", "show", plan, expect=2).stderr
 
 
-def test_every_command_that_takes_a_stage_refuses_a_gltf_file_before_building(factory, tmp_path):
-    (tmp_path / "shop.glb").write_bytes(b"glTF\x02\x00\x00\x00")
+def test_every_command_that_takes_a_stage_refuses_an_fbx_file_before_building(factory, tmp_path):
+    (tmp_path / "shop.fbx").write_bytes(b"Kaydara FBX Binary  \x00")
     plan = tmp_path / "mine.toml"
     plan.write_text(
         '[splits]\ntrain_id = 1.0\n[[scenes]]\nname = "office"\nepisodes = 1\n'
-        '[[scenes]]\nname = "shop"\nusd = "shop.glb"\nseen = ["chair"]\nepisodes = 2\n'
+        '[[scenes]]\nname = "shop"\nfile = "shop.fbx"\nseen = ["chair"]\nepisodes = 2\n'
     )
     for verb in (
-        ("scene", "import", tmp_path / "shop.glb", "--cache", tmp_path / "cache"),
-        ("scene", "inspect", tmp_path / "shop.glb"),
-        ("scene", "survey", tmp_path / "shop.glb"),
+        ("scene", "import", tmp_path / "shop.fbx", "--cache", tmp_path / "cache"),
+        ("scene", "inspect", tmp_path / "shop.fbx"),
+        ("scene", "survey", tmp_path / "shop.fbx"),
         ("plan", "show", plan),
         ("plan", "nearest", plan),
         ("run", plan, "--out", tmp_path / "x"),
@@ -74,10 +74,10 @@ def test_every_command_that_takes_a_stage_refuses_a_gltf_file_before_building(fa
         ("coordinator", "start", plan, "--out", tmp_path / "x"),
     ):
         err = factory(*verb, expect=2).stderr
-        assert "shop.glb is glTF, not a USD stage; supported are USD stages: .usd, .usda, .usdc, .usdz" in err, verb
-        assert "bpy.ops.import_scene.gltf(filepath='shop.glb')" in err
+        assert "shop.fbx is FBX, which is not read; supported are .usd, .usda, .usdc, .usdz, .gltf, .glb" in err, verb
+        assert "bpy.ops.import_scene.fbx(filepath='shop.fbx')" in err
         assert "building" not in err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.toml", "shop.glb"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.toml", "shop.fbx"]
 
 
 def test_a_custom_scene_is_compiled_once_and_then_checked_against_the_plan(factory, tmp_path):

@@ -15,8 +15,8 @@ from schemas.config import CameraConfig, TaskConfig
 from schemas.measure import measure_track
 from schemas.support.portable import product
 from tests.builders.evaluation import room_job, room_package
-from workers.geometry.appearance import Appearance
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.attempt import Success, run_attempt
@@ -45,7 +45,7 @@ def _computed(place: LoadedScene, target_id: str) -> dict[str, str]:
     poses = [Pose(*row) for row in rng.normal(size=(_MANY, 7))]
     views = [product(projection_matrix(camera), view_matrix(optical_pose(pose, camera))) for pose in poses]
     starts = place.grid.centre_of(rng.integers(0, min(place.grid.occupancy.shape), (_MANY, 2)))
-    look = Appearance(place.scene, target.instance_id, camera).look
+    look = MaskEstimate(place.scene, target.instance_id, camera).look
     return {
         "measures": _digest(str([measure_track(track, (0.3, 0.1, 0.7)) for track in tracks])),
         "views": _digest(str(np.array(views).tolist())),

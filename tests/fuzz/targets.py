@@ -20,7 +20,10 @@ from coordinator.tables.table_reader import read_column, read_failed_attempts
 from coordinator.validation.validator import ValidationTask
 from coordinator.validation.validator_child import judge
 from factory.dataset.reader import Dataset
+from factory.scenes.formats import extract_scene
 from factory.scenes.importer import extract_stage
+from factory.scenes.limits import StageLimits
+from factory.scenes.stage_file import kind_of_file
 from factory.verify.dataset import verify
 from schemas.dataset_files import EPISODES, SHARDS_FILE
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
@@ -33,6 +36,7 @@ from schemas.storage.shard_index import ShardIndex, open_shard, read_index, writ
 from schemas.storage.shards import MAX_SHARD_EPISODES, read_shard, write_shard
 from tests.builders.bundle import bundle_bytes, job_for
 from tests.builders.dataset import chair, make_dataset, office_package
+from tests.builders.formats import write_room
 from tests.builders.stage import StageText, room_body
 from tests.fuzz.mutate import mutate, mutate_members
 from workers.process.messages import read_report
@@ -198,6 +202,22 @@ def _stages(folder: Path) -> list[bytes]:
     return [text.write(folder / "seed.usda", body).read_bytes() for body in bodies]
 
 
+_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".sdf", ".urdf")
+
+
+def _read_formats(data: bytes, folder: Path) -> None:
+    """The first byte selects the suffix."""
+    suffix = _SUFFIXES[(data or b"\0")[0] % len(_SUFFIXES)]
+    path = folder / f"scene{suffix}"
+    path.write_bytes(data[1:])
+    states_units = suffix not in (".sdf", ".urdf") and kind_of_file(path) not in ("SDF", "URDF", "MJCF", "USD")
+    extract_scene(path, StageLimits(100_000, unit="m", up="z") if states_units else StageLimits(100_000))
+
+
+def _formats(folder: Path) -> list[bytes]:
+    return [bytes([number]) + write_room(folder, suffix).read_bytes() for number, suffix in enumerate(_SUFFIXES)]
+
+
 TARGETS: Mapping[str, Target] = MappingProxyType(
     {
         "messages": Target(_read_message, _messages),
@@ -208,5 +228,6 @@ TARGETS: Mapping[str, Target] = MappingProxyType(
         "scenes": Target(_read_scene, lambda _folder: [office_package()], mutate_members),
         "tables": Target(_read_tables, _tables),
         "stages": Target(_read_stage, _stages),
+        "formats": Target(_read_formats, _formats),
     }
 )

@@ -18,7 +18,7 @@ from schemas.support.numpy_types import Floats, Ints
 from schemas.terms import COLOUR_NAMES
 from workers.appearance.chance import Chance
 from workers.appearance.palettes import CEILINGS, FLOORS, WALLS, Material, paints_named
-from workers.appearance.surfaces import Slot, find_slots, hex_of, rgb_of
+from workers.appearance.surfaces import SurfaceSlot, find_slots, hex_of, rgb_of
 
 _SAMPLES = 300
 """Points on an object at which its colour is named."""
@@ -33,7 +33,7 @@ _TINTS = (0.8, 1.0)
 class SceneSurfaces:
     """Slots of a scene, and points on the objects whose colours instructions may name."""
 
-    slots: tuple[Slot, ...]
+    slots: tuple[SurfaceSlot, ...]
     """Surfaces that change together, in a fixed order."""
     of_vertex: Ints
     """(V,) slot of each vertex, or -1."""
@@ -67,7 +67,7 @@ class SceneSurfaces:
         colour = self.base.copy()
         numbers = {slot: number for number, slot in enumerate(self.slots)}
         for change in changes:
-            number = numbers.get(Slot(change.surface, change.layer, change.colour), -1)
+            number = numbers.get(SurfaceSlot(change.surface, change.layer, change.colour), -1)
             if number >= 0:
                 colour[self.slot == number] = linear_of(np.array(rgb_of(change.to_colour)) / 255)
         shown = srgb_of(colour * self.plain)
@@ -132,7 +132,7 @@ def _furniture(chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
             del drawn[slot]
 
 
-def _repainted(slot: Slot, chance: Chance) -> SurfaceChange:
+def _repainted(slot: SurfaceSlot, chance: Chance) -> SurfaceChange:
     """Returns another colour of the same name, or for a texture a darker tint."""
     pick, tint = chance.share(), chance.between(_TINTS)
     if slot.layer >= 0:
@@ -142,11 +142,11 @@ def _repainted(slot: Slot, chance: Chance) -> SurfaceChange:
     return _change(slot, paints[int(pick * len(paints))] if paints else slot.colour)
 
 
-def _tinted(slot: Slot, factor: Floats) -> SurfaceChange:
+def _tinted(slot: SurfaceSlot, factor: Floats) -> SurfaceChange:
     return _change(slot, hex_of(np.array(rgb_of(slot.colour)) * factor))
 
 
-def _change(slot: Slot, colour: str, material: Material | None = None) -> SurfaceChange:
+def _change(slot: SurfaceSlot, colour: str, material: Material | None = None) -> SurfaceChange:
     new = {} if material is None else {"texture": material.pattern, "tile_m": material.tile_m}
     return SurfaceChange.model_validate(
         {"surface": slot.surface, "layer": slot.layer, "colour": slot.colour, "to_colour": colour, **new}

@@ -18,7 +18,7 @@ _FULL = 255
 _OTHER_THINGS = ("lamp", "lamps", "light", "lights", "window", "screen")
 
 
-class Slot(NamedTuple):
+class SurfaceSlot(NamedTuple):
     """Surfaces that change together."""
 
     surface: str
@@ -40,7 +40,7 @@ def surface_of(prim_path: str) -> str:
     return kind
 
 
-def find_slots(scene: CompiledScene) -> tuple[list[Slot], Ints]:
+def find_slots(scene: CompiledScene) -> tuple[list[SurfaceSlot], Ints]:
     """Returns the slots of a scene in a fixed order, and (V,) the slot of each vertex; -1 for lamps."""
     surfaces = {item.id: "object" if item.category else surface_of(item.prim_path) for item in scene.info.instances}
     kinds = ("object", "wall", "floor", "ceiling")
@@ -55,13 +55,15 @@ def find_slots(scene: CompiledScene) -> tuple[list[Slot], Ints]:
     found, slot = np.unique(keys[~dark], return_inverse=True)
     of_vertex = np.full(len(scene.positions), -1, np.int64)
     of_vertex[vertex[~dark]] = slot
-    slots = [Slot(kinds[key >> 40], ((key >> 24) & 0xFFFF) - 1, f"#{key & 0xFFFFFF:06x}") for key in found.tolist()]
+    slots = [
+        SurfaceSlot(kinds[key >> 40], ((key >> 24) & 0xFFFF) - 1, f"#{key & 0xFFFFFF:06x}") for key in found.tolist()
+    ]
     return slots, of_vertex
 
 
-def as_slot(change: SurfaceChange) -> Slot:
+def as_slot(change: SurfaceChange) -> SurfaceSlot:
     """Returns the slot that a change applies to."""
-    return Slot(change.surface, change.layer, change.colour)
+    return SurfaceSlot(change.surface, change.layer, change.colour)
 
 
 def rgb_of(colour: str) -> tuple[int, int, int]:

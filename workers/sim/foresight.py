@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.job import Job
 from schemas.measure import Goal
-from workers.geometry.appearance import Appearance
+from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.slew import Twist, slew
 
 _HZ = 20
@@ -24,7 +24,7 @@ _LOOK_EVERY = 3
 
 
 def predict_path(
-    start: tuple[float, float, float], goal: Goal, job: Job, appearance: Appearance | None = None
+    start: tuple[float, float, float], goal: Goal, job: Job, estimate: MaskEstimate | None = None
 ) -> NDArray[np.float64]:
     """Returns the predicted poses (N, 3) x, y, yaw from `start` to the success region, metres and radians.
 
@@ -32,7 +32,7 @@ def predict_path(
         start: x, y in metres and yaw in radians of base_link, at rest.
         goal: goal of the episode.
         job: gives gains, limits and the step limit.
-        appearance: appearance of the target, for steering by its mask; `None` for steering by the centroid.
+        estimate: estimate of the mask of the target, for steering by its mask; `None` for steering by the centroid.
     """
     gains, robot = job.gains, job.robot
     x, y, yaw = start
@@ -44,8 +44,8 @@ def predict_path(
         distance = goal.distance(x, y)
         if distance <= goal.radius_m:
             break
-        if appearance is not None and step % _LOOK_EVERY == 0:
-            pixels, column = appearance.look(x, y, yaw)
+        if estimate is not None and step % _LOOK_EVERY == 0:
+            pixels, column = estimate.look(x, y, yaw)
         error = (
             -column
             if pixels >= gains.min_mask_px

@@ -18,8 +18,8 @@ from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
 from schemas.terms import TIER_RANGE_M, ExpertName, Screening, SuccessMeasure, Tier
-from workers.geometry.appearance import Appearance
 from workers.geometry.grid import are_within
+from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import geodesic_field, geodesic_m, pose_table
@@ -105,10 +105,10 @@ def _draw_on_grid(
     if first is None or not _is_screened(job) or job.spawn.screening is not Screening.FORESEEN:
         return first
     some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
-    appearance = Appearance(place.scene, target.instance_id, job.camera)
+    estimate = MaskEstimate(place.scene, target.instance_id, job.camera)
     best, most_m = first, -math.inf
     for start in some:
-        room_m = _room_along_drive(job, target, place, start, appearance)
+        room_m = _room_along_drive(job, target, place, start, estimate)
         if room_m >= _PREDICTION_MARGIN_M:
             return start
         if room_m > most_m:
@@ -233,7 +233,7 @@ def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[n
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 
 
-def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
+def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, estimate: MaskEstimate) -> float:
     """Returns the smallest free space around the footprint along the predicted path, metres."""
-    drive = predict_path(start, Goal.of(target, job.task), job, appearance)
+    drive = predict_path(start, Goal.of(target, job.task), job, estimate)
     return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

@@ -55,7 +55,7 @@ def command(
     as_json: bool,
     verbose: bool,
 ) -> int:
-    """Render a states dataset into a dataset that stores frames and the sensors of a rig.
+    """Render the frames and sensors of a states dataset.
 
     The result has the episodes and the digest that `factory run --record frames` gives. After Ctrl-C or a crash, the
     same command continues. Exits with 1 if episodes are missing at the end.

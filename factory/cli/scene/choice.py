@@ -14,7 +14,7 @@ from click.shell_completion import CompletionItem
 
 from factory.cli.common.options import count_option
 from factory.runs.catalog import find_imported
-from factory.scenes.stage_file import STAGE_SUFFIXES, find_fault
+from factory.scenes.stage_file import SCENE_SUFFIXES, find_fault, kind_of_file
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene
@@ -30,6 +30,18 @@ def complete_scene(context: click.Context, param: click.Parameter, word: str) ->
     names = [CompletionItem(name) for name in known if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
 
+
+def _complete_file(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Completes files of the formats that `factory scene import` reads, with their format, and folders."""
+    folder = word[: word.rfind("/") + 1]
+    paths = sorted(Path(folder or ".").iterdir()) if Path(folder or ".").is_dir() else []
+    files = [path for path in paths if path.suffix.lower() in SCENE_SUFFIXES and (folder + path.name).startswith(word)]
+    items = [CompletionItem(folder + path.name, help=kind_of_file(path)) for path in files]
+    return [*items, CompletionItem(word, type="dir")]
+
+
+file_argument = click.argument("file", type=click.Path(path_type=Path), shell_complete=_complete_file)
+"""FILE: a scene of any format that `factory scene import` reads."""
 
 scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=complete_scene)
 """SCENE|PACKAGE: the name of a built-in or imported scene, or a scene package (`*.scene.zip`)."""
@@ -47,15 +59,16 @@ def scene_package(scene: str, seed: int) -> Path:
         UsageError: the name or file does not exist, or the file is not a scene package.
     """
     path = Path(scene)
-    if path.suffix.lower() in STAGE_SUFFIXES:
+    if path.suffix.lower() in SCENE_SUFFIXES:
         raise UsageError(
-            f"{scene} is a USD stage, not a scene package; import it with `factory scene import {scene}` and give the "
+            f"{scene} is a scene file, not a scene package; import it with `factory scene import {scene}` and give the "
             "package"
         )
     if path.suffix and not path.is_file():
         raise UsageError(f"file {scene} does not exist; give a scene package (*.scene.zip) or the name of a scene")
     if path.is_file() and path.suffix.lower() != ".zip" and not zipfile.is_zipfile(path):
-        raise UsageError(f"{find_fault(path)}; import the stage with `factory scene import` and give the package")
+        fault = find_fault(path) or f"{scene} is not a scene package"
+        raise UsageError(f"{fault}; import the scene with `factory scene import` and give the package")
     return path if path.is_file() else _package_called(scene, seed)
 
 
@@ -82,6 +95,6 @@ def _package_called(name: str, seed: int) -> Path:
 def _say_unknown(name: str, imported: Collection[str]) -> str:
     return (
         f"{name!r} is neither a scene nor an existing file; built-in scenes: {', '.join(BUILTIN_CATEGORIES)}; "
-        f"imported scenes: {', '.join(imported) or 'none'}; import a USD stage with "
+        f"imported scenes: {', '.join(imported) or 'none'}; import a file with "
         f"`factory scene import FILE --name NAME`{did_you_mean(name, [*BUILTIN_CATEGORIES, *imported])}"
     )

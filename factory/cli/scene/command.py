@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import get_args
 
 import click
 
@@ -17,9 +18,9 @@ from factory.cli.scene import list as scene_list
 from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
 from factory.cli.scene import targets as scene_targets
-from factory.cli.scene.choice import seed_option
+from factory.cli.scene.choice import file_argument, seed_option
 from factory.cli.scene.package import describe_package, next_steps, print_others, print_package, print_steps
-from factory.scenes.limits import MAX_TRIANGLES, StageLimits
+from factory.scenes.limits import MAX_FILE_MB, MAX_TRIANGLES, StageLimits, Unit, UpAxis
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 
@@ -81,23 +82,46 @@ def build(
 
 
 @command.command("import")
-@click.argument("usd", type=click.Path(path_type=Path))
+@file_argument
 @click.option("--name", metavar="NAME", help="Name of the scene. Default: the file name without suffix.")
-@count_option("--max-triangles", MAX_TRIANGLES, "Maximum number of triangles; a larger stage is an error.")
-@click.option("--allow-outside", is_flag=True, help="Also read textures outside of the stage's folder.")
+@count_option("--max-triangles", MAX_TRIANGLES, "Maximum number of triangles; a larger scene is an error.")
+@count_option("--max-file-mb", MAX_FILE_MB, "Maximum size of one file that is not USD, megabytes.")
+@click.option(
+    "--unit",
+    type=click.Choice(get_args(Unit)),
+    help="Unit of a glTF, OBJ, PLY, STL or COLLADA file. Default: the unit that the file states.",
+)
+@click.option(
+    "--up",
+    type=click.Choice(get_args(UpAxis)),
+    help="Axis of a glTF, OBJ, PLY, STL or COLLADA file that points up. Default: the axis that the file states.",
+)
+@click.option(
+    "--models",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder in which model:// and package:// names are searched; repeatable. Searched after these: the scene's "
+    "folder, and its folder models.",
+)
+@click.option("--allow-outside", is_flag=True, help="Also read files outside of the scene's folder.")
 @click.option(
     "--ceiling",
     type=click.FloatRange(1.0, 100.0),
     metavar="M",
-    help="Height above the floor of a flat ceiling to add to an open stage, metres. Default: none.",
+    help="Height above the floor of a flat ceiling to add to an open scene, metres. Default: none.",
 )
 @_edit_options
 @json_option
 @verbose_option
 def import_(
-    usd: Path,
+    file: Path,
     name: str | None,
     max_triangles: int,
+    max_file_mb: int,
+    unit: Unit | None,
+    up: UpAxis | None,
+    models: tuple[Path, ...],
     allow_outside: bool,
     ceiling: float | None,
     rules: Path | None,
@@ -106,26 +130,26 @@ def import_(
     as_json: bool,
     verbose: bool,
 ) -> None:
-    """Import a USD stage as a scene package.
+    """Import a scene file as a scene package.
 
-    USD is a .usd, .usda, .usdc or .usdz file.
+    FILE is a USD stage (.usd, .usda, .usdc, .usdz), a glTF (.gltf, .glb), OBJ, PLY, STL or COLLADA (.dae) file, an
+    SDFormat world or model (.sdf, .world), a URDF file, or an MJCF model (.xml, .mjcf).
     """
     from factory.scenes.build import import_scene, load_edits  # needs usd-core
 
     configure_logs(verbose)
-    called = name or usd.stem.lower()
+    called = name or file.stem.lower()
     book, chosen = load_edits(rules, targets, called)
-    limits = StageLimits(max_triangles, allow_outside, ceiling)
-    with stderr.status(f"importing {usd}"):
-        path = import_scene(usd, called, cache or scene_cache(), book, chosen, limits)
+    limits = StageLimits(max_triangles, allow_outside, ceiling, unit, up, models, max_file_mb)
+    with stderr.status(f"importing {file}"):
+        path = import_scene(file, called, cache or scene_cache(), book, chosen, limits)
     facts = describe_package(path)
     made_with = {"rules": rules, "targets": targets}
-    files: dict[str, object] = {key: str(file.resolve()) for key, file in made_with.items() if file is not None}
-    if allow_outside:
-        files["allow_outside"] = True
-    if ceiling is not None:
-        files["ceiling_m"] = ceiling
-    steps = next_steps(path, usd, cache is None, files)
+    used: dict[str, object] = {key: str(edit.resolve()) for key, edit in made_with.items() if edit is not None}
+    searched = tuple(str(folder.resolve()) for folder in models)
+    options = {"allow_outside": allow_outside, "ceiling_m": ceiling, "unit": unit, "up": up, "models": searched}
+    used |= {key: value for key, value in options.items() if value}
+    steps = next_steps(path, file, cache is None, used)
     if as_json:
         print_json(facts | asdict(steps))
     else:

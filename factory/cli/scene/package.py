@@ -109,19 +109,19 @@ class Steps:
     """A first plan as TOML; `None` if no target has a feasible start."""
 
 
-def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, object]) -> Steps:
+def next_steps(package: Path, file: Path, is_in_cache: bool, files: dict[str, object]) -> Steps:
     """Returns the next steps for a scene package.
 
     Args:
         package: file of the scene package.
-        usd: the stage's root layer.
+        file: root file of the scene.
         is_in_cache: True if the package is in the cache, where it is found by name.
         files: files and other options of the import, as in the scene of a plan.
     """
     entry = read_entry(package)
     name = entry.info.name
     scene = name if is_in_cache else shlex.quote(str(package))
-    plan = draft_plan(entry, str(usd.resolve()), **files)
+    plan = draft_plan(entry, str(file.resolve()), **files)
     commands = (f"factory scene inspect {scene} -o {name}.png", f"factory scene survey {scene}")
     ready = (f"factory plan show {name}.toml",) if plan else ()
     return Steps((*commands, *ready), None if plan is None else plan_to_toml(plan))
@@ -136,13 +136,13 @@ def print_steps(steps: Steps) -> None:
         click.echo(f"{'':<8} {last}, after saving this plan to that file:\n\n{steps.plan}", nl=False)
 
 
-def draft_plan(entry: SceneEntry, usd: str, **files: object) -> Plan | None:
+def draft_plan(entry: SceneEntry, file: str, **files: object) -> Plan | None:
     """Returns a feasible plan of a scene; holds out the rarest category if the scene has two or more.
 
     Args:
         entry: Scene.
-        usd: Path of the root layer of the stage.
-        files: `rules`, `targets`, `allow_outside` and `ceiling_m` of the scene, if used for the import.
+        file: Path of the root file of the scene.
+        files: Options of the import, as in the scene of a plan.
 
     Returns:
         The plan, or `None` when no target has a valid start pose for the expert.
@@ -151,7 +151,7 @@ def draft_plan(entry: SceneEntry, usd: str, **files: object) -> Plan | None:
     seen = sorted(counts, key=lambda name: (-counts[name], name))
     held_out = [seen.pop()] if len(seen) > 1 else []
     scene = ScenePlan.model_validate(
-        {"name": entry.info.name, "usd": usd, "seen": seen, "held_out": held_out, "episodes": _EPISODES, **files}
+        {"name": entry.info.name, "file": file, "seen": seen, "held_out": held_out, "episodes": _EPISODES, **files}
     )
     splits = PAPER_SPLITS if held_out else _without_held_out()
     task = TaskConfig(success=SuccessMeasure.SURFACE)

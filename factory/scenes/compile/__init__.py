@@ -1,1 +1,1 @@
-"""Compiles USD stages to scene packages: mesh, textures, objects, targets. Grids are in `scenes.navigation`."""
+"""Compiles extracted scenes to scene packages: mesh, textures, objects, targets. Grids are in `scenes.navigation`."""

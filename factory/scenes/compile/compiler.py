@@ -1,4 +1,4 @@
-"""Compiles a USD stage into a scene package: geometry, appearance, collider, occupancy grid, targets, spawns.
+"""Compiles a scene file into a scene package: geometry, appearance, collider, occupancy grid, targets, spawns.
 
 Calls one module per step. The result depends only on the bytes of the stage, the rules and the target list.
 """
@@ -21,7 +21,8 @@ from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling
 from factory.scenes.compile.shade import target_colour, triangle_areas
 from factory.scenes.compile.textures import TextureBook, load_textures
-from factory.scenes.importer import Extraction, Part, extract_stage
+from factory.scenes.formats import extract_scene
+from factory.scenes.importer import Extraction, Part
 from factory.scenes.importer.assets import read_asset
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.navigation.collider import solid_triangles, weld
@@ -90,10 +91,10 @@ def compile_stage(
     chosen: TargetList | None = None,
     limits: StageLimits = USUAL_LIMITS,
 ) -> CompiledScene:
-    """Compiles a USD stage.
+    """Compiles a scene file.
 
     Args:
-        path: root layer of the stage.
+        path: root file of the scene.
         name: name of the scene.
         source: origin of the stage, recorded in the package.
         rules: category rules; the built-in table when `None`.
@@ -104,7 +105,7 @@ def compile_stage(
         UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
         WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
     """
-    return compile_extraction(path.name, extract_stage(path, limits), name, source, rules, chosen)
+    return compile_extraction(path.name, extract_scene(path, limits), name, source, rules, chosen)
 
 
 def compile_extraction(
@@ -201,7 +202,8 @@ def _show(
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes
     users = {part.surface.texture: part.path for part in reversed(visible)}
-    book = load_textures(_texture_areas(visible), read_asset, users)
+    images = extraction.images
+    book = load_textures(_texture_areas(visible), lambda name: images.get(name) or read_asset(name), users)
     notes += book.notes
     found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
     candidates = apply_candidate_edits(found, visible, chosen)
@@ -211,14 +213,14 @@ def _show(
 
 @contextmanager
 def _told_with_sizes(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
-    """Adds the unit of the stage and the size of its widest prim to an error, so that a wrong unit is visible."""
+    """Adds the unit of the scene and the size of its widest prim to an error, so that a wrong unit is visible."""
     try:
         yield
     except WorldError as error:
         sizes = [np.ptp(part.triangles.reshape(-1, 3), axis=0) for part in parts]
         widest = int(np.argmax([size[:2].max() for size in sizes]))
         x, y, z = sizes[widest]
-        unit = f"metersPerUnit = {extraction.metres_per_unit:g}"
+        unit = f"unit {extraction.metres_per_unit:g} m"
         raise WorldError(
             f"{file}, {unit}, widest prim {parts[widest].path} ({x:.4g} x {y:.4g} x {z:.4g} m): {error}"
         ) from error

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.importer import Part
-from factory.scenes.importer.material import Surface
+from factory.scenes.importer import Part, Surface
 from factory.scenes.navigation.floor import find_floor_height
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Singles

@@ -7,19 +7,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import cos, radians, sin
 from typing import Any
 
 from pxr import Sdf, UsdShade
 
 from factory.scenes.importer.assets import asset_path, read_asset, sibling
+from factory.scenes.importer.model import GRAY, Affine, Colour, Surface
 
-Colour = tuple[float, float, float]
-Affine = tuple[float, float, float, float, float, float]
-
-GRAY: Colour = (0.18, 0.18, 0.18)
-"""Linear default colour, equal to the default of the preview surface."""
 _WHITE: Colour = (1.0, 1.0, 1.0)
 _BLACK: Colour = (0.0, 0.0, 0.0)
 _SURFACES = ("UsdPreviewSurface", "ND_UsdPreviewSurface_surfaceshader", "ND_standard_surface_surfaceshader")
@@ -44,26 +40,6 @@ _NUMBER = r"([\d.eE+-]+)f?"
 _MDL_COLOUR = re.compile(
     rf"\w*(?:color|albedo|tint)\w*\s*:\s*(?:color|float3)\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*,\s*{_NUMBER}", re.IGNORECASE
 )
-
-
-@dataclass(frozen=True)
-class Surface:
-    """Appearance of one material."""
-
-    colour: Colour = GRAY
-    """Linear base colour; with a texture, its factor."""
-    texture: str = ""
-    """Resolved path of the base colour texture, or an empty string."""
-    fallback: Colour = GRAY
-    """Linear colour used if the texture cannot be read."""
-    uv_set: str = "st"
-    uv_affine: Affine | None = None
-    """Rows (a, b, c), (d, e, f) with u' = a u + b v + c and v' = d u + e v + f; `None` for the identity."""
-    opacity: float = 1.0
-    emits: bool = False
-    """Whether the material is emissive."""
-    emission: Colour = (0.0, 0.0, 0.0)
-    """Linear emission colour, if it is uniform."""
 
 
 def bound_material(prim: Any) -> Any | None:

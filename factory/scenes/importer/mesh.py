@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from factory.scenes.importer.gprims import solid_polygons
-from factory.scenes.importer.polygons import Triangulation, is_closed, triangulate
+from factory.scenes.importer.polygons import Triangulation, bounds_volume, triangulate
 from schemas.support.numpy_types import Floats, Ints
 
 _TIME = Usd.TimeCode.EarliestTime()
@@ -88,7 +88,7 @@ def _polygon_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
     cut = _without_holes(triangulate(points, counts, indices), mesh.GetHoleIndicesAttr().Get(_TIME))
     if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
         cut = Triangulation(cut.corners[:, ::-1], cut.faces)
-    two_sided = bool(mesh.GetDoubleSidedAttr().Get()) and not _bounds_volume(points, indices[cut.corners])
+    two_sided = bool(mesh.GetDoubleSidedAttr().Get()) and not bounds_volume(points, indices[cut.corners])
     return ImportedMesh(points, counts, indices, cut, two_sided)
 
 
@@ -97,15 +97,6 @@ def _without_holes(cut: Triangulation, holes: Any) -> Triangulation:
         return cut
     keep = ~np.isin(cut.faces, np.array(holes))
     return Triangulation(cut.corners[keep], cut.faces[keep])
-
-
-def _bounds_volume(points: Floats, triangles: Ints) -> bool:
-    """Returns whether the triangles, with equal points merged, bound a volume with outward winding."""
-    _, welded = np.unique(points, axis=0, return_inverse=True)
-    if not is_closed(welded.reshape(-1)[triangles]):
-        return False
-    a, b, c = np.moveaxis(points[triangles] - points[0], 1, 0)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
 
 
 def material_subsets(prim: Any, mesh: ImportedMesh) -> Iterator[tuple[Any, NDArray[np.bool_]]]:

@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from factory.scenes.importer.material import Surface
+from factory.scenes.importer.model import Surface
 
 
 @dataclass(frozen=True)
@@ -19,11 +19,14 @@ class ReadableFolder:
     root_layer: Path
     is_open: bool
     """Whether all paths are allowed."""
+    also: tuple[Path, ...] = ()
+    """Further folders from which files may be read."""
 
     def encloses(self, asset: str) -> bool:
         """Returns whether an absolute asset path, such as `a.usdz[b.png]`, is inside the folder."""
         file = Path(asset.partition("[")[0])
-        return self.is_open or file.resolve().is_relative_to(self.root_layer.resolve().parent)
+        folders = (self.root_layer.resolve().parent, *(folder.resolve() for folder in self.also))
+        return self.is_open or any(file.resolve().is_relative_to(folder) for folder in folders)
 
     def kept_inside(self, surface: Surface, material: str, notes: list[str]) -> Surface:
         """Returns the surface, with a plain colour if its texture is outside the folder.

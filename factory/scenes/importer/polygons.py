@@ -108,3 +108,12 @@ def is_closed(triangles: Ints) -> bool:
     forth = np.sort(edges[:, 0] << 32 | edges[:, 1])
     back = np.sort(edges[:, 1] << 32 | edges[:, 0])
     return len(edges) > 0 and bool((forth == back).all()) and bool((np.diff(forth) != 0).all())
+
+
+def bounds_volume(points: Floats, triangles: Ints) -> bool:
+    """Returns whether the triangles, with equal points merged, bound a volume with outward winding."""
+    _, welded = np.unique(points, axis=0, return_inverse=True)
+    if not is_closed(welded.reshape(-1)[triangles]):
+        return False
+    a, b, c = np.moveaxis(points[triangles] - points[0], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0

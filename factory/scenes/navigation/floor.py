@@ -42,7 +42,8 @@ def find_floor_height(triangles: Floats) -> float:
     if largest < _MIN_AREA_M2:
         raise WorldError(
             f"the stage has no floor: the largest level surface has {largest:.2f} m2, a floor needs {_MIN_AREA_M2} m2; "
-            "check the stage's upAxis and metersPerUnit, and that the floor is visible and faces up"
+            "check its up axis and unit (upAxis and metersPerUnit of a stage, --up and --unit of other files), and "
+            "that the floor is visible and faces up"
         )
     lowest = levels[per_level >= _MIN_SHARE * largest].min()
     chosen = (bins == lowest) & (areas > 0)

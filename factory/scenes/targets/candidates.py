@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.importer.extract import Extraction, Part
+from factory.scenes.importer import Extraction, Part
 from factory.scenes.rules import CategoryRule, RuleBook
 from factory.scenes.targets.footprint import footprint_of
 

@@ -140,4 +140,4 @@ def test_a_path_with_special_characters_is_read_back_from_toml(sign: str, tmp_pa
     named = plan.scenes[1].model_copy(update={"usd": f"/data/lab{sign}1.usda"})
     path = tmp_path / "plan.toml"
     path.write_text(plan_to_toml(plan.model_copy(update={"scenes": (plan.scenes[0], named)})), encoding="utf-8")
-    assert load_plan(str(path)).scenes[1].usd == named.usd
+    assert load_plan(str(path)).scenes[1].file == named.file

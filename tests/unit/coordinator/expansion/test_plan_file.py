@@ -35,7 +35,7 @@ def test_a_valid_file_is_read_and_scene_paths_are_relative_to_it(tmp_path):
     path.write_text(GOOD)
     plan = load_plan(str(path))
     assert plan.tiers == {Tier.NEAR: 0.5, Tier.MID: 0.5}
-    assert plan.scenes[1].usd == str(tmp_path / "lab/world.usda")
+    assert plan.scenes[1].file == str(tmp_path / "lab/world.usda")
     assert plan.episodes == 15
 
 
@@ -247,3 +247,29 @@ def test_wrong_measures_and_limits_are_named_with_their_key(tmp_path, text, said
     with pytest.raises(InvalidPlan) as caught:
         load_plan(str(path))
     assert said in str(caught.value)
+
+
+def test_the_former_key_usd_is_read_as_file_with_the_same_digest(tmp_path):
+    text = 'splits = {train_id = 1.0}\n[[scenes]]\nname = "lab"\n%s = "lab.glb"\nseen = ["chair"]\nepisodes = 1\n'
+    plans = []
+    for key in ("usd", "file"):
+        (tmp_path / "mine.toml").write_text(text % key)
+        plans.append(load_plan(str(tmp_path / "mine.toml")))
+    assert plans[0] == plans[1]
+    assert '"usd":' in plans[1].model_dump_json()
+    assert Plan.model_validate_json(plans[0].model_dump_json()) == plans[0]
+    assert f'file = "{tmp_path}/lab.glb"' in plan_to_toml(plans[0])
+    (tmp_path / "mine.toml").write_text(plan_to_toml(plans[0]))
+    assert load_plan(str(tmp_path / "mine.toml")) == plans[0]
+
+
+def test_units_and_folders_of_models_are_relative_to_the_plan_and_part_of_its_digest(tmp_path):
+    text = 'splits = {train_id = 1.0}\n[[scenes]]\nname = "lab"\nfile = "lab.obj"\nseen = ["chair"]\nepisodes = 1\n'
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    plain = load_plan(str(path))
+    path.write_text(text + 'unit = "cm"\nup = "y"\nmodels = ["more", "/opt/models"]\n')
+    (scene,) = load_plan(str(path)).scenes
+    assert (scene.unit, scene.up, scene.models) == ("cm", "y", (str(tmp_path / "more"), "/opt/models"))
+    assert load_plan(str(path)).digest != plain.digest
+    assert '"models":' not in plain.model_dump_json()

@@ -41,6 +41,7 @@ DIFFERENT = {
     ("factory keys ca", "--name"): "has a default",
     ("factory bench collect", "--expert"): "compares several experts",
     ("factory bench collect", "--record"): "compares both recordings",
+    ("factory render", "--rig"): "renders several rigs",
     ("factory repair", "--plan"): "an addition to the dataset it works on",
 }
 """Options that take another kind of value than others of their name, and why."""

@@ -24,7 +24,7 @@ def test_all_missing_files_are_named_with_their_keys_and_remedies(tmp_path: Path
     with pytest.raises(InvalidPlan) as caught:
         require_files(plan_in(tmp_path))
     usd, rules, targets = caught.value.findings
-    assert usd.startswith(f"scenes[1] lab: usd: no USD file at {tmp_path}/w.usda")
+    assert usd.startswith(f"scenes[1] lab: file: no scene file at {tmp_path}/w.usda")
     assert rules.startswith(f"scenes[1] lab: rules: cannot read category rules from {tmp_path}/r.yaml")
     assert f"`factory scene targets lab -o {tmp_path}/t.yaml`" in targets
     assert targets.endswith(f"before that `factory scene import {tmp_path}/w.usda --name lab`")

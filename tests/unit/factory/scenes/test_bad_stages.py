@@ -61,7 +61,7 @@ def test_implausible_units_are_refused_with_the_common_ones(tmp_path: Path, valu
         (TEXT.group("Ghost", BOX, head="active = false"), ["/World/Ghost is not active"]),
         (
             TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)),
-            ["odd.usda", "metersPerUnit = 1,", "/World/Wall (5 x 0.1 x 3 m)", "no floor", "upAxis"],
+            ["odd.usda", "unit 1 m,", "/World/Wall (5 x 0.1 x 3 m)", "no floor", "upAxis"],
         ),
         (TEXT.box("Floor", (0, 0, -1), (8000, 8000, 0)), ["odd.usda", "/World/Floor (8000 x", "grid", "metersPerUnit"]),
     ],

@@ -1,4 +1,4 @@
-"""A file that is not a USD stage is refused; the message names the supported formats and a converter."""
+"""Formats are detected by content; a file of another format is refused with the supported ones and a converter."""
 
 from __future__ import annotations
 
@@ -9,28 +9,32 @@ import pytest
 
 from factory.runs.plan_files import require_files
 from factory.scenes.build import import_scene
-from factory.scenes.stage_file import find_fault
+from factory.scenes.stage_file import find_fault, kind_of_file
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split
 from tests.builders.stage import StageText, room_body
 
 FOREIGN = {
-    "shop.glb": (b"glTF\x02\x00\x00\x00", "glTF", "bpy.ops.import_scene.gltf(filepath='shop.glb')"),
-    "shop.gltf": (json.dumps({"asset": {"version": "2.0"}}).encode(), "glTF", "import_scene.gltf"),
     "shop.fbx": (b"Kaydara FBX Binary  \x00", "FBX", "import_scene.fbx"),
-    "shop.obj": (b"# exported\nv 0 0 0\n", "OBJ", "wm.obj_import"),
-    "shop.dae": (b'<?xml version="1.0"?>\n<COLLADA version="1.4.1">', "COLLADA", "wm.collada_import"),
     "shop.blend": (b"BLENDER-v405", "Blender", "blender --background shop.blend"),
-    "shop.ply": (b"ply\nformat ascii 1.0\n", "PLY", "wm.ply_import"),
-    "shop.stl": (b"solid shop\n", "STL", "wm.stl_import"),
-    "shop.sdf": (b'<?xml version="1.0"?><!-- <robot> --><sdf version="1.9"/>', "SDF", "sdf2usd"),
-    "shop.world": (b'<sdf version="1.6"><world name="shop"/></sdf>', "SDF", "sdf2usd"),
-    "robot.urdf": (b'<robot name="carter"/>', "URDF", "urdf-usd-converter"),
-    "scene.xml": (b"\xef\xbb\xbf<!-- MuJoCo -->\n<mujoco model='shop'/>", "MJCF", "mujoco-usd-converter"),
-    "scene.mjcf": (b"<mujoco/>", "MJCF", "mujoco-usd-converter"),
-    "shop.max": (b"\xd0\xcf\x11\xe0", "not a USD stage", "export it as USD"),
-    "empty.xyz": (b"", "not a USD stage", "export it as USD"),
+    "shop.max": (b"\xd0\xcf\x11\xe0", "not a scene", "export it as glTF or USD"),
+    "page.html": (b"<html></html>", "XML", "export it as glTF or USD"),
+    "empty.xyz": (b"", "not a scene", "export it as glTF or USD"),
+}
+KINDS = {
+    "shop.glb": (b"glTF\x02\x00\x00\x00", "glTF"),
+    "shop.gltf": (json.dumps({"asset": {"version": "2.0"}}).encode(), "glTF"),
+    "shop.obj": (b"# exported\nv 0 0 0\n", "OBJ"),
+    "shop.dae": (b'<?xml version="1.0"?>\n<COLLADA version="1.4.1">', "COLLADA"),
+    "shop.ply": (b"ply\nformat ascii 1.0\n", "PLY"),
+    "shop.stl": (b"solid shop\n", "STL"),
+    "shop.sdf": (b'<?xml version="1.0"?><!-- <robot> --><sdf version="1.9"/>', "SDF"),
+    "shop.world": (b'<sdf version="1.6"><world name="shop"/></sdf>', "SDF"),
+    "robot.urdf": (b'<robot name="carter"/>', "URDF"),
+    "scene.xml": (b"\xef\xbb\xbf<!-- MuJoCo -->\n<mujoco model='shop'/>", "MJCF"),
+    "scene.mjcf": (b"<mujoco/>", "MJCF"),
+    "wrong.obj": (b"glTF\x02\x00\x00\x00", "glTF"),
 }
 DISGUISED = {
     "glTF": b"glTF\x02\x00\x00\x00",
@@ -46,6 +50,14 @@ def stage(folder: Path) -> Path:
     return text.write(folder / "room.usda", room_body(text))
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_a_readable_format_is_detected_by_its_content_then_by_its_suffix(tmp_path: Path, name: str) -> None:
+    content, kind = KINDS[name]
+    (tmp_path / name).write_bytes(content)
+    assert kind_of_file(tmp_path / name) == kind
+    assert find_fault(tmp_path / name) == ""
+
+
 @pytest.mark.parametrize("name", FOREIGN)
 def test_another_format_is_named_with_what_is_supported_and_its_converter(tmp_path: Path, name: str) -> None:
     content, kind, remedy = FOREIGN[name]
@@ -54,7 +66,7 @@ def test_another_format_is_named_with_what_is_supported_and_its_converter(tmp_pa
     fault = find_fault(path)
     assert fault.startswith(f"{path} is ")
     assert kind in fault
-    assert ".usd, .usda, .usdc, .usdz" in fault
+    assert ".usd, .usda, .usdc, .usdz, .gltf, .glb" in fault
     assert remedy in fault
     assert "usdchecker" not in fault
 
@@ -62,7 +74,7 @@ def test_another_format_is_named_with_what_is_supported_and_its_converter(tmp_pa
 @pytest.mark.parametrize("name", FOREIGN)
 def test_importing_another_format_is_a_usage_error_and_writes_nothing(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(FOREIGN[name][0])
-    with pytest.raises(UsageError, match="supported are USD stages"):
+    with pytest.raises(UsageError, match=r"supported are \.usd, .*\.glb"):
         import_scene(tmp_path / name, "shop", tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
 
@@ -74,7 +86,7 @@ def test_a_plan_that_names_it_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InvalidPlan) as caught:
         require_files(Plan(name="mine", scenes=(shop,), splits={Split.TRAIN_ID: 1.0}))
     (finding,) = caught.value.findings
-    assert finding.startswith("scenes[0] shop: usd: ")
+    assert finding.startswith("scenes[0] shop: file: ")
     assert FOREIGN[name][2] in finding
 
 
@@ -112,5 +124,5 @@ def test_a_stage_with_a_wrong_suffix_is_refused_with_the_right_suffix(tmp_path: 
 
 
 def test_a_directory_and_a_missing_file_have_different_messages(tmp_path: Path) -> None:
-    assert "is a directory; give the stage's root layer" in find_fault(tmp_path)
-    assert find_fault(tmp_path / "w.usda").startswith(f"no USD file at {tmp_path}/w.usda")
+    assert "is a directory; give the scene's root file" in find_fault(tmp_path)
+    assert find_fault(tmp_path / "w.usda").startswith(f"no scene file at {tmp_path}/w.usda")

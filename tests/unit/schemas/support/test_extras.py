@@ -27,6 +27,8 @@ MODULE_OF = {
     "eclipse-zenoh": "zenoh",
     "mapbox_earcut": "mapbox_earcut",
     "usd-core": "pxr",
+    "pycollada": "collada",
+    "mujoco-core": "mujoco",
     "rerun-sdk": "rerun",
     "psycopg": "psycopg",
 }
@@ -84,7 +86,7 @@ def test_each_optional_package_is_in_its_extra() -> None:
         for name in map(_name, requirements)
         if name != "minivla-factory"
     }
-    brought |= dict.fromkeys(("mapbox_earcut", "pxr"), "sim")
+    brought |= dict.fromkeys(("mapbox_earcut", "pxr", "defusedxml", "collada"), "sim")
     assert dict(EXTRA_OF) == brought
 
 

@@ -15,7 +15,7 @@ from schemas.measure import Goal
 from schemas.terms import ExpertName, Screening, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
-from workers.geometry.appearance import Appearance
+from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.foresight import predict_path
@@ -111,7 +111,7 @@ def pillared_room() -> LoadedScene:
 def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
     target = place.scene.info.target(job.target_id)
     x, y, yaw = predict_path(
-        start, Goal.of(target, job.task), job, Appearance(place.scene, target.instance_id, job.camera)
+        start, Goal.of(target, job.task), job, MaskEstimate(place.scene, target.instance_id, job.camera)
     ).T
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 

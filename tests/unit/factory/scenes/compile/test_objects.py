@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from factory.scenes.compile.objects import assign_objects, number_objects
-from factory.scenes.importer import Part
-from factory.scenes.importer.material import Surface
+from factory.scenes.importer import Part, Surface
 
 
 def parts(*paths: str) -> list[Part]:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from factory.scenes.importer import Part
-from factory.scenes.importer.material import Surface
+from factory.scenes.importer import Part, Surface
 from factory.scenes.navigation.collider import solid_triangles, weld
 from factory.scenes.navigation.floor import find_floor_height, floor_triangles
 from factory.scenes.navigation.occupancy import GridFrame, build_occupancy, draw_band

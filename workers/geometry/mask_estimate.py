@@ -20,7 +20,7 @@ and its near part covers more of the image."""
 _CUTS = 3
 
 
-class Appearance:
+class MaskEstimate:
     """Surface of one target, for evaluation from poses of base_link on the floor."""
 
     def __init__(self, scene: CompiledScene, instance_id: int, camera: CameraConfig) -> None:

@@ -13,7 +13,7 @@ from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene
 from workers.experts.sight import see
-from workers.geometry.appearance import Appearance
+from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.choose import open_renderer
@@ -42,15 +42,15 @@ def test_the_predicted_centroid_matches_the_mask(renderer: Renderer, name: str, 
     renderer.load(scene, CAMERA)
     relief = renderer.render_depth_and_ids(Pose.planar(0.1, -0.05, yaw))
     drawn = see(relief.ids, relief.depth, 1, min_pixels=1)
-    pixels, column = Appearance(scene, 1, CAMERA).look(0.1, -0.05, yaw)
+    pixels, column = MaskEstimate(scene, 1, CAMERA).look(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
     if drawn.pixels > 5000:  # not only a few pixels at the edge
         assert column == pytest.approx((drawn.column - 320) / 320, abs=0.12)
 
 
 def test_an_object_behind_the_camera_is_not_in_view() -> None:
-    assert Appearance(build_scene([TARGETS["box"]]), 1, CAMERA).look(0.0, 0.0, math.pi) == (0.0, 0.0)
-    assert Appearance(build_scene([TARGETS["box"]]), 99, CAMERA).look(0.0, 0.0, 0.0) == (0.0, 0.0)
+    assert MaskEstimate(build_scene([TARGETS["box"]]), 1, CAMERA).look(0.0, 0.0, math.pi) == (0.0, 0.0)
+    assert MaskEstimate(build_scene([TARGETS["box"]]), 99, CAMERA).look(0.0, 0.0, 0.0) == (0.0, 0.0)
 
 
 def test_a_long_target_seen_at_an_angle_is_approached_at_its_near_end() -> None:
@@ -59,6 +59,6 @@ def test_a_long_target_seen_at_an_angle_is_approached_at_its_near_end() -> None:
     start, goal = (0.0, -3.0, math.atan2(3.0, 3.25)), (3.25, 0.0)
     region = Goal(goal, job.task.success_radius_m)
     straight = predict_path(start, region, job)
-    drawn_to = predict_path(start, region, job, Appearance(build_scene([box]), 1, CAMERA))
+    drawn_to = predict_path(start, region, job, MaskEstimate(build_scene([box]), 1, CAMERA))
     assert straight[-1, 1] == pytest.approx(goal[1] - 3.0 / math.hypot(3.25, 3.0) * job.task.success_radius_m, abs=0.05)
     assert drawn_to[-1, 1] < straight[-1, 1] - 0.1

@@ -1,0 +1,1 @@
+"""New verified instructions for an existing dataset, without driving (docs/language.md)."""

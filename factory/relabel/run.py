@@ -1,0 +1,265 @@
+"""Relabels a dataset: writes parts of instructions in several processes, then the dataset with the new instructions.
+
+An interrupted call continues where it stopped. The source is not changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import Field, ValidationError
+
+from factory.dataset.packages import ScenePackage
+from factory.dataset.reader import Dataset
+from factory.export.execution.pool import run_tasks
+from factory.export.output import WORK_FOLDER, Output
+from factory.relabel.assemble import assemble
+from factory.relabel.part import LanguageStart, PartTask, instructions_of, make_part, prepared_scene
+from schemas.base import Model, Sha256
+from schemas.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE
+from schemas.dataset_meta import software_versions
+from schemas.errors import InvalidLanguage, UsageError, WorldError
+from schemas.language.compose import Composer, Instruction, InstructionKind
+from schemas.language.expression import Family
+from schemas.language.file import LanguageSpec
+
+_PART_EPISODES = 500
+_PROBES = 12
+"""Number of episodes of each scene that are tried before the work begins."""
+_COLUMNS = (
+    *("episode_id", "index", "split", "scene", "scene_sha256", "target_id", "target_category"),
+    *("spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "instruction", "template_id"),
+)
+
+
+class RelabelOrder(Model):
+    """What a relabelling is made from; equal orders give equal files."""
+
+    source_digest: Sha256
+    """Digest of the episodes of the source."""
+    rows_digest: Sha256
+    """SHA-256 of the metadata table of the source."""
+    spec: LanguageSpec
+    """Content of the language file."""
+    software: dict[str, str]
+    """Versions of the packages on which the instructions depend."""
+
+
+class RelabelReport(Model):
+    """Result of a relabelling."""
+
+    out: str
+    """Directory of the dataset with the new instructions."""
+    finished: bool
+    """Whether all episodes have been processed."""
+    episodes: int
+    """Number of episodes processed."""
+    instructions: int = 0
+    """Number of new instructions that name the target."""
+    false_premises: int = 0
+    """Number of instructions that name an object that does not exist."""
+    recorded: int = 0
+    """Number of episodes that keep their recorded instruction."""
+    distinct: int = 0
+    """Number of distinct sentences."""
+    patterns: int = 0
+    """Number of distinct sentence patterns."""
+    minimal: int = 0
+    """Number of instructions from which no part can be dropped."""
+    languages: dict[str, int] = Field(default_factory=dict)
+    """Number of instructions by language."""
+    features: dict[str, int] = Field(default_factory=dict)
+    """Number of instructions by features; an instruction may have several."""
+    rejected: dict[str, int] = Field(default_factory=dict)
+    """Number of sentences that the verifier rejected, by reason, in this call."""
+
+
+class _Job(NamedTuple):
+    """Scene with its episodes."""
+
+    package: ScenePackage
+    starts: tuple[LanguageStart, ...]
+
+
+Progress = Callable[[int, int], None]
+
+
+def relabel(
+    root: Path,
+    out: Path,
+    spec: LanguageSpec,
+    workers: int = 0,
+    on_progress: Progress = lambda _done, _total: None,
+    stop: threading.Event | None = None,
+) -> RelabelReport:
+    """Writes a dataset with new instructions, or continues an interrupted call.
+
+    Args:
+        root: directory of the source.
+        out: directory of the new dataset.
+        spec: content of the language file.
+        workers: number of processes; 0 works in this process.
+        on_progress: called with the number of processed episodes and the total.
+        stop: event that interrupts the work; finished parts are kept.
+
+    Raises:
+        UsageError: the source has no episodes, or `out` contains other files or another relabelling.
+        InvalidLanguage: no target of a scene can get an instruction; the error lists what is possible there.
+        ArchiveCorrupt: the source is damaged.
+        WorldError: the disk is full or not available.
+    """
+    dataset = Dataset(root)
+    if not len(dataset):
+        raise UsageError(f"{root} has no episodes")
+    order = _order_of(dataset, spec)
+    _require_same(out, order)
+    if (out / META_FILE).is_file() and not (out / WORK_FOLDER).exists():
+        return _report(out, len(dataset), pq.read_table(out / INSTRUCTIONS_FILE), Counter())
+    jobs = list(_jobs(dataset))
+    _require_possible(dataset, jobs, spec)
+    stop = stop or threading.Event()
+    with Output(out) as output:
+        output.write_text(RELABEL_FILE, order.model_dump_json(indent=1) + "\n")
+        tasks = list(_tasks(dataset, jobs, spec, output))
+        files = [task.file for task in tasks]
+        rejected = _write_parts(tasks, workers, on_progress, stop)
+        if stop.is_set() or not all(file.is_file() for file in files):
+            done = sum(pq.read_metadata(file).num_rows > 0 for file in files if file.is_file())
+            return RelabelReport(out=str(out), finished=False, episodes=min(done * _PART_EPISODES, len(dataset)))
+        table = pa.concat_tables([pq.read_table(file) for file in files]).sort_by(
+            [("index", "ascending"), ("number", "ascending")]
+        )
+        assemble(dataset, table, spec, output)
+        output.drop_work()
+    return _report(out, len(dataset), table, rejected)
+
+
+def _order_of(dataset: Dataset, spec: LanguageSpec) -> RelabelOrder:
+    said = hashlib.sha256()
+    for name in ("episode_id", "instruction", "target_id", "scene_sha256"):
+        said.update("\n".join(map(str, dataset.column(name).to_pylist())).encode())
+    versions = software_versions(("minivla-factory", "numpy", "scipy"))
+    return RelabelOrder(source_digest=dataset.digest, rows_digest=said.hexdigest(), spec=spec, software=versions)
+
+
+def _require_same(out: Path, order: RelabelOrder) -> None:
+    """Raises `UsageError` unless a directory is empty or contains the same relabelling."""
+    path = out / RELABEL_FILE
+    if not path.is_file():
+        if out.exists() and (not out.is_dir() or any(entry.name != WORK_FOLDER for entry in out.iterdir())):
+            raise UsageError(f"{out} exists and is not a relabelled dataset: choose another --out")
+        return
+    try:
+        found = RelabelOrder.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise WorldError(f"{path} is damaged: delete {out}, or choose another --out") from error
+    differing = [name for name in RelabelOrder.model_fields if getattr(found, name) != getattr(order, name)]
+    if differing:
+        named = {"source_digest": "dataset", "rows_digest": "instructions of the dataset", "spec": "language file"}
+        what = ", ".join(named.get(name, name) for name in differing)
+        raise UsageError(f"{out} was relabelled with another {what}: delete it, or choose another --out")
+
+
+def _jobs(dataset: Dataset) -> Iterator[_Job]:
+    """Yields the scenes with their episodes, in the order of the first episode."""
+    columns = pa.table({name: dataset.column(name) for name in _COLUMNS})
+    for sha256 in pc.unique(columns["scene_sha256"]).to_pylist():
+        rows = columns.filter(pc.equal(columns["scene_sha256"], sha256)).to_pylist()
+        yield _Job(
+            ScenePackage(dataset.root, rows[0]["scene"], sha256),
+            tuple(
+                LanguageStart(
+                    episode_id=row["episode_id"],
+                    index=row["index"],
+                    split=row["split"],
+                    target_id=row["target_id"],
+                    category=row["target_category"],
+                    pose=(row["spawn_x_m"], row["spawn_y_m"], row["spawn_yaw_rad"]),
+                    instruction=row["instruction"],
+                    template_id=row["template_id"],
+                )
+                for row in rows
+            ),
+        )
+
+
+def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec) -> None:
+    """Raises `InvalidLanguage` if a language lacks a noun, or no target of a scene gets an instruction."""
+    composer, camera = Composer(spec), dataset.meta.plan.camera
+    faults = composer.missing_nouns([start.category for job in jobs for start in job.starts])
+    every = Composer(spec.model_copy(update={"features": dict.fromkeys(Family, 1.0), "same_category": 0}))
+    for job in [] if faults else jobs:
+        scene = prepared_scene(job.package)
+        probes = job.starts[:: max(1, len(job.starts) // _PROBES)]
+        if any(_goals(instructions_of(start, scene, composer, camera)) for start in probes):
+            continue
+        possible = {
+            one.features or "category alone"
+            for start in probes
+            for one in _goals(instructions_of(start, scene, every, camera))
+        }
+        rivals = max(scene.distractors(scene.graph.number_of[start.target_id]) for start in probes)
+        what = ", ".join(sorted(possible)) or f"nothing with fit = {spec.fit!r}"
+        faults.append(
+            f"scene {job.package.name}: no instruction with these features fits a target; possible there: {what}; "
+            f"at most {rivals} other objects of a target's category"
+        )
+    if faults:
+        raise InvalidLanguage("the language file does not fit the dataset", faults)
+
+
+def _goals(found: Sequence[Instruction]) -> list[Instruction]:
+    return [one for one in found if one.kind is InstructionKind.GOAL]
+
+
+def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: Output) -> Iterator[PartTask]:
+    number = 0
+    for job in jobs:
+        for first in range(0, len(job.starts), _PART_EPISODES):
+            starts = job.starts[first : first + _PART_EPISODES]
+            yield PartTask(job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number))
+            number += 1
+
+
+def _part_file(output: Output, number: int) -> Path:
+    return output.piece_folder(f"part-{number:06d}.parquet")
+
+
+def _write_parts(tasks: Sequence[PartTask], workers: int, on_progress: Progress, stop: threading.Event) -> Counter[str]:
+    """Writes the parts that are missing; returns the rejected sentences by reason."""
+    left = [task for task in tasks if not task.file.is_file()]
+    total = sum(len(task.starts) for task in tasks)
+    done = total - sum(len(task.starts) for task in left)
+    rejected: Counter[str] = Counter()
+    for result in run_tasks(make_part, left, workers, stop):
+        done += result.episodes
+        rejected += result.rejected
+        on_progress(done, total)
+    return rejected
+
+
+def _report(out: Path, episodes: int, table: pa.Table, rejected: Counter[str]) -> RelabelReport:
+    rows = table.select(["kind", "language", "features", "is_minimal"]).to_pylist()
+    goals = [row for row in rows if row["kind"] == InstructionKind.GOAL]
+    return RelabelReport(
+        out=str(out),
+        finished=True,
+        episodes=episodes,
+        instructions=len(goals),
+        false_premises=sum(row["kind"] == InstructionKind.FALSE_PREMISE for row in rows),
+        recorded=sum(row["kind"] == InstructionKind.RECORDED for row in rows),
+        distinct=len(pc.unique(table["instruction"])),
+        patterns=len(pc.unique(table["template_id"])),
+        minimal=sum(row["is_minimal"] for row in goals),
+        languages=dict(sorted(Counter(row["language"] for row in goals).items())),
+        features=dict(sorted(Counter(name for row in goals for name in row["features"].split(",") if name).items())),
+        rejected=dict(sorted(rejected.items())),
+    )

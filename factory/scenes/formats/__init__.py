@@ -1,0 +1,5 @@
+"""Reads scenes of formats other than USD: glTF, OBJ, PLY, STL, COLLADA, SDFormat, URDF and MJCF."""
+
+from factory.scenes.formats.extract import extract_scene
+
+__all__ = ["extract_scene"]

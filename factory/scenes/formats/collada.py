@@ -1,0 +1,164 @@
+"""Reads COLLADA files (.dae) with pycollada: nodes, triangles, materials, unit and up axis.
+
+Controllers are read in their rest pose, without their skin. Lights and cameras are ignored.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import collada
+import numpy as np
+
+from factory.scenes.formats.files import SceneFiles
+from factory.scenes.formats.shapes import BROKEN, Content, Names, Shape, display_colour, mesh_piece
+from factory.scenes.formats.xml_text import parse_xml
+from factory.scenes.importer.collect import Piece
+from factory.scenes.importer.model import Surface
+from factory.scenes.importer.polygons import triangulate
+from schemas.support.numpy_types import Floats, Ints
+
+_UP = {"X_UP": None, "Y_UP": "y", "Z_UP": "z"}
+_DEEPEST = 200
+
+
+@dataclass
+class _Reader:
+    path: Path
+    files: SceneFiles
+    content: Content
+    names: Names = field(default_factory=Names)
+    surfaces: dict[str, tuple[Surface, bool]] = field(default_factory=dict)
+    """Surface and double-sidedness, by the id of the material."""
+
+
+def read_collada(data: bytes, path: Path, files: SceneFiles) -> Content:
+    """Reads a COLLADA file.
+
+    Args:
+        data: content of the file.
+        path: path of the file; textures are relative to it.
+        files: files of the import.
+
+    Raises:
+        ValueError: the file is not valid, or contains XML entities.
+        WorldError: the file has too many triangles.
+    """
+    parse_xml(data)  # pycollada's parser expands entities
+    try:
+        document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
+    except collada.common.DaeError as error:
+        raise ValueError(f"{error}") from error
+    unit = document.assetInfo.unitmeter
+    content = Content(
+        metres_per_unit=1.0 if unit is None else float(unit), up=_UP.get(str(document.assetInfo.upaxis), "y")
+    )
+    reader = _Reader(path, files, content)
+    for node in [] if document.scene is None else document.scene.nodes:
+        _visit(reader, node, "", np.eye(4), 0)
+    return content
+
+
+def _visit(reader: _Reader, node: Any, parent: str, frame: Floats, depth: int) -> None:
+    if depth > _DEEPEST:
+        raise ValueError(f"nodes are nested more than {_DEEPEST} deep")
+    if isinstance(node, collada.scene.GeometryNode):
+        _add(reader, node.geometry, node.materials, parent, frame)
+    elif isinstance(node, collada.scene.ControllerNode):
+        _add(reader, node.controller.geometry, node.materials, parent, frame)
+    elif isinstance(node, collada.scene.NodeNode):
+        _visit(reader, node.node, parent, frame, depth + 1)
+    elif isinstance(node, collada.scene.Node):
+        path = reader.names.path(parent, _name_of(node), "node")
+        here = np.asarray(frame @ np.asarray(node.matrix, np.float64))
+        for child in node.children or ():
+            _visit(reader, child, path, here, depth + 1)
+
+
+def _name_of(node: Any) -> str:
+    xml = getattr(node, "xmlnode", None)
+    return str(getattr(node, "name", None) or (xml.get("name") if xml is not None else "") or node.id or "")
+
+
+def _add(reader: _Reader, geometry: Any, bindings: Any, parent: str, frame: Floats) -> None:
+    materials = {binding.symbol: binding.target for binding in bindings}
+    path = parent or reader.names.path("", str(geometry.name or geometry.id), "mesh")
+    pieces = []
+    for primitive in geometry.primitives:
+        try:
+            pieces += list(_pieces(reader, primitive, materials.get(primitive.material), path))
+        except BROKEN as error:
+            reader.files.scene.notes.append(f"{reader.path.name} {path}: skipped, {error}")
+    if pieces:
+        reader.content.shapes.append(Shape(path, tuple(pieces), frame))
+
+
+def _pieces(reader: _Reader, primitive: Any, material: Any, path: str) -> Iterator[Piece]:
+    if isinstance(primitive, collada.lineset.LineSet) or primitive.vertex is None:
+        return
+    points = np.asarray(primitive.vertex, np.float64)
+    counts, rows = _faces(primitive)
+    reader.files.scene.require_room(path, int(np.maximum(counts - 2, 0).sum()))
+    cut = triangulate(points, counts, rows)
+    surface, is_two_sided = _surface(reader, material, path)
+    uvs = None
+    if primitive.texcoordset:
+        own = _texcoords(primitive)
+        uvs = np.asarray(primitive.texcoordset[0], np.float64)[own[cut.corners]][..., :2]
+    yield mesh_piece(points, rows[cut.corners], surface, uvs, is_two_sided=True if is_two_sided else None)
+
+
+def _faces(primitive: Any) -> tuple[Ints, Ints]:
+    """Returns the number of corners of each face (F,), and the vertex of each corner (C,)."""
+    if isinstance(primitive, collada.polylist.Polylist):  # also Polygons
+        return np.asarray(primitive.vcounts, np.int64), np.asarray(primitive.vertex_index, np.int64).reshape(-1)
+    rows = np.asarray(primitive.vertex_index, np.int64).reshape(-1)
+    return np.full(len(rows) // 3, 3), rows
+
+
+def _texcoords(primitive: Any) -> Ints:
+    rows = np.asarray(primitive.texcoord_indexset[0], np.int64).reshape(-1)
+    count = len(primitive.texcoordset[0])
+    if len(rows) and not 0 <= rows.min() <= rows.max() < count:
+        raise ValueError(f"texture coordinate {rows.max()} of {count}")
+    return rows
+
+
+def _surface(reader: _Reader, material: Any, path: str) -> tuple[Surface, bool]:
+    effect = getattr(material, "effect", None)
+    if effect is None:
+        return Surface(), False
+    if material.id not in reader.surfaces:
+        reader.surfaces[material.id] = _read_surface(reader, effect, path), bool(effect.double_sided)
+    return reader.surfaces[material.id]
+
+
+def _read_surface(reader: _Reader, effect: Any, path: str) -> Surface:
+    glow = _colour(effect.emission) or (0.0, 0.0, 0.0)
+    plain = _colour(effect.diffuse)
+    surface = Surface(colour=plain or (1.0, 1.0, 1.0), opacity=_opacity(effect), emits=max(glow) > 0.05, emission=glow)
+    if not isinstance(effect.diffuse, collada.material.Map):
+        return surface if plain else Surface(opacity=surface.opacity, emits=surface.emits, emission=glow)
+    image = effect.diffuse.sampler.surface.image
+    return reader.files.textured(surface, reader.path.parent, str(image.path), f"{reader.path.name} {path}")
+
+
+def _colour(value: Any) -> tuple[float, float, float] | None:
+    if value is None or isinstance(value, collada.material.Map):
+        return None
+    return display_colour(*(float(channel) for channel in list(value)[:3]))
+
+
+def _opacity(effect: Any) -> float:
+    """Returns the opacity; 1 for effects that are fully transparent, which many exporters write for opaque ones."""
+    transparent, factor = effect.transparent, effect.transparency
+    if transparent is None or factor is None or isinstance(transparent, collada.material.Map):
+        return 1.0
+    is_zero = effect.opaque_mode == collada.material.OPAQUE_MODE.RGB_ZERO
+    colour = [float(channel) for channel in list(transparent)]
+    value = 1.0 - float(np.mean(colour[:3])) * float(factor) if is_zero else colour[-1] * float(factor)
+    return value if value > 0.0 else 1.0

@@ -1,0 +1,117 @@
+"""Reads the files of a scene that is not USD: within its folder and the folders of models, up to a size.
+
+Collects missing files, so that one error names all. Does not parse files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from urllib.parse import unquote
+
+from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.collect import Collector
+from factory.scenes.importer.model import Part, Surface
+from factory.scenes.importer.outside_files import ReadableFolder
+from schemas.errors import WorldError
+
+_OUTSIDE = "outside of the scene's folder; move them below it, or allow them with --allow-outside"
+
+
+@dataclass
+class SceneFiles:
+    """Files of one import."""
+
+    root: Path
+    scene: Collector
+    """Scene that is read; has the limits, and receives notes."""
+    digests: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of each file that was read, by its path relative to the folder of the root file."""
+    images: dict[str, bytes] = field(default_factory=dict)
+    """Encoded images inside other files, by name."""
+    _faults: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Reason -> references with that fault -> first node that has them."""
+
+    @property
+    def readable(self) -> ReadableFolder:
+        """Folders from which files may be read."""
+        return ReadableFolder(self.root, self.scene.limits.allow_outside, self.scene.limits.models)
+
+    def read(self, path: Path) -> bytes:
+        """Returns the content of a file.
+
+        Raises:
+            WorldError: the file is missing, outside of the folders or too large.
+        """
+        if not self.is_usable(path, self.root.name):
+            self.require_all()
+        limit = self.scene.limits.max_file_mb * 1_000_000
+        size = path.stat().st_size
+        if size > limit:
+            raise WorldError(
+                f"{path.name} has {size / 1e6:.0f} MB; the limit of one file is {self.scene.limits.max_file_mb} MB; "
+                "reduce its meshes and textures, or raise --max-file-mb if memory allows"
+            )
+        data = path.read_bytes()
+        self.digests[self._seen(path)] = hashlib.sha256(data).hexdigest()
+        return data
+
+    def is_usable(self, path: Path, user: str) -> bool:
+        """Returns whether a file exists inside the folders; otherwise `require_all` raises an error that names it."""
+        if path != self.root and not self.readable.encloses(str(path)):
+            self.add_fault(
+                "outside of the scene's folder; move them below it, or allow them with --allow-outside", path, user
+            )
+        elif not path.is_file():
+            self.add_fault("missing", path, user)
+        else:
+            return True
+        return False
+
+    def add_fault(self, reason: str, reference: Path | str, user: str) -> None:
+        """Records a reference that cannot be used."""
+        seen = self._seen(reference) if isinstance(reference, Path) else reference
+        self._faults.setdefault(reason, {}).setdefault(seen, user)
+
+    def require_all(self) -> None:
+        """Checks that all references can be used.
+
+        Raises:
+            WorldError: some cannot; the message names all.
+        """
+        if self._faults:
+            listed = {
+                reason: ", ".join(f"{name} (of {user})" for name, user in names.items())
+                for reason, names in self._faults.items()
+            }
+            lines = "; ".join(f"{reason}: {names}" for reason, names in listed.items())
+            raise WorldError(f"{self.root.name} refers to files that cannot be read; {lines}")
+
+    def textured(self, surface: Surface, folder: Path, reference: str, user: str) -> Surface:
+        """Returns a surface with a texture, or without it and with a note if the file is outside of the folders.
+
+        Args:
+            surface: appearance without texture.
+            folder: folder to which the reference is relative.
+            reference: path or URI of the image, as authored.
+            user: node that uses the texture, for the note.
+        """
+        place = place_of(folder, reference)
+        return self.readable.kept_inside(replace(surface, texture=str(place)), user, self.scene.notes)
+
+    def digests_with_textures(self, parts: list[Part]) -> dict[str, str]:
+        """Returns the digests of all files, with those of the textures of parts."""
+        names = {part.surface.texture for part in parts} - {"", *self.images}
+        shas = {self._seen(Path(name)): hashlib.sha256(read_asset(name) or b"").hexdigest() for name in names}
+        return self.digests | shas
+
+    def _seen(self, path: Path) -> str:
+        return os.path.relpath(path, self.root.parent)
+
+
+def place_of(folder: Path, reference: str) -> Path:
+    """Returns the path of a reference: a relative path, or a URI without scheme or with `file://`."""
+    plain = unquote(reference.removeprefix("file://")).replace("\\", "/")
+    return Path(os.path.normpath(folder / plain))

@@ -1,0 +1,144 @@
+"""Finds and reads the files to which a world refers: models and meshes, by path, model:// or package:// name.
+
+Reads each mesh once. Records missing files, so that one error names all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from factory.scenes.formats.collada import read_collada
+from factory.scenes.formats.files import SceneFiles, place_of
+from factory.scenes.formats.gltf.nodes import read_gltf
+from factory.scenes.formats.meshes import read_ply, read_stl
+from factory.scenes.formats.obj import read_obj
+from factory.scenes.formats.shapes import BROKEN, Content, Shape, place_content
+from factory.scenes.formats.units import to_metres
+from factory.scenes.formats.xml_text import parse_xml, text_of
+from factory.scenes.importer.model import Surface
+from factory.scenes.stage_file import kind_of_file
+from schemas.support.numpy_types import Floats
+
+_NAMED = ("model://", "package://")
+_REMOTE = ("http://", "https://", "fuel://")
+_MESHES = {"COLLADA": read_collada, "OBJ": read_obj, "PLY": read_ply, "STL": read_stl}
+
+
+def read_mesh_file(path: Path, files: SceneFiles) -> Content:
+    """Reads a glTF, OBJ, PLY, STL or COLLADA file.
+
+    Raises:
+        ValueError: the file is malformed or has another format.
+        WorldError: the file cannot be read, or has too many triangles.
+    """
+    kind, data = kind_of_file(path), files.read(path)
+    if kind == "glTF":
+        return read_gltf(data, replace(files, root=path))
+    if kind not in _MESHES:
+        raise ValueError(f"a mesh of format {kind or 'unknown'} is not read; convert it to glTF, OBJ, COLLADA or STL")
+    return _MESHES[kind](data, path, files)
+
+
+@dataclass
+class Library:
+    """Files of a world."""
+
+    files: SceneFiles
+    _contents: dict[Path, Content | None] = field(default_factory=dict)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders in which `model://` and `package://` names are searched, in this order."""
+        own = self.files.root.parent
+        return (*self.files.scene.limits.models, own, own / "models")
+
+    def find(self, uri: str, folder: Path) -> Path:
+        """Returns the path of a URI, which may not exist.
+
+        Args:
+            uri: relative path, or `file://`, `model://` or `package://` URI.
+            folder: folder of the file that contains the reference.
+        """
+        if not uri.startswith(_NAMED):
+            return place_of(folder, uri)
+        places = [place_of(folder, uri.partition("://")[2].strip("/")) for folder in self.folders]
+        return next((place for place in places if place.exists()), places[-1])
+
+    def locate(self, uri: str, folder: Path, user: str) -> Path | None:
+        """Returns the file or folder of a URI, or records that it is missing and returns `None`; see `find`.
+
+        Args:
+            uri: URI.
+            folder: folder of the file that contains the reference.
+            user: node that refers to it, for the message.
+        """
+        place = self.find(uri, folder)
+        if uri.startswith(_REMOTE):
+            self.files.add_fault("on the network; download them, and refer to the copies as model://NAME", uri, user)
+        elif uri.startswith(_NAMED) and not place.exists():
+            searched = ", ".join(str(folder) for folder in self.folders)
+            self.files.add_fault(
+                f"missing in {searched}; give the folder that contains them with --models DIR", uri, user
+            )
+        elif (place.is_dir() and self.files.readable.encloses(str(place))) or self.files.is_usable(place, user):
+            return place
+        return None
+
+    def place_mesh(
+        self, path: str, mesh: Path, to_world: Floats, is_collider: bool, surface: Surface | None, submesh: str = ""
+    ) -> None:
+        """Adds a mesh file to the scene; a malformed file adds a note.
+
+        Args:
+            path: path of the node.
+            mesh: file of the mesh.
+            to_world: (4, 4) transform of the node, metres.
+            is_collider: whether the mesh is for collision only.
+            surface: appearance that replaces the materials of the file; `None` keeps them.
+            submesh: name of the only shape to take; empty takes all.
+        """
+        content = self._content(mesh, path)
+        if content is None:
+            return
+        shapes = [shape for shape in content.shapes if submesh in ("", shape.path.rpartition("/")[2])]
+        if surface is not None:
+            shapes = [
+                replace(shape, pieces=tuple(replace(p, surface=surface) for p in shape.pieces)) for shape in shapes
+            ]
+        up = content.up if kind_of_file(mesh) == "glTF" else "z"  # Gazebo and RViz ignore up_axis of COLLADA
+        matrix = np.asarray(to_world @ to_metres(content.metres_per_unit or 1.0, up or "z"))
+        place_content(self.files.scene, path, replace(content, shapes=shapes), matrix, is_collider)
+
+    def _content(self, mesh: Path, user: str) -> Content | None:
+        if mesh not in self._contents:
+            try:
+                self._contents[mesh] = read_mesh_file(mesh, self.files)
+            except BROKEN as error:
+                self._contents[mesh] = None
+                self.files.scene.notes.append(f"{user}: mesh {mesh.name} skipped, {error}")
+        return self._contents[mesh]
+
+
+def _recoloured(shape: Shape, surface: Surface) -> Shape:
+    return replace(shape, pieces=tuple(replace(piece, surface=surface, tints=None) for piece in shape.pieces))
+
+
+def model_file(folder: Path, files: SceneFiles) -> Path | None:
+    """Returns the SDF file of a Gazebo model folder: the one of the highest version in `model.config`.
+
+    Raises:
+        ValueError: `model.config` is malformed.
+    """
+    config = folder / "model.config"
+    if not config.is_file():
+        return next((place for place in (folder / "model.sdf", *sorted(folder.glob("*.sdf"))) if place.is_file()), None)
+    root = parse_xml(files.read(config))
+    entries = [(_version(entry.get("version", "0")), (entry.text or "").strip()) for entry in root.iter("sdf")]
+    return place_of(folder, max(entries)[1]) if entries else folder / (text_of(root, "sdf") or "model.sdf")
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(".") if part.isdigit())

@@ -1,0 +1,209 @@
+"""Reads Wavefront OBJ files and their MTL materials: objects, groups, polygons, texture coordinates, vertex colours.
+
+Lines, points, curves and normals are ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from factory.scenes.formats.files import SceneFiles, place_of
+from factory.scenes.formats.shapes import Content, Names, Shape, display_colour, mesh_piece
+from factory.scenes.importer.collect import Piece
+from factory.scenes.importer.model import Surface
+from factory.scenes.importer.polygons import triangulate
+from schemas.appearance.colour_names import linear_of
+from schemas.support.numpy_types import Floats, Ints
+
+_TEXTURE_OPTIONS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-blendu": 1, "-blendv": 1, "-clamp": 1, "-boost": 1}
+_KINDS = ("v", "vt", "f", "o", "g", "usemtl", "mtllib")
+
+
+@dataclass
+class _Faces:
+    """Faces of one object with one material."""
+
+    counts: list[int] = field(default_factory=list)
+    corners: list[str] = field(default_factory=list)
+    """`v`, `v/vt`, `v//vn` or `v/vt/vn`; relative indices are already absolute."""
+
+
+@dataclass
+class _Lines:
+    """Content of the file by kind of line."""
+
+    points: list[list[str]] = field(default_factory=list)
+    uvs: list[list[str]] = field(default_factory=list)
+    libraries: list[str] = field(default_factory=list)
+    faces: dict[tuple[str, str], _Faces] = field(default_factory=dict)
+    """(object, material) -> faces, in the order of the file."""
+
+
+def read_obj(data: bytes, path: Path, files: SceneFiles) -> Content:
+    """Reads an OBJ file.
+
+    Args:
+        data: content of the file.
+        path: path of the file; materials and textures are relative to it.
+        files: files of the import.
+
+    Raises:
+        ValueError: a number or an index is not valid.
+        WorldError: the file has too many triangles.
+    """
+    lines = _split(data.decode("utf-8-sig", errors="replace"))
+    count = sum(max(size - 2, 0) for faces in lines.faces.values() for size in faces.counts)
+    files.scene.require_room(path.name, count)
+    surfaces = _surfaces(lines.libraries, path, files)
+    points, colours = _points(lines.points)
+    uvs = np.array([line[:2] for line in lines.uvs], np.float64).reshape(-1, 2)
+    content, names = Content(metres_per_unit=None, up=None), Names()
+    objects: dict[str, list[Piece]] = {}
+    for (name, material), faces in lines.faces.items():
+        if material and material not in surfaces:
+            files.scene.notes.append(f"{path.name}: material {material} is not defined; object {name} is shown in grey")
+        piece = _piece(faces, points, colours, uvs, surfaces.get(material, Surface()))
+        objects.setdefault(name, []).append(piece)
+    for name, pieces in objects.items():
+        content.shapes.append(Shape(names.path("", name, "object"), tuple(pieces), np.eye(4)))
+    return content
+
+
+def _split(text: str) -> _Lines:
+    lines, name, group, material = _Lines(), "", "", ""
+    for words in _words(text):
+        kind, *rest = words
+        if kind == "v":
+            lines.points.append(rest)
+        elif kind == "vt":
+            lines.uvs.append(rest)
+        elif kind == "f":
+            faces = lines.faces.setdefault((name or group, material), _Faces())
+            faces.counts.append(len(rest))
+            faces.corners += [_absolute(corner, lines) for corner in rest] if "-" in "".join(rest) else rest
+        elif kind == "o":
+            name = " ".join(rest)
+        elif kind == "g":
+            group = " ".join(rest)
+        elif kind == "usemtl":
+            material = " ".join(rest)
+        else:
+            lines.libraries.append(" ".join(rest))
+    return lines
+
+
+def _words(text: str) -> Iterator[list[str]]:
+    """Yields the words of each line of a known kind; joins continued lines."""
+    for line in text.replace("\\\n", " ").replace("\\\r\n", " ").splitlines():
+        words = line.split()
+        if words and words[0] in _KINDS:
+            yield words
+
+
+def _absolute(corner: str, lines: _Lines) -> str:
+    lengths = (len(lines.points), len(lines.uvs), 0)
+    indices = corner.split("/")
+    return "/".join(
+        str(length + 1 + int(index)) if index.startswith("-") else index
+        for index, length in zip(indices, lengths, strict=False)
+    )
+
+
+def _points(lines: list[list[str]]) -> tuple[Floats, Floats | None]:
+    """Returns the vertices (N, 3), and their linear colours (N, 3) if every vertex has one."""
+    points = np.array([line[:3] for line in lines], np.float64).reshape(-1, 3)
+    has_colours = bool(lines) and all(len(line) >= 6 for line in lines)
+    colours = np.array([line[3:6] for line in lines], np.float64) if has_colours else None
+    return points, None if colours is None else linear_of(np.clip(colours, 0.0, 1.0))
+
+
+def _piece(faces: _Faces, points: Floats, colours: Floats | None, uvs: Floats, surface: Surface) -> Piece:
+    parts = [corner.split("/") for corner in faces.corners]
+    vertices = np.array([part[0] for part in parts], np.int64) - 1
+    cut = triangulate(points, np.array(faces.counts, np.int64), vertices)
+    corners = vertices[cut.corners]
+    values = None
+    if all(len(part) > 1 and part[1] for part in parts):
+        values = _values(uvs, np.array([part[1] for part in parts], np.int64) - 1)[cut.corners]
+    tints = None if colours is None else colours[corners]
+    return mesh_piece(points, corners, surface, values, tints)
+
+
+def _values(uvs: Floats, rows: Ints) -> Floats:
+    if len(rows) and not 0 <= rows.min() <= rows.max() < len(uvs):
+        raise ValueError(f"texture coordinate {rows.max() + 1} of {len(uvs)} (lowest {rows.min() + 1})")
+    return np.asarray(uvs[rows])
+
+
+def _surfaces(libraries: list[str], path: Path, files: SceneFiles) -> dict[str, Surface]:
+    found: dict[str, Surface] = {}
+    for name in dict.fromkeys(libraries):
+        place = place_of(path.parent, name)
+        if files.readable.encloses(str(place)) and place.is_file():
+            found |= read_mtl(files.read(place).decode("utf-8-sig", errors="replace"), place.parent, files)
+        else:
+            files.scene.notes.append(f"{path.name}: material library {name} is missing or outside; shown in grey")
+    return found
+
+
+def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
+    """Returns the appearance of each material of an MTL file: Kd, map_Kd, d, Tr and Ke.
+
+    Raises:
+        ValueError: a number is not valid.
+    """
+    found: dict[str, Surface] = {}
+    name = ""
+    for line in text.splitlines():
+        key, _, rest = line.strip().partition(" ")
+        key, rest = key.lower(), rest.strip()
+        surface = found.get(name, Surface())
+        if key == "newmtl":
+            name = rest
+            found[name] = Surface()
+        elif key == "kd":
+            colour = display_colour(*_triple(rest))
+            found[name] = replace(surface, colour=colour, fallback=colour)
+        elif key == "map_kd":
+            found[name] = files.textured(surface, folder, _file_of(rest), f"material {name}")
+        elif key in ("d", "tr"):
+            value = float(rest.split()[-1])
+            found[name] = replace(surface, opacity=value if key == "d" else 1.0 - value)
+        elif key == "ke":
+            glow = display_colour(*_triple(rest))
+            found[name] = replace(surface, emits=max(glow) > 0.05, emission=glow)
+    return {name: _white_factor(surface) for name, surface in found.items()}
+
+
+def _white_factor(surface: Surface) -> Surface:
+    """Returns the surface; black as factor of a texture, which many exporters write, becomes white."""
+    is_black = surface.texture and max(surface.colour) <= 0.0
+    return replace(surface, colour=(1.0, 1.0, 1.0)) if is_black else surface
+
+
+def _triple(text: str) -> tuple[float, float, float]:
+    red, green, blue = (float(word) for word in (text.split() * 3)[:3])
+    return red, green, blue
+
+
+def _file_of(text: str) -> str:
+    """Returns the file name of a texture statement without its options."""
+    words = text.split(" ")
+    while words and words[0] in _TEXTURE_OPTIONS:
+        most = _TEXTURE_OPTIONS[words.pop(0)]
+        for _ in range(most):
+            if len(words) > 1 and (_is_number(words[0]) or words[0] in ("on", "off")):
+                words.pop(0)
+    return " ".join(words).strip()
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""Reads SDFormat: `worlds` reads includes and models, `frames` poses, `shapes` geometry and materials."""

@@ -1,0 +1,156 @@
+"""Content of one 3D file before it is placed in a scene: shapes with their names, in the unit and axes of the file.
+
+Data and pure functions. Does not read files.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from factory.scenes.importer.collect import Collector, Piece
+from factory.scenes.importer.model import Colour, Surface
+from factory.scenes.importer.polygons import bounds_volume, triangulate
+from factory.scenes.importer.solids import Polygons
+from schemas.appearance.colour_names import linear_of
+from schemas.support.numpy_types import Floats, Ints
+
+ROOT = "/World"
+"""Path of the root of every scene that is not USD."""
+LIGHTS_NOTE = "lights of the file are not used; emissive materials light the scene"
+BROKEN = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError)
+"""Exceptions of a reader on a malformed file; a RecursionError is a RuntimeError."""
+LABEL_KEYS = ("semantic_label", "semantic", "category", "class", "label")
+"""Keys of extra data that contain a semantic label, the first has precedence."""
+_UNSAFE = re.compile(r"[^\w.-]+")
+_COLLIDER_PREFIX = re.compile(r"^(ucx|ubx|usp|ucp)_", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Node of a file with geometry."""
+
+    path: str
+    """Path below the root of the file; starts with / unless empty."""
+    pieces: tuple[Piece, ...]
+    to_root: Floats
+    """(4, 4) transform node -> file, for column vectors."""
+
+
+@dataclass
+class Content:
+    """Content of one 3D file."""
+
+    metres_per_unit: float | None
+    """Length of the unit, metres; `None` if the file does not state it."""
+    up: str | None
+    """`y` or `z`; `None` if the file does not state it."""
+    shapes: list[Shape] = field(default_factory=list)
+    labels: dict[str, str] = field(default_factory=dict)
+    """Path below the root of the file -> semantic label."""
+
+    def corners(self) -> Floats:
+        """Returns all corners (N, 3) in the unit and axes of the file."""
+        placed = [
+            piece.triangles.reshape(-1, 3) @ shape.to_root[:3, :3].T + shape.to_root[:3, 3]
+            for shape in self.shapes
+            for piece in shape.pieces
+        ]
+        return np.concatenate(placed) if placed else np.zeros((0, 3))
+
+
+def place_content(scene: Collector, path: str, content: Content, to_world: Floats, is_collider: bool = False) -> None:
+    """Adds the shapes of a file to a scene; a shape that is not finite adds a note.
+
+    Args:
+        scene: scene that receives the shapes.
+        path: path of the node that refers to the file.
+        content: content of the file.
+        to_world: (4, 4) transform file -> world metres.
+        is_collider: whether the shapes are for collision only.
+    """
+    for shape in content.shapes:
+        collides = is_collider or bool(_COLLIDER_PREFIX.match(shape.path.rpartition("/")[2]))
+        try:
+            with np.errstate(all="ignore"):
+                scene.place(path + shape.path, shape.pieces, to_world @ shape.to_root, collides)
+        except BROKEN as error:
+            scene.notes.append(f"{path + shape.path}: skipped, {error}")
+    scene.labels.update({path + below: label for below, label in content.labels.items()})
+
+
+def solid_piece(polygons: Polygons, surface: Surface, is_two_sided: bool = False) -> Piece:
+    """Returns a piece of a geometric primitive in one colour."""
+    points, counts, indices = polygons
+    triangles = points[indices[triangulate(points, counts, indices).corners]]
+    piece = Piece(triangles, None, None, surface)
+    return piece.both_sides() if is_two_sided else piece
+
+
+def mesh_piece(
+    points: Floats,
+    corners: Ints,
+    surface: Surface,
+    uvs: Floats | None = None,
+    tints: Floats | None = None,
+    is_two_sided: bool | None = None,
+) -> Piece:
+    """Returns a piece of triangles.
+
+    Args:
+        points: (N, 3) vertices.
+        corners: (T, 3) vertex of each corner.
+        surface: appearance.
+        uvs: (T, 3, 2) texture coordinates.
+        tints: (T, 3, 3) linear colours.
+        is_two_sided: whether back faces are visible; `None`, where a format does not state it, makes every mesh
+            two-sided that does not bound a volume.
+
+    Raises:
+        ValueError: points are not finite, or a corner is out of range.
+    """
+    if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
+        raise ValueError(f"vertex {corners.max()} of {len(points)} (lowest {corners.min()})")
+    triangles = points[corners]
+    if not np.isfinite(triangles).all():
+        raise ValueError("points are not finite")
+    piece = Piece(triangles, uvs, tints, surface)
+    if is_two_sided is None:
+        is_two_sided = len(corners) > 0 and not bounds_volume(points, corners)
+    return piece.both_sides() if is_two_sided else piece
+
+
+def display_colour(red: float, green: float, blue: float) -> Colour:
+    """Returns a linear colour of an sRGB colour, 0..1."""
+    linear = linear_of(np.clip(np.array([red, green, blue], np.float64), 0.0, 1.0))
+    return float(linear[0]), float(linear[1]), float(linear[2])
+
+
+class Names:
+    """Assigns unique paths below each parent."""
+
+    def __init__(self) -> None:
+        self._used: set[str] = set()
+
+    def path(self, parent: str, name: str | None, default: str) -> str:
+        """Returns the path of a child; a number is appended to a name that is used."""
+        plain = _UNSAFE.sub("_", name or "").strip("_.")[:200] or default
+        path, number = f"{parent}/{plain}", 1
+        while path in self._used:
+            path, number = f"{parent}/{plain}_{number}", number + 1
+        self._used.add(path)
+        return path
+
+
+def label_of(extras: Mapping[str, object] | None) -> str:
+    """Returns the semantic label in extra data, or an empty string."""
+    data = extras if isinstance(extras, Mapping) else {}
+    lower = {str(key).lower(): value for key, value in data.items()}
+    return next(_texts(lower[key] for key in LABEL_KEYS if key in lower), "")
+
+
+def _texts(values: Iterator[object]) -> Iterator[str]:
+    return (value for value in values if isinstance(value, str) and value)

@@ -1,0 +1,142 @@
+"""Reads URDF: links with their visuals and collisions, connected by joints at position zero.
+
+Limits, dynamics, transmissions and Gazebo extensions are ignored. xacro macros are not expanded.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factory.scenes.formats.files import SceneFiles
+from factory.scenes.formats.library import Library
+from factory.scenes.formats.poses import numbers, pose_matrix
+from factory.scenes.formats.shapes import BROKEN, ROOT, Names, display_colour, solid_piece
+from factory.scenes.formats.xml_text import parse_xml
+from factory.scenes.importer.model import Surface
+from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, sphere
+from schemas.support.numpy_types import Floats
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+
+def read_urdf(path: Path, files: SceneFiles) -> None:
+    """Reads a robot or an environment into the scene of `files`.
+
+    Args:
+        path: .urdf file.
+        files: files of the import.
+
+    Raises:
+        ValueError: the file is malformed, or contains xacro macros.
+        WorldError: files are missing; the message names all.
+    """
+    data = files.read(path)
+    if b"/xacro" in data and b"<xacro:" in data:
+        raise ValueError(f"it contains xacro macros; expand them first: xacro {path.name} > {path.stem}.urdf")
+    robot = parse_xml(data)
+    library, names = Library(files), Names()
+    materials = {str(element.get("name")): element for element in robot.iter("material") if len(element)}
+    places = _link_places(robot)
+    for link in robot.findall("link"):
+        own = names.path(ROOT, link.get("name"), "link")
+        files.scene.models.add(own)
+        for kind in ("visual", "collision"):
+            for shape in link.findall(kind):
+                shape_path = names.path(own, shape.get("name"), kind)
+                try:
+                    surface = None if kind == "collision" else _surface(library, shape, materials, path, shape_path)
+                    place = np.asarray(places[str(link.get("name"))] @ _origin(shape))
+                    _place_geometry(library, shape, path, shape_path, place, surface)
+                except BROKEN as error:
+                    files.scene.notes.append(f"{shape_path}: skipped, {error}")
+    files.require_all()
+
+
+def _origin(element: Element) -> Floats:
+    origin = element.find("origin")
+    values = {} if origin is None else origin.attrib
+    return pose_matrix(numbers(values.get("xyz"), (0, 0, 0)), numbers(values.get("rpy"), (0, 0, 0)))
+
+
+def _link_places(robot: Element) -> dict[str, Floats]:
+    """Returns the transform (4, 4) link -> robot of each link.
+
+    Raises:
+        ValueError: a joint names no link, or joints form a loop.
+    """
+    joints = {_end(joint, "child"): joint for joint in robot.findall("joint")}
+    places: dict[str, Floats] = {}
+    for link in robot.findall("link"):
+        chain = [str(link.get("name"))]
+        while chain[-1] in joints and chain[-1] not in places:
+            parent = _end(joints[chain[-1]], "parent")
+            if parent in chain:
+                raise ValueError(f"joints form a loop at link {parent}")
+            chain.append(parent)
+        for name in reversed(chain):
+            if name not in places:
+                joint = joints.get(name)
+                base = np.eye(4) if joint is None else np.asarray(places[_end(joint, "parent")] @ _origin(joint))
+                places[name] = base
+    return places
+
+
+def _end(joint: Element, which: str) -> str:
+    end = joint.find(which)
+    if end is None or not end.get("link"):
+        raise ValueError(f"joint {joint.get('name')} has no {which} link")
+    return str(end.get("link"))
+
+
+def _place_geometry(
+    library: Library, shape: Element, path: Path, name: str, to_world: Floats, surface: Surface | None
+) -> None:
+    geometry = shape.find("geometry")
+    if geometry is None or not len(geometry):
+        return
+    kind, is_collider = geometry[0], shape.tag == "collision"
+    if kind.tag == "mesh":
+        mesh = library.locate(str(kind.get("filename") or ""), path.parent, name)
+        scale = np.diag([*numbers(kind.get("scale"), (1, 1, 1)), 1.0])
+        if mesh is not None:
+            library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface)
+        return
+    polygons = _solid(kind)
+    if polygons is None:
+        library.files.scene.notes.append(f"{name}: geometry <{kind.tag}> is not supported, skipped")
+        return
+    piece = solid_piece(polygons, surface or Surface(colour=(0.4, 0.4, 0.4)))
+    library.files.scene.place(name, [piece], to_world, is_collider)
+
+
+def _solid(kind: Element) -> Polygons | None:
+    radius, length = (numbers(kind.get(key), (1.0,))[0] for key in ("radius", "length"))
+    if kind.tag == "box":
+        x, y, z = numbers(kind.get("size"), (1, 1, 1))
+        return box(x / 2, y / 2, z / 2)
+    solids = {
+        "sphere": lambda: sphere(radius),
+        "cylinder": lambda: cylinder(radius, radius, length / 2),
+        "capsule": lambda: capsule(radius, radius, length / 2),
+    }
+    return solids[kind.tag]() if kind.tag in solids else None
+
+
+def _surface(library: Library, shape: Element, materials: dict[str, Element], path: Path, name: str) -> Surface | None:
+    """Returns the material of a visual, or `None` if it has none."""
+    own = shape.find("material")
+    material = None if own is None else (own if len(own) else materials.get(str(own.get("name"))))
+    if material is None:
+        return None
+    rgba, texture = material.find("color"), material.find("texture")
+    red, green, blue, alpha = numbers(None if rgba is None else rgba.get("rgba"), (1.0, 1.0, 1.0, 1.0))
+    colour = display_colour(red, green, blue)
+    surface = Surface(colour, "", colour, opacity=alpha)
+    if texture is None or not texture.get("filename"):
+        return surface if rgba is not None else None
+    image = library.find(str(texture.get("filename")), path.parent)
+    return library.files.textured(surface, image.parent, image.name, name)

@@ -1,0 +1,79 @@
+"""Content of an imported scene, for every file format: parts with their appearance, names and labels.
+
+Data only. Does not read files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from schemas.support.numpy_types import Floats
+
+Colour = tuple[float, float, float]
+Affine = tuple[float, float, float, float, float, float]
+
+GRAY: Colour = (0.18, 0.18, 0.18)
+"""Linear default colour, equal to the default of the preview surface."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Appearance of one material."""
+
+    colour: Colour = GRAY
+    """Linear base colour; with a texture, its factor."""
+    texture: str = ""
+    """Resolved path of the base colour texture, or an empty string."""
+    fallback: Colour = GRAY
+    """Linear colour used if the texture cannot be read."""
+    uv_set: str = "st"
+    uv_affine: Affine | None = None
+    """Rows (a, b, c), (d, e, f) with u' = a u + b v + c and v' = d u + e v + f; `None` for the identity."""
+    opacity: float = 1.0
+    emits: bool = False
+    """Whether the material is emissive."""
+    emission: Colour = (0.0, 0.0, 0.0)
+    """Linear emission colour, if it is uniform."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles of one prim with one material, in world coordinates."""
+
+    path: str
+    """Path of the prim, unique per instance."""
+    triangles: Floats
+    """(T, 3, 3) corners, world metres, z up, counter-clockwise from outside."""
+    uvs: Floats | None
+    """(T, 3, 2) texture coordinates, v = 0 at the bottom."""
+    tints: Floats | None
+    """(T, 3, 3) linear vertex colours, if the prim has them."""
+    surface: Surface
+    is_collider: bool = False
+    """Whether the part is authored for collision only and is not visible."""
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """Content of a stage, in the order of its prims."""
+
+    parts: tuple[Part, ...]
+    metres_per_unit: float
+    labels: dict[str, str]
+    """Prim path -> authored semantic label."""
+    groups: frozenset[str]
+    """Paths of grouping prims: scopes and prims of kind group or assembly."""
+    models: frozenset[str]
+    """Paths of prims that are one object: instances, copies and prims of kind component."""
+    components: frozenset[str]
+    """Paths of prims of kind component; their descendants are not separate objects."""
+    sha256: str
+    """SHA-256 of the layers and textures of the stage."""
+    files_sha256: str
+    """SHA-256 of the layers and textures with their paths relative to the root layer; swapped files change it."""
+    notes: tuple[str, ...]
+    ceiling_m: float | None = None
+    """Height above the floor of a ceiling to add, metres."""
+    images: Mapping[str, bytes] = field(default_factory=dict)
+    """Encoded images that are part of another file, by their name in `Surface.texture`."""

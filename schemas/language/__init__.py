@@ -1,0 +1,1 @@
+"""Referring expressions: scene graph, grammar, generator and verifier. Pure functions (docs/language.md)."""

@@ -1,0 +1,302 @@
+"""Writes verified instructions for one target: draws expressions, patterns and words; keeps what the verifier accepts.
+
+Opens no file; chance is an argument.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import accumulate
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from schemas.base import Count, Line, Model, Name
+from schemas.language.expression import Expression, Family
+from schemas.language.file import LanguageSpec, Tongue
+from schemas.language.generator.facts import SceneFacts, ViewFacts
+from schemas.language.generator.minimal import (
+    indefinite_expressions,
+    minimal_expressions,
+    redundant_expressions,
+)
+from schemas.language.generator.search import Search
+from schemas.language.grammar import SentencePattern
+from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.verifier.verify import Verifier
+from schemas.language.view import SceneView
+from schemas.terms import CATEGORIES, COLOUR_NAMES
+
+Option = TypeVar("Option", bound=str)
+_TRIES = 8
+_FEW = 4
+"""Number of features of a short search."""
+_WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
+_SYNONYMS = 6
+
+
+class InstructionKind(StrEnum):
+    """Purpose of an instruction."""
+
+    GOAL = "goal"  # names the target of the episode
+    FALSE_PREMISE = "false_premise"  # names an object that does not exist; the robot stops and reports it
+    RECORDED = "recorded"  # instruction of the recording, because no new one fits the target
+
+
+class Instruction(Model):
+    """Verified instruction; a row of `instructions.parquet` without its episode."""
+
+    kind: InstructionKind
+    """Purpose."""
+    text: Line
+    """Sentence."""
+    language: Name
+    """Code of the language."""
+    register_name: Name
+    """Register of the sentence pattern."""
+    template_id: Name
+    """Name of the sentence pattern."""
+    held_out: bool
+    """Whether only the split `test_paraphrase_ood` uses the pattern."""
+    expression: str
+    """Meaning, as the JSON of `Expression`."""
+    features: Line
+    """Features of the expression, separated by commas."""
+    is_minimal: bool
+    """Whether no part of the expression can be dropped."""
+    fits: Count
+    """Number of objects of the scene that the expression fits."""
+    distractors: Count
+    """Number of other objects of the target's category in the scene."""
+
+
+@dataclass
+class SceneLanguage:
+    """Prepared scene: facts for the generator, and the verifier.
+
+    Args:
+        graph: scene graph.
+    """
+
+    graph: SceneGraph
+    rejected: Counter[str] = field(default_factory=Counter)
+    """Number of sentences that the verifier rejected, by reason."""
+
+    def __post_init__(self) -> None:
+        self.facts = SceneFacts(self.graph)
+        self.verifier = Verifier(self.graph)
+        self._of_kind = Counter(each.kind for each in self.graph.objects)
+
+    def distractors(self, number: int) -> int:
+        """Returns the number of other objects of an object's kind."""
+        return self._of_kind[self.graph.objects[number].kind] - 1
+
+
+class _Options(NamedTuple):
+    """Expressions for a target by their features, with the search that found them."""
+
+    search: Search
+    groups: Mapping[frozenset[Family], list[Expression]]
+
+
+class Composer:
+    """Writer of instructions by a language file.
+
+    Args:
+        spec: content of the language file.
+    """
+
+    def __init__(self, spec: LanguageSpec) -> None:
+        self.spec = spec
+        self._tongues = {code: Tongue(spec, code) for code, share in spec.languages.items() if share > 0}
+        self._patterns: dict[tuple[str, bool], dict[str, list[SentencePattern]]] = defaultdict(
+            lambda: defaultdict(list)
+        )
+        for code, tongue in self._tongues.items():
+            for pattern in tongue.grammar.sentences:
+                if spec.registers.get(pattern.register, 0.0) > 0:
+                    self._patterns[code, pattern.held_out][pattern.register].append(pattern)
+
+    def missing_nouns(self, kinds: Sequence[str]) -> list[str]:
+        """Returns a sentence for each kind and language without a noun."""
+        return [
+            f"{tongue.grammar.name} has no noun for {kind!r}; add it to [nouns.{code}] of the language file"
+            for code, tongue in self._tongues.items()
+            for kind in sorted(set(kinds))
+            if not tongue.grammar.names(kind)
+        ]
+
+    def _search(
+        self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
+    ) -> Search:
+        source = self._tongues[code].grammar
+        return Search(scene.facts, seen, number, families, source.nouns, source.rooms)
+
+    def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
+        """Returns a few features by their weights, which makes a short search; all of them after some turns."""
+        every = self.spec.families
+        if len(every) <= _FEW or turn >= _TRIES // 2:
+            return every
+        shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
+        drawn: set[Family] = set()
+        while len(drawn) < _FEW:
+            drawn.add(_weighted(shares, rng))
+        return frozenset(drawn)
+
+    def write(
+        self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
+    ) -> list[Instruction]:
+        """Returns up to `per_episode` different instructions for a target, and perhaps one with a false premise.
+
+        Args:
+            scene: prepared scene.
+            view: view at the start, or `None`.
+            number: number of the target in the scene graph.
+            held_out: whether to use the held-out sentence patterns.
+            rng: random generator.
+        """
+        if scene.distractors(number) < self.spec.same_category:
+            return []
+        found: dict[str, Instruction] = {}
+        seen = None if view is None else ViewFacts(scene.facts, view)
+        options: dict[tuple[str, frozenset[Family]], _Options] = {}
+        for turn in range(_TRIES + self.spec.per_episode):
+            if len(found) == self.spec.per_episode:
+                break
+            code, families = _weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
+            if (code, families) not in options:
+                search = self._search(scene, seen, number, code, families)
+                options[code, families] = _Options(search, self._grouped(search, number, rng))
+            one = self._one(scene, view, number, held_out, code, options[code, families], rng)
+            if one is not None:
+                found.setdefault(one.text, one)
+        if rng.random() < self.spec.false_premises:
+            found |= {one.text: one for one in self._false_premise(scene, view, number, held_out, rng)}
+        return list(found.values())
+
+    def _grouped(
+        self, search: Search, number: int, rng: np.random.Generator
+    ) -> dict[frozenset[Family], list[Expression]]:
+        """Returns the possible expressions by their features."""
+        is_one = self.spec.fit == "one"
+        kind = search.facts.graph.objects[number].kind
+        groups: dict[frozenset[Family], list[Expression]] = defaultdict(list)
+        for expression in minimal_expressions(search, rng) if is_one else indefinite_expressions(search):
+            groups[features_of(expression, kind)].append(expression)
+        return groups
+
+    def _one(
+        self,
+        scene: SceneLanguage,
+        view: SceneView | None,
+        number: int,
+        held_out: bool,
+        code: str,
+        options: _Options,
+        rng: np.random.Generator,
+    ) -> Instruction | None:
+        """Returns one instruction, or `None` if no expression exists or the verifier rejects the drawn one."""
+        groups = options.groups
+        if not groups:
+            return None
+        kind = scene.graph.objects[number].kind
+        names = sorted(groups, key=sorted)
+        weights = [_mean([self.spec.features.get(each, 1.0) for each in group]) for group in names]
+        group = groups[names[_index(weights, rng)]]
+        expression, is_minimal = group[int(rng.integers(len(group)))], True
+        if self.spec.redundant and rng.random() < self.spec.redundant:
+            longer = redundant_expressions(options.search, expression)
+            if longer:
+                expression, is_minimal = longer[int(rng.integers(len(longer)))], False
+        pattern, text = self._say(code, held_out, expression, rng)
+        fault = scene.verifier.check(text, self._tongues[code].reader, view, number)
+        if fault:
+            scene.rejected[fault] += 1
+            return None
+        fits = 1 if expression.definite else len(scene.verifier.evaluate(expression, view).possible)
+        return self._instruction(
+            InstructionKind.GOAL, text, code, pattern, expression, features_of(expression, kind), is_minimal, fits,
+            scene.distractors(number),
+        )  # fmt: skip
+
+    def _say(
+        self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator
+    ) -> tuple[SentencePattern, str]:
+        """Draws a pattern and words, and returns the pattern and the sentence."""
+        registers = self._patterns[code, held_out]
+        shares = {name: self.spec.registers[name] for name in registers}
+        patterns = registers[_weighted(shares, rng)]
+        usable = [each for each in patterns if each.case != "bare"] if not expression.definite else patterns
+        pattern = (usable or patterns)[int(rng.integers(len(usable or patterns)))]
+        choice = dict(zip(_WORD_GROUPS, rng.integers(_SYNONYMS, size=len(_WORD_GROUPS)).tolist(), strict=True))
+        return pattern, self._tongues[code].grammar.sentence(pattern, expression, choice)
+
+    def _false_premise(
+        self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
+    ) -> Iterator[Instruction]:
+        """Yields an instruction that names a kind, or the target's kind in a colour, that does not exist."""
+        code = _weighted(self.spec.languages, rng)
+        tongue, each = self._tongues[code], scene.graph.objects[number]
+        is_coloured = each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain
+        absent = [Expression(kind=kind) for kind in CATEGORIES if kind in tongue.grammar.nouns]
+        absent += [Expression(kind=each.kind, colour=colour) for colour in COLOUR_NAMES if is_coloured]
+        for place in rng.permutation(len(absent))[:_TRIES].tolist():
+            pattern, text = self._say(code, held_out, absent[place], rng)
+            if scene.verifier.is_false_premise(text, tongue.reader, view):
+                families = features_of(absent[place], absent[place].kind)
+                yield self._instruction(
+                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent[place], families, True, 0,
+                    scene.distractors(number),
+                )  # fmt: skip
+                return
+
+    def _instruction(
+        self,
+        kind: InstructionKind,
+        text: str,
+        code: str,
+        pattern: SentencePattern,
+        expression: Expression,
+        features: frozenset[Family],
+        is_minimal: bool,
+        fits: int,
+        distractors: int,
+    ) -> Instruction:
+        return Instruction(
+            kind=kind,
+            text=text,
+            language=code,
+            register_name=pattern.register,
+            template_id=pattern.template_id,
+            held_out=pattern.held_out,
+            expression=expression.model_dump_json(),
+            features=",".join(sorted(features)),
+            is_minimal=is_minimal,
+            fits=fits,
+            distractors=distractors,
+        )
+
+
+def features_of(expression: Expression, kind: str) -> frozenset[Family]:
+    """Returns the features of an expression for an object of a kind."""
+    return expression.families | ({Family.SUPERCLASS} if expression.kind != kind else frozenset())
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values) if values else 1.0
+
+
+def _index(weights: Sequence[float], rng: np.random.Generator) -> int:
+    if len(weights) == 1:
+        return 0
+    edges = list(accumulate(weights))
+    return min(bisect_right(edges, rng.random() * edges[-1]), len(weights) - 1)
+
+
+def _weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
+    names = list(shares)
+    return names[_index([shares[name] for name in names], rng)]

@@ -1,0 +1,151 @@
+"""Language file: shares of languages, registers and features of new instructions. Chooses no words.
+
+Errors name the key of every mistake.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from schemas.base import Count, Fraction, Model, Name, NonNegative
+from schemas.errors import InvalidLanguage, UsageError
+from schemas.language.expression import Family
+from schemas.language.grammar import LANGUAGES, REGISTERS, Grammar, grammar
+from schemas.language.reading import Reader, reader
+from schemas.support.foreign import path_trouble
+from schemas.support.suggest import did_you_mean
+from schemas.support.toml_file import mistakes_of, read_toml
+
+Weights = dict[str, NonNegative]
+
+
+class LanguageSpec(Model):
+    """Content of a language file; every key is optional."""
+
+    languages: Weights = Field(default_factory=lambda: {"en": 1.0})
+    """Share of each language: en, de, es, zh."""
+    registers: Weights = Field(default_factory=lambda: dict.fromkeys(REGISTERS, 1.0))
+    """Share of each register: imperative, polite, question, terse, spoken."""
+    features: Weights = Field(default_factory=dict)
+    """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
+    per_episode: Annotated[int, Field(ge=1, le=16)] = 1
+    """Number of instructions for each episode."""
+    redundant: Fraction = 0.0
+    """Share of expressions with one more part than they need."""
+    fit: Literal["one", "any"] = "one"
+    """`one`: an instruction fits the target only. `any`: it says "a" and fits several objects with the target."""
+    same_category: Count = 0
+    """Smallest number of other objects of the target's category in the scene."""
+    false_premises: Fraction = 0.0
+    """Share of episodes with one more instruction, which names an object that does not exist."""
+    seed: Count = 0
+    """Random seed."""
+    nouns: dict[str, dict[Name, tuple[str, ...]]] = Field(default_factory=dict)
+    """Nouns of further kinds by language; in German and Spanish `noun:gender`, in Chinese `noun:measure word`."""
+
+    @field_validator("languages")
+    @classmethod
+    def _languages_exist(cls, given: Weights) -> Weights:
+        return _known(given, LANGUAGES, "language")
+
+    @field_validator("registers")
+    @classmethod
+    def _registers_exist(cls, given: Weights) -> Weights:
+        return _known(given, REGISTERS, "register")
+
+    @field_validator("features")
+    @classmethod
+    def _features_exist(cls, given: Weights) -> Weights:
+        _known(given, tuple(Family), "feature", least=False)
+        return given
+
+    @field_validator("nouns")
+    @classmethod
+    def _nouns_are_words(cls, given: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Mapping[str, object]:
+        _known(dict.fromkeys(given, 1.0), LANGUAGES, "language", least=False)
+        for code, nouns in given.items():
+            for kind, words in nouns.items():
+                _require_words(grammar(code), kind, words)
+        return given
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> LanguageSpec:
+        if self.fit == "any" and self.redundant:
+            raise ValueError("`redundant` is for instructions that fit one object; set it to 0 or fit to 'one'")
+        return self
+
+    @property
+    def needs_view(self) -> bool:
+        """Whether expressions may depend on the start pose."""
+        return bool(self.families - {Family.COLOUR, Family.SUPERCLASS, Family.SIZE, Family.SUPPORT, Family.WALL})
+
+    @property
+    def families(self) -> frozenset[Family]:
+        """Features that may be used."""
+        return frozenset(family for family in Family if self.features.get(family, 1.0) > 0)
+
+
+def _known(given: Weights, names: tuple[str, ...], noun: str, least: bool = True) -> Weights:
+    for name in given:
+        if name not in names:
+            raise ValueError(f"unknown {noun} {name!r}; valid: {', '.join(names)}{did_you_mean(name, names)}")
+    if least and not any(given.values()):
+        raise ValueError(f"at least one {noun} needs a share above 0")
+    return given
+
+
+def _require_words(source: Grammar, kind: str, words: tuple[str, ...]) -> None:
+    taken = {noun.partition(":")[0].lower(): name for name, group in source.nouns.items() for noun in group}
+    if not words:
+        raise ValueError(f"{source.code}.{kind} has no noun")
+    for whole in words:
+        noun, _, mark = whole.partition(":")
+        if not noun.strip() or any(unicodedata.category(character).startswith("C") for character in noun):
+            raise ValueError(f"{source.code}.{kind}: {whole!r} is empty or has characters that are not text")
+        if source.genders and mark not in source.genders:
+            raise ValueError(
+                f"{source.code}.{kind}: {whole!r} needs a gender, one of {', '.join(source.genders)}: NOUN:GENDER"
+            )
+        if taken.get(noun.lower(), kind) != kind:
+            raise ValueError(f"{source.code}.{kind}: {noun!r} is the noun of {taken[noun.lower()]!r}")
+
+
+class Tongue:
+    """Grammar and reader of one language with the nouns of a language file.
+
+    Args:
+        spec: content of the language file.
+        code: code of the language.
+    """
+
+    def __init__(self, spec: LanguageSpec, code: str) -> None:
+        own = spec.nouns.get(code, {})
+        base = grammar(code)
+        self.code = code
+        self.grammar = base.model_copy(update={"nouns": {**base.nouns, **own}}) if own else base
+        self.reader = Reader(self.grammar) if own else reader(code)
+
+
+def load_language(reference: str) -> LanguageSpec:
+    """Reads a language file.
+
+    Raises:
+        UsageError: the file does not exist.
+        InvalidLanguage: the file has mistakes; the error lists all of them.
+    """
+    trouble = path_trouble(reference)
+    if trouble:
+        raise UsageError(f"cannot read the language file {reference[:80]!r}: {trouble}")
+    path = Path(reference)
+    if not path.is_file():
+        what = "that is a directory; give a TOML file" if path.is_dir() else "no such file"
+        raise UsageError(f"no language file {reference!r}: {what}; docs/language.md describes its keys")
+    try:
+        return LanguageSpec.model_validate(read_toml(path, "language file", InvalidLanguage))
+    except ValidationError as error:
+        raise InvalidLanguage(f"{path} is not a valid language file", mistakes_of(error)) from error

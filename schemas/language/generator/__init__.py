@@ -1,0 +1,1 @@
+"""Finds expressions that fit a target. The verifier does not import it."""

@@ -1,0 +1,281 @@
+"""Computes which relations hold in a scene graph, as masks over all objects, for the generator. Vectorised.
+
+Every relation has two masks: where it surely holds, and where it possibly holds. The verifier does not use this module.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from schemas.language import thresholds as limit
+from schemas.language.expression import Landmark, Relation
+from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.thresholds import Band
+from schemas.language.view import SceneView
+from schemas.support.numpy_types import Bools, Floats, Ints
+
+_GOOD_TAN, _BAD_TAN = (math.tan(angle) for angle in limit.DIRECTION_RAD)
+
+
+class Masks(NamedTuple):
+    """Objects for which a property holds; arrays of any shape whose last axis is the object."""
+
+    sure: Bools
+    """Objects for which it surely holds."""
+    possible: Bools
+    """Objects for which it possibly holds; includes those for which it surely holds."""
+
+    def both(self, other: Masks) -> Masks:
+        """Returns the masks of both properties together."""
+        return Masks(self.sure & other.sure, self.possible & other.possible)
+
+    def of_any(self, landmarks: Described) -> Masks:
+        """Returns which objects have the relation of (N, N) masks to any of the landmarks."""
+        sure = np.asarray(self.sure[landmarks.sure].any(axis=0), bool)
+        return Masks(sure, np.asarray(self.possible[landmarks.possible].any(axis=0), bool))
+
+    def fits_only(self, number: int) -> bool:
+        """Returns whether the property surely holds for one object, and possibly for no other."""
+        return bool(self.sure[number]) and int(self.possible.sum()) == 1
+
+
+class Described(NamedTuple):
+    """Description of a landmark, and the objects that it fits."""
+
+    landmark: Landmark
+    """Description."""
+    masks: Masks
+    """Objects that it fits."""
+    sure: Ints
+    """Numbers of the objects that it surely fits."""
+    possible: Ints
+    """Numbers of the objects that it possibly fits."""
+
+
+def _below(values: Floats, band: Band) -> Masks:
+    return Masks(values <= band.good, values < band.bad)
+
+
+def _above(values: Floats, band: Band) -> Masks:
+    return Masks(values >= band.good, values > band.bad)
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """Properties and relations of a scene graph that do not depend on the start pose."""
+
+    graph: SceneGraph
+
+    @cached_property
+    def _kind_masks(self) -> dict[tuple[str, str | None], Masks]:
+        return {}
+
+    def described(self, kind: str, colour: str | None) -> Masks:
+        """Returns which objects a kind or superclass fits, with a colour if one is given."""
+        key = kind, colour
+        if key not in self._kind_masks:
+            table, objects = self.graph.kinds, self.graph.objects
+            inside, alike = table.kinds_of(kind), table.borderline_of(kind)
+            sure = np.array([each.kind in inside for each in objects], bool)
+            possible = sure | np.array([each.kind in alike for each in objects], bool)
+            if colour is not None:
+                same = np.array([each.colour == colour for each in objects], bool)
+                sure &= same
+                possible &= same | np.array([each.colour == UNKNOWN for each in objects], bool)
+            self._kind_masks[key] = Masks(sure, possible)
+        return self._kind_masks[key]
+
+    @cached_property
+    def landmarks(self) -> tuple[tuple[Described, ...], ...]:
+        """Short descriptions of each object: its kind, and its kind and colour."""
+        found = []
+        for number, each in enumerate(self.graph.objects):
+            has_colour = self.graph.kinds.of(each.kind).plain and each.colour != UNKNOWN
+            own = []
+            for colour in (None, each.colour) if has_colour else (None,):
+                masks = self.described(each.kind, colour)
+                landmark = Landmark(kind=each.kind, colour=colour, definite=masks.fits_only(number))
+                own.append(Described(landmark, masks, np.flatnonzero(masks.sure), np.flatnonzero(masks.possible)))
+            found.append(tuple(own))
+        return tuple(found)
+
+    @cached_property
+    def centre(self) -> Floats:
+        """(N, 2) centres of the bounding rectangles, metres."""
+        return np.asarray((self.graph.low + self.graph.high)[:, :2] / 2)
+
+    @cached_property
+    def volume(self) -> Floats:
+        """(N,) volumes of the bounding boxes, cubic metres."""
+        return np.asarray((self.graph.high - self.graph.low).prod(axis=1))
+
+    @cached_property
+    def height(self) -> Floats:
+        """(N,) heights, metres."""
+        return np.asarray((self.graph.high - self.graph.low)[:, 2])
+
+    @cached_property
+    def gap(self) -> Floats:
+        """(N, N) gap between bounding rectangles, metres."""
+        low, high = self.graph.low[:, None, :2], self.graph.high[:, None, :2]
+        apart = np.maximum(0, np.maximum(low - high.transpose(1, 0, 2), low.transpose(1, 0, 2) - high))
+        return np.asarray(np.hypot(apart[..., 0], apart[..., 1]))
+
+    @cached_property
+    def _rooms(self) -> Masks:
+        """Pairs that are surely and possibly in one room."""
+        room = self.graph.room_of
+        same, unknown = room[:, None] == room, (room[:, None] == 0) | (room == 0)
+        return Masks((same & ~unknown) | unknown, same | unknown)
+
+    @cached_property
+    def close(self) -> Masks:
+        """(N, N) pairs that are close enough for left, right, in front and behind."""
+        found = _below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
+        return Masks(found.sure & self._is_level, found.possible & self._is_level)
+
+    @cached_property
+    def distinct(self) -> Bools:
+        """(N, N) pairs of two objects."""
+        return ~np.eye(len(self.graph.objects), dtype=bool)
+
+    @cached_property
+    def next_to(self) -> Masks:
+        """(N, N) [landmark, object]: objects next to a landmark, neither on nor under it."""
+        found = _below(self.gap, limit.NEXT_TO_M).both(self._rooms)
+        stacked = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
+        level = ~(stacked | stacked.T)
+        return Masks(found.sure & self.distinct & level & self._is_level, found.possible & self.distinct)
+
+    @cached_property
+    def _is_level(self) -> Bools:
+        return np.asarray(np.abs(self._base[:, None] - self._base) < limit.LEVEL_M)
+
+    @cached_property
+    def _base(self) -> Floats:
+        return np.array([each.base_m for each in self.graph.objects])
+
+    @cached_property
+    def support(self) -> dict[Relation, Masks]:
+        """(N, N) [landmark, object]: objects on and under a landmark."""
+        low, high = self.graph.low, self.graph.high
+        side = np.minimum(high[:, None, :2], high[:, :2]) - np.maximum(low[:, None, :2], low[:, :2])
+        area = np.prod(np.maximum(side, 0), axis=-1)
+        share = area / np.maximum(np.prod((high - low)[:, :2], axis=-1), 1e-6)
+        inside = _above(share, limit.OVERLAP)
+        rest = np.abs(low[:, 2] - high[:, None, 2])
+        on = inside.both(_below(rest, limit.TOUCH_M))
+        top = high[:, 2] - high[:, None, 2]
+        grounded = (low[:, 2] - self.graph.floor_m) < limit.TOUCH_M.good
+        under = Masks(
+            inside.sure & (top < 0.02) & grounded, inside.possible & (top < 0.3) & (low[:, 2] < high[:, None, 2])
+        )
+        clear = self.distinct
+        return {
+            Relation.ON: Masks(on.sure & clear, on.possible & clear),
+            Relation.UNDER: Masks(under.sure & clear & ~on.possible, under.possible & clear),
+        }
+
+    @cached_property
+    def alone(self) -> dict[Relation, Masks]:
+        """(N,) relations without landmark and view."""
+        objects = self.graph.objects
+        gap, corner = (np.array([getattr(each, name) for each in objects]) for name in ("wall_gap_m", "corner_gap_m"))
+        hung = _below(gap, limit.TOUCH_M).both(_above(self._base, limit.WALL_BASE_M))
+        stands = self.support[Relation.ON].possible.any(axis=0) if len(objects) else np.zeros(0, bool)
+        corners = _below(corner, limit.CORNER_M)
+        return {Relation.ON_WALL: Masks(hung.sure & ~stands, hung.possible), Relation.IN_CORNER: corners}
+
+    def in_room(self, room: int) -> Masks:
+        """Returns which objects are in a room."""
+        found = self.graph.room_of
+        return Masks(found == room, (found == room) | (found == 0))
+
+    def is_between(self, number: int, first: int, second: int) -> bool:
+        """Returns whether an object surely is between two others; cheaper than `between`."""
+        start, end, middle = self.centre[[first, second, number]].tolist()
+        length = math.dist(start, end)
+        if not 0.5 <= length <= limit.BETWEEN_SPAN_M.good:
+            return False
+        detour = math.dist(start, middle) + math.dist(middle, end)
+        return detour < 1.2 * length and bool(self.between(first, second).sure[number])
+
+    def between(self, first: int, second: int) -> Masks:
+        """Returns which objects are between two objects."""
+        start, way = self.centre[first], self.centre[second] - self.centre[first]
+        length = float(np.hypot(*way))
+        if length < 0.5 or length >= limit.BETWEEN_SPAN_M.bad:
+            nothing = np.zeros(len(self.centre), bool)
+            return Masks(nothing, nothing)
+        offset = self.centre - start
+        along = offset @ way / length**2
+        across = np.abs(offset[:, 0] * way[1] - offset[:, 1] * way[0]) / length**2
+        found = _above(np.minimum(along, 1 - along), limit.BETWEEN_ALONG).both(_below(across, limit.BETWEEN_ACROSS))
+        rooms = Masks(self._rooms.sure[first] & self._rooms.sure[second], self._rooms.possible[first])
+        apart = self.distinct[first] & self.distinct[second]
+        near = length <= limit.BETWEEN_SPAN_M.good
+        found = found.both(rooms)
+        return Masks(found.sure & apart & near, found.possible & apart)
+
+
+@dataclass(frozen=True)
+class ViewFacts:
+    """Relations of a scene graph that depend on the start pose."""
+
+    scene: SceneFacts
+    view: SceneView
+
+    @cached_property
+    def relative(self) -> dict[Relation, Masks]:
+        """(N, N) [landmark, object]: left, right, in front, behind as seen from the start."""
+        centre, view, count = self.scene.centre, self.view, len(self.scene.centre)
+        rows = np.flatnonzero(view.possible)
+        seen = centre[rows] - (view.x, view.y)
+        axis = seen / np.maximum(np.hypot(seen[:, 0], seen[:, 1]), 1e-6)[:, None]
+        offset = centre - centre[rows, None]
+        depth = offset[..., 0] * axis[:, None, 0] + offset[..., 1] * axis[:, None, 1]
+        side = axis[:, None, 0] * offset[..., 1] - axis[:, None, 1] * offset[..., 0]
+        close, distinct = self.scene.close, self.scene.distinct[rows]
+        # the landmark is seen; the object is seen or may be somewhere else in the same room
+        sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure
+        possible = close.possible[rows] & distinct
+        apart = np.abs(view.bearing - view.bearing[rows, None])
+        anywhere = Masks(np.ones(apart.shape, bool), np.ones(apart.shape, bool))
+        aligned = _below(apart, limit.ALIGNED_RAD)
+        found = {}
+        for name, along, across, shown in (
+            (Relation.LEFT_OF, side, depth, anywhere),
+            (Relation.RIGHT_OF, -side, depth, anywhere),
+            (Relation.BEHIND, depth, side, aligned),
+            (Relation.IN_FRONT_OF, -depth, side, aligned),
+        ):
+            good, bad = np.zeros((count, count), bool), np.zeros((count, count), bool)
+            good[rows] = sure & shown.sure & (np.abs(across) <= along * _GOOD_TAN)
+            bad[rows] = possible & shown.possible & (np.abs(across) < along * _BAD_TAN)
+            found[name] = Masks(good, bad)
+        return found
+
+    @cached_property
+    def distance(self) -> Floats:
+        """(N,) distances from the start to the bounding rectangles, metres."""
+        graph, eye = self.scene.graph, np.array((self.view.x, self.view.y))
+        apart = np.maximum(0, np.maximum(graph.low[:, :2] - eye, eye - graph.high[:, :2]))
+        return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
+
+    @cached_property
+    def ego(self) -> dict[Relation, Masks]:
+        """(N,) on the left, on the right, straight ahead."""
+        view, found = self.view, {}
+        room = self.scene.graph.room_of
+        here = view.possible | (room == view.room) | (room == 0)
+        beyond = _below(np.abs(view.bearing), limit.EGO_BEHIND_RAD)
+        for name, sign in ((Relation.YOUR_LEFT, 1.0), (Relation.YOUR_RIGHT, -1.0)):
+            aside = _above(sign * view.bearing, limit.EGO_RAD).both(beyond)
+            found[name] = aside.both(Masks(view.sure, here))
+        found[Relation.AHEAD] = _below(np.abs(view.bearing), limit.AHEAD_RAD).both(Masks(view.sure, here))
+        return found

@@ -1,0 +1,136 @@
+"""Combines parts to expressions that fit exactly one object, or any of a set, with no part that can be dropped.
+
+Keeps the combinations that exclude every other object, as the full-brevity algorithm does (Dale & Reiter 1995).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from schemas.language.expression import FAMILY, SUPERLATIVES, Expression, Family, Relation
+from schemas.language.generator.facts import Masks
+from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search, expression_of
+
+_WITH_ORDINAL = frozenset({Family.ROOM})
+"""Families of relations that are combined with an ordinal: others make "the second chair from the left" ambiguous."""
+_MOST_SELECTED = 4
+"""Number of relations that are combined with a superlative."""
+_MOST_PARTS = 24
+"""Number of relations that are combined in pairs; more are drawn at random."""
+
+
+def _bits(masks: Masks) -> int:
+    """Returns the possible objects as the bits of an integer."""
+    return int.from_bytes(np.packbits(masks.possible, bitorder="little").tobytes(), "little")
+
+
+def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expression]:
+    """Returns definite expressions that fit the target only, and from which no part can be dropped.
+
+    Args:
+        search: parts of expressions for the target.
+        rng: random generator that draws the relations to combine if there are many.
+    """
+    parts = search.parts()
+    parts = [parts[number] for number in rng.permutation(len(parts))[:_MOST_PARTS].tolist()]
+    own = 1 << search.number
+    bits = [_bits(part.masks) for part in parts]
+    found: list[Expression] = []
+    for head in search.heads():
+        if head.masks.sure[search.number]:
+            bare = _bits(search.facts.described(head.kind, None)) if head.colour is not None else -1
+            found += _with_head(search, head, list(zip(parts, bits, strict=True)), own, bare)
+    return found
+
+
+def _with_head(
+    search: Search, head: ExpressionHead, parts: list[tuple[ExpressionPart, int]], own: int, bare: int
+) -> Iterator[Expression]:
+    """Yields the minimal expressions with a head.
+
+    Args:
+        search: parts of expressions for the target.
+        head: kind and colour.
+        parts: relations, each with the objects that it possibly fits as bits.
+        own: bit of the target.
+        bare: objects that the kind without the colour fits, as bits; -1 for a head without colour.
+    """
+    base = _bits(head.masks)
+    if base == own:
+        if bare != own:
+            yield expression_of(head, ())
+        return
+    plain = head._replace(colour=None, masks=search.facts.described(head.kind, None))
+    without = {selector_of(one) for one in search.selectors(plain)} if bare >= 0 else set()
+    yield from (one for one in search.selectors(head) if selector_of(one) not in without and _is_readable(one))
+    useful = []
+    for part, bits in parts:
+        if bare >= 0 and bare & bits == own:
+            continue  # the colour can be dropped
+        if base & bits == own:
+            yield expression_of(head, (part,))
+        elif base & bits != base:
+            useful.append((part, bits))
+    for (one, first), (two, second) in combinations(useful, 2):
+        if base & first & second == own and not (bare >= 0 and bare & first & second == own):
+            yield expression_of(head, (one, two))
+    if bare < 0:
+        for part, _ in useful[:_MOST_SELECTED]:
+            yield from _selected(search, head, part)
+
+
+def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[Expression]:
+    """Yields the expressions in which a superlative selects the target among the objects of a relation.
+
+    Without the relation, the same superlative does not select the target.
+    """
+    without = {selector_of(one) for one in search.selectors(head)}
+    for one in search.selectors(head, (part,)):
+        if _is_readable(one) and selector_of(one) not in without:
+            yield one
+
+
+def _is_readable(expression: Expression) -> bool:
+    """Returns whether a reader knows among which objects an expression counts, or looks for the farthest one."""
+    families = {FAMILY[clause.relation] for clause in expression.clauses}
+    if expression.ordinal is not None:
+        return families <= _WITH_ORDINAL
+    is_farthest = any(clause.relation is Relation.FARTHEST_FROM for clause in expression.clauses)
+    return not is_farthest or Family.ROOM in families
+
+
+def selector_of(expression: Expression) -> object:
+    """Returns the superlative or ordinal of an expression."""
+    chosen = [clause for clause in expression.clauses if clause.relation in SUPERLATIVES]
+    return expression.size, expression.ordinal, *chosen
+
+
+def indefinite_expressions(search: Search) -> list[Expression]:
+    """Returns expressions with "a" that fit the target and other objects, without borderline cases."""
+    parts = search.parts()
+    found = []
+    for head in search.heads():
+        for chosen in ((), *((part,) for part in parts)):
+            masks = head.masks.both(chosen[0].masks) if chosen else head.masks
+            if masks.sure[search.number] and masks.sure.sum() > 1 and (masks.sure == masks.possible).all():
+                found.append(expression_of(head, chosen, definite=False))
+    return found
+
+
+def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
+    """Returns the expression with one more part that surely holds for the target: a colour or a relation."""
+    found: list[Expression] = []
+    if expression.selectors:
+        return found  # another part would change the objects among which it selects
+    for head in search.heads():
+        if head.kind == expression.kind and head.colour is not None and expression.colour is None:
+            found.append(expression.model_copy(update={"colour": head.colour}))
+    if len(expression.clauses) < 2:
+        named = {clause.relation for clause in expression.clauses}
+        for part in search.parts():
+            if part.clause.relation not in named:
+                found.append(expression.model_copy(update={"clauses": (part.clause, *expression.clauses)}))
+    return found

@@ -1,0 +1,224 @@
+"""Scene graph: the objects of a compiled scene that words can name, with their geometry, rooms and walls.
+
+Computed once for each scene. Does not interpret expressions.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.language.kinds import Kinds, kinds
+from schemas.language.rooms import CellGrid, SceneRoom, divide_rooms, find_walls, nearest_room, wall_gaps
+from schemas.scene import CompiledScene, SceneInfo
+from schemas.support.numpy_types import Bools, Floats, Ints
+
+UNKNOWN = "unknown"
+"""Colour of an object without a dominant or recorded colour."""
+_LOW_M, _TALL_M = 0.6, 1.6
+_BETWEEN_ROOMS = frozenset({"door", "gate", "window"})
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """Object of a scene graph."""
+
+    ids: tuple[int, ...]
+    """Instance ids of its parts."""
+    kind: str
+    """Category, or kind of a landmark."""
+    colour: str
+    """Dominant colour, or `unknown`."""
+    low_m: tuple[float, float, float]
+    """Lower corner of its bounding box, metres."""
+    high_m: tuple[float, float, float]
+    """Upper corner of its bounding box, metres."""
+    outline_m: tuple[tuple[float, float], ...]
+    """Vertices x, y of its footprint, counter-clockwise, metres; the bounding rectangle if none is recorded."""
+    target_id: str | None
+    """Target that the object is, or `None`."""
+    room: int
+    """Number of its room; 0 if unknown or between rooms."""
+    wall_gap_m: float
+    """Gap between its footprint and the nearest wall, metres; at most 4."""
+    corner_gap_m: float
+    """Smallest distance within which two perpendicular walls are, metres."""
+    base_m: float
+    """Height of its lower side above the floor, metres."""
+
+
+@dataclass(frozen=True)
+class SceneGraph:
+    """Objects, rooms and walls of a scene."""
+
+    objects: tuple[SceneObject, ...]
+    """All objects that words can name."""
+    rooms: tuple[SceneRoom, ...]
+    """Rooms of the scene."""
+    types: tuple[str | None, ...]
+    """Type of each room, or `None`."""
+    room_grid: CellGrid
+    """Number of the room of each cell."""
+    sight_grid: CellGrid
+    """0 free, 1 occupied by an object, 2 wall."""
+    floor_m: float
+    """Height of the floor, metres."""
+    kinds: Kinds
+    """Kinds by which the graph was made."""
+
+    @cached_property
+    def low(self) -> Floats:
+        """(N, 3) lower corners, metres."""
+        return np.array([each.low_m for each in self.objects]).reshape(-1, 3)
+
+    @cached_property
+    def high(self) -> Floats:
+        """(N, 3) upper corners, metres."""
+        return np.array([each.high_m for each in self.objects]).reshape(-1, 3)
+
+    @cached_property
+    def room_of(self) -> Ints:
+        """(N,) room of each object, 0 if unknown."""
+        return np.array([each.room for each in self.objects], np.int64)
+
+    @cached_property
+    def number_of(self) -> dict[str, int]:
+        """Number of the object of each target."""
+        return {each.target_id: number for number, each in enumerate(self.objects) if each.target_id is not None}
+
+    def room_at(self, x: float, y: float) -> int:
+        """Returns the room at a point, or 0."""
+        return int(self.room_grid.at(np.array((x, y))))
+
+    def the_room(self, kind: str) -> int:
+        """Returns the only room of a type; 0 if there is none or several."""
+        found = [room.label for room, own in zip(self.rooms, self.types, strict=True) if own == kind]
+        return found[0] if len(found) == 1 else 0
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """Object before walls and rooms are known."""
+
+    ids: tuple[int, ...]
+    kind: str
+    colour: str
+    low: Floats
+    high: Floats
+    outline: Floats
+    target_id: str | None
+
+
+def build_graph(scene: CompiledScene) -> SceneGraph:
+    """Returns the scene graph of a compiled scene."""
+    table, info = kinds(), scene.info
+    raw = _objects(scene, table)
+    occupancy = CellGrid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
+    boxes = np.array([_covered(each, info) for each in raw if each.kind not in _BETWEEN_ROOMS])
+    walls = find_walls(occupancy, boxes.reshape(-1, 2, 2))
+    room_grid, rooms = divide_rooms(walls, _building(scene))
+    centres = np.array([(each.low[:2] + each.high[:2]) / 2 for each in raw]).reshape(-1, 2)
+    gaps, corners = wall_gaps(walls, centres, [each.outline for each in raw])
+    labels = nearest_room(room_grid, centres)
+    objects = tuple(
+        SceneObject(
+            ids=each.ids,
+            kind=each.kind,
+            colour=each.colour,
+            low_m=(float(each.low[0]), float(each.low[1]), float(each.low[2])),
+            high_m=(float(each.high[0]), float(each.high[1]), float(each.high[2])),
+            outline_m=tuple((float(x), float(y)) for x, y in each.outline),
+            target_id=each.target_id,
+            room=0 if each.kind in _BETWEEN_ROOMS else int(labels[number]),
+            wall_gap_m=float(gaps[number]),
+            corner_gap_m=float(corners[number]),
+            base_m=float(each.low[2]) - info.floor_height_m,
+        )
+        for number, each in enumerate(raw)
+    )
+    types = tuple(_room_type(room, objects, table) for room in rooms)
+    sight = np.where(walls.values, 2, scene.occupancy > 0).astype(np.uint8)
+    return SceneGraph(objects, rooms, types, room_grid, occupancy._replace(values=sight), info.floor_height_m, table)
+
+
+def _covered(each: _Raw, info: SceneInfo) -> Floats:
+    """Returns the lower and upper corner of the cells that an object covers; of a low or hung object those inside.
+
+    A tall object on the floor has cells that look like a wall at its edges, too.
+    """
+    is_tall = each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M
+    margin = info.grid_resolution_m / 2 * (1 if is_tall else -1)
+    return np.stack((each.low[:2] - margin, each.high[:2] + margin))
+
+
+def _building(scene: CompiledScene) -> Bools:
+    """Returns the cells within the bounds of the visible geometry."""
+    info, (rows, columns) = scene.info, scene.occupancy.shape
+    (x0, y0, _), (x1, y1, _) = info.bounds_m
+    x = info.grid_origin_m[0] + (np.arange(columns) + 0.5) * info.grid_resolution_m
+    y = info.grid_origin_m[1] + (np.arange(rows) + 0.5) * info.grid_resolution_m
+    return np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
+
+
+def _objects(scene: CompiledScene, table: Kinds) -> list[_Raw]:
+    boxes = _boxes(scene)
+    targets = {target.instance_id: target for target in scene.info.targets}
+    landmarks: dict[tuple[str, str], list[int]] = defaultdict(list)
+    found = []
+    for instance in scene.info.instances:
+        target = targets.get(instance.id)
+        if target is not None:
+            centre, half = np.array(target.centroid_m), np.array(target.size_m) / 2
+            low, high = centre - half, centre + half
+            outline = np.array(target.footprint_m) if target.footprint_m else _rectangle(low, high)
+            found.append(_Raw((instance.id,), target.category, target.colour, low, high, outline, target.target_id))
+        elif instance.id not in boxes:
+            continue
+        elif instance.category is not None:
+            low, high = boxes[instance.id]
+            found.append(_Raw((instance.id,), instance.category, UNKNOWN, low, high, _rectangle(low, high), None))
+        else:
+            segments = instance.prim_path.split("/")
+            named = table.landmark_of(segments)
+            if named is not None:
+                landmarks[named[0], "/".join(segments[: named[1] + 1])].append(instance.id)
+    for (kind, _), ids in landmarks.items():
+        low = np.min([boxes[number][0] for number in ids], axis=0)
+        high = np.max([boxes[number][1] for number in ids], axis=0)
+        found.append(_Raw(tuple(ids), kind, UNKNOWN, low, high, _rectangle(low, high), None))
+    return found
+
+
+def _boxes(scene: CompiledScene) -> dict[int, tuple[Floats, Floats]]:
+    """Returns the bounding box of each instance that has triangles."""
+    if not len(scene.part_first):
+        return {}
+    order = np.argsort(scene.part_first)
+    first = scene.part_first[order]
+    lows: NDArray[np.float32] = np.minimum.reduceat(scene.positions, first, axis=0)
+    highs: NDArray[np.float32] = np.maximum.reduceat(scene.positions, first, axis=0)
+    found: dict[int, tuple[Floats, Floats]] = {}
+    for number, low, high in zip(scene.part_instance[order].tolist(), lows, highs, strict=True):
+        if number in found:
+            low, high = np.minimum(found[number][0], low), np.maximum(found[number][1], high)
+        found[number] = (low.astype(float), high.astype(float))
+    return found
+
+
+def _rectangle(low: Floats, high: Floats) -> Floats:
+    return np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])])
+
+
+def _room_type(room: SceneRoom, objects: tuple[SceneObject, ...], table: Kinds) -> str | None:
+    held = [each.kind for each in objects if each.room == room.label]
+    for name, rule in table.rooms.items():
+        if rule.aspect is not None:
+            if room.aspect >= rule.aspect:
+                return name
+        elif sum(kind in rule.has for kind in held) >= rule.count:
+            return name
+    return None

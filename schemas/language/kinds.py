@@ -1,0 +1,103 @@
+"""Kinds of objects: superclasses, kinds that look alike, and landmarks by the name of their prim."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable
+from functools import cache, cached_property
+from pathlib import Path
+from types import MappingProxyType
+
+from schemas.base import Model, Name
+
+DATA = Path(__file__).parent / "data"
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+class ObjectKind(Model):
+    """Properties of a kind of objects."""
+
+    plain: bool = True
+    """Whether its colour can be named."""
+    like: tuple[Name, ...] = ()
+    """Kinds for which a viewer may take the object."""
+    prims: tuple[tuple[str, ...], ...] = ()
+    """Words of the prim's name that identify a landmark without a category."""
+
+
+class RoomRule(Model):
+    """Condition on a room that has a type."""
+
+    has: tuple[Name, ...] = ()
+    """Kinds of which the room contains objects."""
+    count: int = 1
+    """Smallest number of these objects."""
+    aspect: float | None = None
+    """Smallest ratio of length and width, for rooms without `has`."""
+
+
+class Kinds(Model):
+    """Content of `kinds.toml`."""
+
+    superclasses: dict[Name, tuple[Name, ...]]
+    """Kinds of each superclass."""
+    kinds: dict[Name, ObjectKind]
+    """Known kinds; a category that is not among them has the default properties."""
+    rooms: dict[Name, RoomRule]
+    """Types of rooms, in the order in which they are tested."""
+
+    def of(self, kind: str) -> ObjectKind:
+        """Returns the properties of a kind."""
+        return self.kinds.get(kind, _DEFAULT)
+
+    @cached_property
+    def _above(self) -> MappingProxyType[str, tuple[str, ...]]:
+        members = {kind for group in self.superclasses.values() for kind in group}
+        return MappingProxyType(
+            {kind: tuple(name for name, group in self.superclasses.items() if kind in group) for kind in members}
+        )
+
+    def superclasses_of(self, kind: str) -> tuple[str, ...]:
+        """Returns the superclasses of a kind."""
+        return self._above.get(kind, ())
+
+    def kinds_of(self, word: str) -> frozenset[str]:
+        """Returns the kinds that a kind or superclass contains."""
+        return frozenset(self.superclasses.get(word, (word,)))
+
+    def borderline_of(self, word: str) -> frozenset[str]:
+        """Returns the kinds that are borderline cases of a kind or superclass, because they look alike."""
+        if word not in self._alike:
+            inside = self.kinds_of(word)
+            alike = {other for kind in inside for other in self.of(kind).like}
+            alike |= {kind for kind, own in self.kinds.items() if inside.intersection(own.like)}
+            self._alike[word] = frozenset(alike - inside)
+        return self._alike[word]
+
+    @cached_property
+    def _alike(self) -> dict[str, frozenset[str]]:
+        return {}
+
+    @cached_property
+    def _prims(self) -> tuple[tuple[frozenset[str], str], ...]:
+        found = [(frozenset(words), kind) for kind, own in self.kinds.items() for words in own.prims]
+        return tuple(sorted(found, key=lambda entry: -len(entry[0])))
+
+    def landmark_of(self, segments: Iterable[str]) -> tuple[str, int] | None:
+        """Returns the kind of a landmark and the number of the segment of the prim path that names it, or `None`."""
+        for number, segment in reversed(list(enumerate(segments))):
+            words = frozenset(word.lower() for word in _WORD.findall(segment))
+            for wanted, kind in self._prims:
+                if wanted <= words:
+                    return kind, number
+        return None
+
+
+_DEFAULT = ObjectKind()
+
+
+@cache
+def kinds() -> Kinds:
+    """Returns the content of `kinds.toml`."""
+    return Kinds.model_validate(tomllib.loads((DATA / "kinds.toml").read_text(encoding="utf-8")))

@@ -1,0 +1,159 @@
+"""Divides the floor of a scene into rooms, and measures the distance of objects to walls. Pure functions of the grid.
+
+Openings between two collinear walls are closed. Rooms are the components of the floor farther than half a door from
+every wall, grown back to the walls: morphological segmentation (Bormann et al., Room Segmentation: Survey,
+Implementation, and Analysis, ICRA 2016).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import scipy  # loads a submodule at its first use
+from numpy.typing import NDArray
+
+from schemas.support.numpy_types import Bools, Floats, Ints
+
+OPENING_M = 2.4
+"""Largest width of an opening in a wall along the axes of the grid, metres; a wider one does not divide a room."""
+DOOR_M = 1.3
+"""Largest width of a door in any direction, metres."""
+MIN_ROOM_M2 = 3.0
+"""Smallest area of a room, square metres."""
+_SMALLEST_WALL_M = 1.0
+_SHORTEST_RUN_M = 0.4
+_FAR_M = 4.0
+_DIRECTIONS = 12
+_HIDING = 2
+
+
+class CellGrid(NamedTuple):
+    """Grid of cells in the world frame."""
+
+    values: NDArray[np.generic]
+    """(H, W) values; rows are y."""
+    origin_m: tuple[float, float]
+    """World x, y of the outer corner of cell (0, 0), metres."""
+    resolution_m: float
+    """Side of a cell, metres."""
+
+    def cells(self, points: Floats) -> tuple[Ints, Ints]:
+        """Returns rows and columns of (..., 2) world points, clipped to the grid."""
+        index = np.floor((points - np.asarray(self.origin_m)) / self.resolution_m).astype(np.int64)
+        rows, columns = self.values.shape
+        return np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)
+
+    def at(self, points: Floats) -> NDArray[np.generic]:
+        """Returns the values at (..., 2) world points."""
+        return np.asarray(self.values[self.cells(points)])
+
+
+class SceneRoom(NamedTuple):
+    """Room of a scene."""
+
+    label: int
+    """Number, from 1."""
+    area_m2: float
+    """Area of its free floor, square metres."""
+    aspect: float
+    """Length of its bounding rectangle along the world axes, divided by the width."""
+
+
+def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
+    """Returns the grid of walls: cells that hide, outside of the boxes of objects.
+
+    Args:
+        occupancy: 0 free, 1 occupied, 2 occupied and hiding.
+        boxes: (N, 2, 2) lower and upper corner x, y of each object, metres.
+    """
+    walls = occupancy.values == _HIDING
+    for box in boxes:
+        (row0, row1), (column0, column1) = occupancy.cells(box)
+        walls[row0 : row1 + 1, column0 : column1 + 1] = False
+    labels, _ = scipy.ndimage.label(walls, np.ones((3, 3)))
+    least = _SMALLEST_WALL_M / occupancy.resolution_m
+    for number, part in enumerate(scipy.ndimage.find_objects(labels), 1):
+        if max(side.stop - side.start for side in part) < least:
+            walls[part][labels[part] == number] = False
+    return occupancy._replace(values=walls)
+
+
+def divide_rooms(walls: CellGrid, inside: Bools) -> tuple[CellGrid, tuple[SceneRoom, ...]]:
+    """Returns the number of the room of each cell, 0 outside of rooms, and the rooms.
+
+    Args:
+        walls: grid of walls.
+        inside: (H, W) cells within the building.
+    """
+    free = inside & ~_close_openings(np.asarray(walls.values, bool), walls.resolution_m)
+    clearance = scipy.ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * walls.resolution_m
+    seeds, count = scipy.ndimage.label(clearance > DOOR_M / 2)
+    cost = np.where(free, 1, 255).astype(np.uint8)
+    markers = seeds.astype(np.int32)
+    markers[~free] = -1
+    grown = scipy.ndimage.watershed_ift(cost, markers) if count else np.zeros_like(markers)
+    grown = np.where(free & (grown > 0), grown, 0)
+    rooms: list[SceneRoom] = []
+    labels = np.zeros_like(grown)
+    for number, part in enumerate(scipy.ndimage.find_objects(grown), 1):
+        cells = grown[part] == number if part is not None else np.zeros(0)
+        area = float(cells.sum()) * walls.resolution_m**2
+        if part is None or area < MIN_ROOM_M2:
+            continue
+        height, width = (side.stop - side.start for side in part)
+        rooms.append(SceneRoom(len(rooms) + 1, area, max(height, width) / min(height, width)))
+        labels[part][cells] = len(rooms)
+    return walls._replace(values=labels), tuple(rooms)
+
+
+def _close_openings(walls: Bools, resolution_m: float) -> Bools:
+    """Returns the walls with the gaps between two collinear runs of cells filled, along both axes."""
+    longest, least = OPENING_M / resolution_m, _SHORTEST_RUN_M / resolution_m
+    closed = walls.copy()
+    for lines, filled in ((walls, closed), (walls.T, closed.T)):
+        for line, target in zip(lines, filled, strict=True):
+            edges = np.flatnonzero(np.diff(np.concatenate(([False], line, [False])).astype(np.int8)))
+            runs = [(start, stop) for start, stop in edges.reshape(-1, 2).tolist() if stop - start >= least]
+            for (_, stop), (start, _) in pairwise(runs):
+                if start - stop <= longest:
+                    target[stop:start] = True
+    return closed
+
+
+def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints:
+    """Returns the room at each of (N, 2) points, or of the nearest cell with a room within a distance; otherwise 0."""
+    labels = np.asarray(rooms.values, np.int64)
+    distance, nearest = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    row, column = rooms.cells(points)
+    found = labels[tuple(axis[row, column] for axis in nearest)]
+    return np.where(distance[row, column] * rooms.resolution_m <= within_m, found, 0)
+
+
+def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
+    """Returns (N,) gaps of objects to their nearest wall, and to a wall perpendicular to it, metres; at most 4.
+
+    Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees.
+
+    Args:
+        walls: grid of walls.
+        centres: (N, 2) centres of the objects, metres.
+        outlines: vertices (K, 2) of the footprint of each object, metres.
+    """
+    angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    ways = np.column_stack((np.cos(angle), np.sin(angle)))
+    reach = np.array(
+        [((outline - centre) @ ways.T).max(axis=0) for centre, outline in zip(centres, outlines, strict=True)]
+    )
+    steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
+    gaps = np.full((len(centres), _DIRECTIONS), _FAR_M)
+    for direction, way in enumerate(ways):
+        along = reach.reshape(-1, _DIRECTIONS)[:, direction, None] + steps
+        hit = walls.at(centres[:, None, :] + along[..., None] * way).astype(bool)
+        gaps[:, direction] = np.where(hit.any(axis=1), steps[hit.argmax(axis=1)], _FAR_M)
+    # the distance of the centre is smallest along the normal of the wall; the gap of a corner of the outline may not be
+    rows, normal, quarter = np.arange(len(gaps)), (gaps + reach.reshape(gaps.shape)).argmin(axis=1), _DIRECTIONS // 4
+    own = gaps[rows, normal]
+    sides = np.minimum(gaps[rows, (normal + quarter) % _DIRECTIONS], gaps[rows, normal - quarter])
+    return np.asarray(own), np.asarray(np.maximum(sides, own))

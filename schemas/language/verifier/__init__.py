@@ -1,0 +1,1 @@
+"""Decides which objects an expression fits. Imports nothing of the generator."""

@@ -1,0 +1,194 @@
+"""Measures footprints as polygons, one object at a time, for the verifier. Knows no words."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterable
+from enum import IntEnum
+
+from schemas.language import thresholds as limit
+from schemas.language.graph import SceneGraph
+from schemas.language.thresholds import Band
+
+_SIDE_SAMPLES = 5
+
+
+class Truth(IntEnum):
+    """Whether a relation holds."""
+
+    NO = 0  # it surely does not hold
+    MAYBE = 1  # borderline case
+    YES = 2  # it surely holds
+
+
+def down(value: float, band: Band) -> Truth:
+    """Returns whether a measure is small enough."""
+    return Truth.YES if value <= band.good else Truth.MAYBE if value < band.bad else Truth.NO
+
+
+def up(value: float, band: Band) -> Truth:
+    """Returns whether a measure is large enough."""
+    return Truth.YES if value >= band.good else Truth.MAYBE if value > band.bad else Truth.NO
+
+
+def beside(angle_rad: float, turn_deg: float) -> float:
+    """Returns the absolute difference of two directions, radians in [0, pi]."""
+    return abs(math.remainder(angle_rad - math.radians(turn_deg), 2 * math.pi))
+
+
+class Footprints:
+    """Measures between the objects of a scene graph; keeps the gaps that were measured.
+
+    Points are complex numbers x + iy, metres.
+
+    Args:
+        graph: scene graph.
+    """
+
+    def __init__(self, graph: SceneGraph) -> None:
+        self._objects = graph.objects
+        self._floor = graph.floor_m
+        self._outlines = [[complex(x, y) for x, y in each.outline_m] for each in graph.objects]
+        self._centres = [_middle(outline) for outline in self._outlines]
+        self._radii = [
+            max(abs(point - centre) for point in outline)
+            for outline, centre in zip(self._outlines, self._centres, strict=True)
+        ]
+        self._gaps: dict[tuple[int, int], float] = {}
+        self._shares: dict[tuple[int, int], float] = {}
+
+    def gap(self, one: int, two: int) -> float:
+        """Returns the gap between two footprints, metres."""
+        key = (one, two) if one < two else (two, one)
+        if key not in self._gaps:
+            self._gaps[key] = _polygon_gap(self._outlines[one], self._outlines[two])
+        return self._gaps[key]
+
+    def range_from(self, point: tuple[float, float], number: int) -> float:
+        """Returns the distance from a point to a footprint, metres."""
+        where, outline = complex(*point), self._outlines[number]
+        if _contains(outline, where):
+            return 0.0
+        return min(_to_segment(where, a, b) for a, b in zip(outline, outline[1:] + outline[:1], strict=True))
+
+    def ranges_from(self, point: tuple[float, float], numbers: Iterable[int]) -> dict[int, float]:
+        """Returns the distances from a point to footprints, metres; exact for those that may be the nearest.
+
+        The others have a smaller value than their distance, which is still clearly larger than that of the nearest.
+        """
+        where = complex(*point)
+        apart = {number: abs(self._centres[number] - where) for number in numbers}
+        nearest = min((distance + self._radii[number] for number, distance in apart.items()), default=0.0)
+        clear = nearest * limit.DISTANCE_RATIO + limit.DISTANCE_GAP_M
+        least = {number: distance - self._radii[number] for number, distance in apart.items()}
+        return {number: self.range_from(point, number) if low <= clear else low for number, low in least.items()}
+
+    def direction(self, number: int, other: int, eye: tuple[float, float]) -> float:
+        """Returns the direction from a landmark to an object against the line of sight to the landmark, radians.
+
+        0 is away from the eye, pi/2 to the left.
+        """
+        landmark = self._centres[other]
+        offset, sight = self._centres[number] - landmark, landmark - complex(*eye)
+        return cmath.phase(offset / sight) if sight and offset else 0.0
+
+    def between(self, number: int, first: int, second: int) -> Truth:
+        """Returns whether an object is on the strip between two landmarks."""
+        start, end = self._centres[first], self._centres[second]
+        span = abs(end - start)
+        if span < 0.5:
+            return Truth.NO
+        place = (self._centres[number] - start) / (end - start)  # real part along, imaginary part across
+        along, across = min(place.real, 1 - place.real), abs(place.imag)
+        return min(up(along, limit.BETWEEN_ALONG), down(across, limit.BETWEEN_ACROSS), down(span, limit.BETWEEN_SPAN_M))
+
+    def rests_on(self, number: int, other: int) -> Truth:
+        """Returns whether an object is on the top of a landmark."""
+        rest = abs(self._objects[number].low_m[2] - self._objects[other].high_m[2])
+        touching = down(rest, limit.TOUCH_M)
+        return min(touching, up(self._share(number, other), limit.OVERLAP)) if touching else Truth.NO
+
+    def is_under(self, number: int, other: int) -> Truth:
+        """Returns whether an object is below the top of a landmark and within its outline."""
+        each, above = self._objects[number], self._objects[other]
+        if each.low_m[2] >= above.high_m[2] or each.high_m[2] >= above.high_m[2] + 0.3:
+            return Truth.NO
+        inside = up(self._share(number, other), limit.OVERLAP)
+        is_low = each.high_m[2] < above.high_m[2] + 0.02 and each.low_m[2] - self._floor < limit.TOUCH_M.good
+        return min(inside, Truth.YES if is_low and self.rests_on(number, other) is Truth.NO else Truth.MAYBE)
+
+    def is_stacked(self, one: int, two: int) -> bool:
+        """Returns whether one object may be on or under the other, or they are at different heights."""
+        pairs = ((one, two), (two, one))
+        return self.is_apart(one, two) or any(self.rests_on(*pair) or self.is_under(*pair) for pair in pairs)
+
+    def is_apart(self, one: int, two: int) -> bool:
+        """Returns whether the lower sides of two objects have very different heights, such as a chair and a sign."""
+        return abs(self._objects[one].base_m - self._objects[two].base_m) >= limit.LEVEL_M
+
+    def is_supported(self, number: int) -> bool:
+        """Returns whether an object may rest on another one."""
+        return any(self.rests_on(number, other) for other in range(len(self._objects)) if other != number)
+
+    def height(self, number: int) -> float:
+        """Returns the height of an object, metres."""
+        each = self._objects[number]
+        return each.high_m[2] - each.low_m[2]
+
+    def volume(self, number: int) -> float:
+        """Returns the volume of the bounding box, cubic metres."""
+        each = self._objects[number]
+        return math.prod(high - low for low, high in zip(each.low_m, each.high_m, strict=True))
+
+    def _share(self, number: int, other: int) -> float:
+        """Returns the share of an object's bounding rectangle within the footprint of another one, by samples."""
+        key = number, other
+        if key not in self._shares:
+            near = abs(self._centres[number] - self._centres[other]) < self._radii[number] + self._radii[other]
+            (x0, y0, _), (x1, y1, _) = self._objects[number].low_m, self._objects[number].high_m
+            steps = [(step + 0.5) / _SIDE_SAMPLES for step in range(_SIDE_SAMPLES)] if near else []
+            points = [complex(x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a in steps for b in steps]
+            inside = sum(_contains(self._outlines[other], point) for point in points)
+            self._shares[key] = inside / len(points) if points else 0.0
+        return self._shares[key]
+
+
+def _middle(outline: list[complex]) -> complex:
+    """Returns the centre of the bounding rectangle of an outline."""
+    xs, ys = [point.real for point in outline], [point.imag for point in outline]
+    return complex(min(xs) + max(xs), min(ys) + max(ys)) / 2
+
+
+def _cross(a: complex, b: complex) -> float:
+    return a.real * b.imag - a.imag * b.real
+
+
+def _contains(outline: list[complex], point: complex) -> bool:
+    """Returns whether a convex polygon, counter-clockwise, contains a point."""
+    return all(_cross(b - a, point - a) >= -1e-9 for a, b in zip(outline, outline[1:] + outline[:1], strict=True))
+
+
+def _to_segment(point: complex, a: complex, b: complex) -> float:
+    way = b - a
+    length = abs(way) ** 2
+    share = 0.0 if length == 0 else max(0.0, min(1.0, ((point - a) * way.conjugate()).real / length))
+    return abs(point - a - share * way)
+
+
+def _polygon_gap(one: list[complex], two: list[complex]) -> float:
+    """Returns the smallest distance of two convex polygons; 0 if they overlap."""
+    if any(_contains(two, point) for point in one) or any(_contains(one, point) for point in two):
+        return 0.0
+    edges_one = list(zip(one, one[1:] + one[:1], strict=True))
+    edges_two = list(zip(two, two[1:] + two[:1], strict=True))
+    if any(_cuts(a, b, c, d) for a, b in edges_one for c, d in edges_two):
+        return 0.0
+    return min(
+        min(_to_segment(point, a, b) for point in one for a, b in edges_two),
+        min(_to_segment(point, a, b) for point in two for a, b in edges_one),
+    )
+
+
+def _cuts(a: complex, b: complex, c: complex, d: complex) -> bool:
+    return _cross(b - a, c - a) * _cross(b - a, d - a) < 0 and _cross(d - c, a - c) * _cross(d - c, b - c) < 0

@@ -1,0 +1,287 @@
+"""Decides which objects of a scene graph an expression fits, and whether a sentence says what it should.
+
+Written without the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
+definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from schemas.language import thresholds as limit
+from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation
+from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.reading import Reader, Reading
+from schemas.language.verifier.measure import Footprints, Truth, beside, down, up
+from schemas.language.verifier.selection import Selected, by_size, counted, extreme
+from schemas.language.view import SceneView
+
+
+class FittingObjects(NamedTuple):
+    """Objects that an expression fits, by their number in the scene graph."""
+
+    sure: frozenset[int]
+    """Objects that it surely fits."""
+    possible: frozenset[int]
+    """Objects that it possibly fits; includes those that it surely fits."""
+    fault: str = ""
+    """Why the expression has no meaning in the scene, such as a landmark that is not unique."""
+
+    def fits_only(self, number: int) -> bool:
+        """Returns whether the expression fits one object and no other."""
+        return not self.fault and self.sure == self.possible == {number}
+
+    def fits_any(self, number: int) -> bool:
+        """Returns whether the expression fits an object of a set without borderline cases."""
+        return not self.fault and self.sure == self.possible and number in self.sure
+
+
+class _Ambiguous(Exception):
+    """A definite landmark fits several objects."""
+
+
+class Verifier:
+    """Evaluates expressions in one scene; keeps measured gaps.
+
+    Args:
+        graph: scene graph.
+    """
+
+    def __init__(self, graph: SceneGraph) -> None:
+        self.graph = graph
+        self._prints = Footprints(graph)
+        self._fitting: dict[tuple[str, str | None], dict[int, Truth]] = {}
+
+    def check(self, sentence: str, language: Reader, view: SceneView | None, number: int) -> str:
+        """Returns why a sentence does not fit the object that it should; empty if it does.
+
+        A definite expression fits the object and no other one. An indefinite one fits it and other objects, without
+        borderline cases. Every reading of the sentence must fit.
+
+        Args:
+            sentence: the instruction.
+            language: reader of its language.
+            view: view at the start; `None` if none is known, which rejects relations to the view.
+            number: number of the object in the scene graph.
+        """
+        readings = language.read(sentence)
+        if not readings:
+            return "the sentence is not one of the grammar"
+        return next(filter(None, (self._fault(reading, view, number) for reading in readings)), "")
+
+    def is_false_premise(self, sentence: str, language: Reader, view: SceneView | None) -> bool:
+        """Returns whether every reading of a sentence names an object that does not exist in the scene."""
+        verdicts = [self.evaluate(reading.expression, view) for reading in language.read(sentence)]
+        return bool(verdicts) and not any(verdict.possible or verdict.fault for verdict in verdicts)
+
+    def _fault(self, reading: Reading, view: SceneView | None, number: int) -> str:
+        verdict = self.evaluate(reading.expression, view)
+        if verdict.fault:
+            return verdict.fault
+        if number not in verdict.possible:
+            return "it does not fit the target"
+        if number not in verdict.sure:
+            return "the target is a borderline case"
+        if reading.expression.definite:
+            return "" if verdict.fits_only(number) else f"it fits {len(verdict.possible)} objects"
+        return "" if verdict.fits_any(number) else "it fits borderline cases"
+
+    def evaluate(self, expression: Expression, view: SceneView | None) -> FittingObjects:
+        """Returns the objects that an expression fits; see `check` for the arguments."""
+        if view is None and _needs_view(expression):
+            return FittingObjects(frozenset(), frozenset(), "it needs a view, and none is known")
+        plain = [clause for clause in expression.clauses if clause.relation not in SUPERLATIVES]
+        try:
+            truths = self._described(expression.kind, expression.colour)
+            for clause in plain:
+                truths = self._restricted(truths, clause, view)
+            truths = self._selected(truths, expression, view)
+        except _Ambiguous as error:
+            return FittingObjects(frozenset(), frozenset(), str(error))
+        sure = frozenset(number for number, truth in truths.items() if truth is Truth.YES)
+        return FittingObjects(sure, frozenset(truths))
+
+    def _described(self, kind: str, colour: str | None) -> dict[int, Truth]:
+        """Returns the objects of a kind and colour, without those that it surely does not fit."""
+        if (kind, colour) in self._fitting:
+            return self._fitting[kind, colour]
+        table = self.graph.kinds
+        found: dict[int, Truth] = {}
+        inside, alike = table.kinds_of(kind), table.borderline_of(kind)
+        for number, each in enumerate(self.graph.objects):
+            truth = Truth.YES if each.kind in inside else Truth.MAYBE if each.kind in alike else Truth.NO
+            if colour is not None and each.colour != colour:
+                truth = min(truth, Truth.MAYBE if each.colour == UNKNOWN else Truth.NO)
+            if truth is not Truth.NO:
+                found[number] = truth
+        self._fitting[kind, colour] = found
+        return found
+
+    def _landmarks(self, landmark: Landmark) -> dict[int, Truth]:
+        found = self._described(landmark.kind, landmark.colour)
+        if landmark.definite and len(found) > 1:
+            raise _Ambiguous(f"the landmark {landmark.kind} is not unique")
+        return found
+
+    def _restricted(self, truths: Mapping[int, Truth], clause: Clause, view: SceneView | None) -> dict[int, Truth]:
+        landmarks = [self._landmarks(landmark) for landmark in clause.landmarks]
+        found: dict[int, Truth] = {}
+        for number, truth in truths.items():
+            holds = min(truth, self._holds(clause, number, landmarks, view))
+            if holds is not Truth.NO:
+                found[number] = holds
+        return found
+
+    def _holds(self, clause: Clause, number: int, landmarks: list[dict[int, Truth]], view: SceneView | None) -> Truth:
+        """Returns whether a relation holds between an object and any of its landmarks."""
+        if not landmarks:
+            return self._alone(clause, number, view)
+        if clause.relation is Relation.BETWEEN:
+            pairs = ((first, second) for first in landmarks[0] for second in landmarks[1])
+            return max(
+                (
+                    min(landmarks[0][first], landmarks[1][second], self._between(number, first, second))
+                    for first, second in pairs
+                    if len({first, second, number}) == 3
+                ),
+                default=Truth.NO,
+            )
+        best = Truth.NO
+        for other, truth in landmarks[0].items():
+            if other != number and best is not Truth.YES:
+                best = max(best, min(truth, self._pair(clause.relation, number, other, view)))
+        return best
+
+    def _alone(self, clause: Clause, number: int, view: SceneView | None) -> Truth:
+        each = self.graph.objects[number]
+        match clause.relation:
+            case Relation.ON_WALL:
+                hung = min(down(each.wall_gap_m, limit.TOUCH_M), up(each.base_m, limit.WALL_BASE_M))
+                return Truth.MAYBE if hung is Truth.YES and self._prints.is_supported(number) else hung
+            case Relation.IN_CORNER:
+                return down(each.corner_gap_m, limit.CORNER_M)
+            case Relation.IN_ROOM:
+                assert clause.room is not None
+                return self._in(number, self._the_room(clause.room))
+            case Relation.THIS_ROOM:
+                assert view is not None
+                if not view.room:
+                    raise _Ambiguous("the room of the start is not known")
+                return self._in(number, view.room)
+            case _:
+                assert view is not None
+                return self._ego(clause.relation, number, view)
+
+    def _the_room(self, kind: str) -> int:
+        labels = [room.label for room, own in zip(self.graph.rooms, self.graph.types, strict=True) if own == kind]
+        if len(labels) > 1:
+            raise _Ambiguous(f"the scene has {len(labels)} rooms of the type {kind}")
+        return labels[0] if labels else -1
+
+    def _in(self, number: int, room: int) -> Truth:
+        own = self.graph.objects[number].room
+        return Truth.YES if own == room else Truth.NO if own else Truth.MAYBE
+
+    def _ego(self, relation: Relation, number: int, view: SceneView) -> Truth:
+        bearing = float(view.bearing[number])
+        shown = Truth.YES if view.sure[number] else Truth.MAYBE if view.possible[number] else Truth.NO
+        own = self.graph.objects[number].room
+        if shown is Truth.NO and own in (0, view.room):
+            shown = Truth.MAYBE
+        if relation is Relation.AHEAD:
+            return min(shown, down(abs(bearing), limit.AHEAD_RAD))
+        aside = bearing if relation is Relation.YOUR_LEFT else -bearing
+        return min(shown, up(aside, limit.EGO_RAD), down(abs(bearing), limit.EGO_BEHIND_RAD))
+
+    def _same_room(self, number: int, other: int) -> Truth:
+        one, two = self.graph.objects[number].room, self.graph.objects[other].room
+        if not one or not two:
+            return Truth.MAYBE
+        return Truth.YES if one == two else Truth.NO
+
+    def _pair(self, relation: Relation, number: int, other: int, view: SceneView | None) -> Truth:
+        """Returns whether a relation holds between an object and one landmark."""
+        if relation is Relation.SAME_ROOM:
+            return self._same_room(number, other)
+        if relation is Relation.ON:
+            return self._prints.rests_on(number, other)
+        if relation is Relation.UNDER:
+            return self._prints.is_under(number, other)
+        together = self._same_room(number, other)
+        if together is Truth.MAYBE:  # beside a door or a window
+            together = Truth.YES
+        if together is Truth.NO:
+            return Truth.NO
+        if relation is Relation.NEXT_TO:
+            found = down(self._prints.gap(number, other), limit.NEXT_TO_M)
+            return Truth.MAYBE if found is Truth.YES and self._prints.is_stacked(number, other) else found
+        assert view is not None
+        if not view.possible[other]:
+            return Truth.NO
+        if self._prints.is_apart(number, other):
+            return Truth.NO
+        shown = Truth.YES if view.sure[number] and view.sure[other] else Truth.MAYBE
+        angle = self._prints.direction(number, other, (view.x, view.y))
+        turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
+        way = down(beside(angle, turn[relation]), limit.DIRECTION_RAD)
+        if relation in (Relation.BEHIND, Relation.IN_FRONT_OF):
+            way = min(way, down(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
+        if way is Truth.NO:
+            return Truth.NO
+        return min(shown, way, down(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
+
+    def _between(self, number: int, first: int, second: int) -> Truth:
+        rooms = {self.graph.objects[each].room for each in (number, first, second)} - {0}
+        return Truth.NO if len(rooms) > 1 else self._prints.between(number, first, second)
+
+    def _selected(self, truths: dict[int, Truth], expression: Expression, view: SceneView | None) -> dict[int, Truth]:
+        """Returns the objects that a superlative or an ordinal selects; all of them if there is none.
+
+        A superlative presupposes that there surely are several objects.
+        """
+        if expression.selectors and sum(truth is Truth.YES for truth in truths.values()) < 2:
+            return dict.fromkeys(truths, Truth.MAYBE)
+        if expression.ordinal is not None:
+            assert view is not None
+            return counted(truths, expression.ordinal.number, expression.ordinal.side, view)
+        if expression.size is not None:
+            return by_size(truths, expression.size, self._prints)
+        clause = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)
+        if clause is None:
+            return truths
+        if clause.relation is Relation.NEAREST_YOU:
+            assert view is not None
+            known = {number: truth if view.sure[number] else Truth.MAYBE for number, truth in truths.items()}
+            return extreme(known, self._prints.ranges_from((view.x, view.y), truths), Selected.LEAST)
+        (others,) = (self._landmarks(landmark) for landmark in clause.landmarks)
+        other = next(iter(others), None)
+        if other is None:
+            return {}
+        gaps = {number: self._prints.gap(number, other) for number in truths if number != other}
+        way = Selected.LEAST if clause.relation is Relation.NEAREST_TO else Selected.MOST
+        known = {number: min(truths[number], self._near_enough(number, other, way)) for number in gaps}
+        return extreme(known, gaps, way)
+
+    def _near_enough(self, number: int, other: int, way: Selected) -> Truth:
+        if way is Selected.MOST:
+            return Truth.YES
+        return Truth.YES if self._same_room(number, other) is not Truth.NO else Truth.MAYBE
+
+
+def _needs_view(expression: Expression) -> bool:
+    relations = {clause.relation for clause in expression.clauses}
+    return expression.ordinal is not None or bool(relations & _OF_VIEW)
+
+
+_OF_VIEW = {
+    *(
+        Relation.LEFT_OF,
+        Relation.RIGHT_OF,
+        Relation.IN_FRONT_OF,
+        Relation.BEHIND,
+        Relation.YOUR_LEFT,
+        Relation.YOUR_RIGHT,
+    ),
+    *(Relation.AHEAD, Relation.THIS_ROOM, Relation.NEAREST_YOU),
+}

@@ -1,0 +1,120 @@
+"""Measures language in the built-in scenes: instructions per second of CPU time, and rejected changed words.
+
+python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from factory.scenes import build_scene
+from schemas.language.compose import Composer, SceneLanguage
+from schemas.language.expression import Family
+from schemas.language.file import LanguageSpec
+from schemas.language.generator.minimal import minimal_expressions
+from schemas.language.grammar import grammar
+from schemas.language.graph import build_graph
+from schemas.language.reading import reader
+from schemas.language.view import look
+from schemas.scene import CompiledScene, decode_scene
+from tests.builders.language import CAMERA, changed, is_false_or_ambiguous, search_of
+
+_STARTS, _CHANGED = 200, 500
+_PLAIN = dict.fromkeys((each for each in Family if each is not Family.COLOUR), 0.0)
+_SPECS = {
+    "relational, 1 per drive": LanguageSpec(features={"colour": 0.0}),
+    "relational, 4 per drive": LanguageSpec(features={"colour": 0.0}, per_episode=4),
+    "simple (category, colour)": LanguageSpec(features=_PLAIN, fit="any", per_episode=4),
+}
+LanguageStart = tuple[int, tuple[float, float, float]]
+
+
+def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Generator) -> list[LanguageStart]:
+    """Returns numbers of targets, and poses within 1.5 to 7 m that roughly face them, as near and mid episodes have."""
+    found: list[LanguageStart] = []
+    while len(found) < _STARTS:
+        place = int(rng.integers(len(scene.info.targets)))
+        target = scene.info.targets[place]
+        offset = np.array(target.centroid_m[:2]) - scene.spawns
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        near = np.flatnonzero((scene.spawn_sees[:, place] > 0) & (distance > 1.5) & (distance < 7))
+        if len(near):
+            spawn = near[int(rng.integers(len(near)))]
+            yaw = math.atan2(offset[spawn, 1], offset[spawn, 0]) + float(rng.uniform(-0.43, 0.43))
+            x, y = scene.spawns[spawn].tolist()
+            found.append((language.graph.number_of[target.target_id], (x, y, yaw)))
+    return found
+
+
+def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart]) -> tuple[float, int]:
+    """Returns instructions per second of CPU time, view included, and the number of drives without one."""
+    composer, rng, best, without = Composer(spec), np.random.default_rng(0), 0.0, 0
+    for _ in range(3):  # the first round measures the gaps of footprints, which are kept
+        begin, count, without = time.process_time(), 0, 0
+        for number, pose in starts:
+            view = look(language.graph, pose, CAMERA) if spec.needs_view else None
+            found = composer.write(language, view, number, False, rng)
+            count, without = count + len(found), without + (not found)
+        best = max(best, count / (time.process_time() - begin))
+    return best, without
+
+
+def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tuple[int, int]:
+    """Returns how many sentences with a changed word the verifier rejected, and how many were false or ambiguous."""
+    rng, source, seen, rejected = np.random.default_rng(1), grammar("en"), 0, 0
+    patterns = [each for each in source.sentences if each.case == "nom"]
+    for number, pose in starts * 3:
+        view = look(language.graph, pose, CAMERA)
+        search = search_of(view, number, language)
+        options = minimal_expressions(search, rng)
+        if not options or seen >= _CHANGED:
+            continue
+        variants = list(changed(options[int(rng.integers(len(options)))]))
+        for place in rng.permutation(len(variants))[:3].tolist():
+            if is_false_or_ambiguous(variants[place], search):
+                text = source.sentence(patterns[seen % len(patterns)], variants[place])
+                rejected += bool(language.verifier.check(text, reader("en"), view, number))
+                seen += 1
+    return rejected, seen
+
+
+def measure(name: str, folder: Path) -> tuple[int, int]:
+    """Prints the rows of one scene."""
+    with build_scene(name, 0, folder).open("rb") as file:
+        scene = decode_scene(io.BytesIO(file.read()))
+    begin = time.process_time()
+    language = SceneLanguage(build_graph(scene))
+    said = f"{name}: {len(language.graph.objects)} objects, graph in {time.process_time() - begin:.2f} s"
+    sys.stdout.write(said + "\n")
+    starts = starts_of(scene, language, np.random.default_rng(0))
+    for title, spec in _SPECS.items():
+        found, without = rate(spec, language, starts)
+        sys.stdout.write(f"  {title:28} {found:7.0f} per second; {without} of {len(starts)} drives without one\n")
+    rejected, seen = rejected_changes(language, starts)
+    sys.stdout.write(f"  rejected changed words       {rejected} of {seen}\n")
+    return rejected, seen
+
+
+def main() -> None:
+    """Measures the scenes that are named."""
+    with tempfile.TemporaryDirectory() as folder:
+        cache = Path(os.environ.get("MINIVLA_CACHE", folder))
+        total = Counter[str]()
+        for name in sys.argv[1:] or ["office"]:
+            rejected, seen = measure(name, cache)
+            total.update(rejected=rejected, seen=seen)
+    share = 100 * total["rejected"] / max(total["seen"], 1)
+    sys.stdout.write(f"rejected changed words: {total['rejected']} of {total['seen']}, {share:.2f} %\n")
+
+
+if __name__ == "__main__":
+    main()

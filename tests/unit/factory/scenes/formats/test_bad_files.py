@@ -1,0 +1,217 @@
+"""Scene files that cannot be read: a message with the reason and the remedy, and nothing is written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factory.scenes.build import import_scene
+from factory.scenes.formats import extract_scene
+from factory.scenes.limits import StageLimits
+from schemas.errors import UsageError, WorldError
+from tests.builders.formats import (
+    LAUGHS,
+    ROOM,
+    Gltf,
+    dae_room,
+    gltf_room,
+    mjcf_room,
+    sdf_room,
+    stl_room,
+    urdf_room,
+    write_room,
+)
+
+METRES = StageLimits(unit="m", up="z")
+
+
+def write(path: Path, content: str | bytes) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
+def test_a_file_without_unit_and_axis_names_both_options_and_its_sizes(tmp_path: Path, suffix: str) -> None:
+    path = write_room(tmp_path, suffix)
+    with pytest.raises(UsageError) as caught:
+        extract_scene(path)
+    for words in (
+        f"room{suffix} does not state",
+        "--unit m|cm|mm|in",
+        "--up y|z",
+        "8.4 x 6.4 x 2.6 m with m",
+        "with in",
+    ):
+        assert words in str(caught.value)
+    with pytest.raises(UsageError, match="does not state its up axis"):
+        extract_scene(path, StageLimits(unit="m"))
+
+
+def test_an_implausible_unit_is_refused_with_the_sizes_of_all_units(tmp_path: Path) -> None:
+    path = write(tmp_path / "room.stl", stl_room())
+    with pytest.raises(WorldError, match=r"room\.stl is 0\.0084 m wide.*8\.4 x 6\.4 x 2\.6 m with m.*--unit"):
+        extract_scene(path, StageLimits(unit="mm", up="z"))
+
+
+@pytest.mark.parametrize("suffix", [".sdf", ".urdf"])
+def test_a_unit_for_a_format_that_defines_it_is_refused(tmp_path: Path, suffix: str) -> None:
+    with pytest.raises(UsageError, match="defines its unit and up axis; remove --unit and --up"):
+        extract_scene(write_room(tmp_path, suffix), METRES)
+
+
+def test_a_truncated_glb_is_refused_at_every_length(tmp_path: Path) -> None:
+    data = gltf_room(tmp_path).glb()
+    for length in (4, 11, 12, 30, len(data) // 2, len(data) - 1):
+        path = write(tmp_path / "room.glb", data[:length])
+        with pytest.raises(WorldError, match=r"room\.glb is not a readable glTF file: the file is truncated"):
+            extract_scene(path)
+
+
+def test_a_buffer_view_beyond_the_buffer_is_refused_by_name_of_its_node(tmp_path: Path) -> None:
+    document = gltf_room(tmp_path)
+    document.json["accessors"][0]["count"] = 1 << 40
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    assert any(note.startswith("/Floor: skipped, 1099511627776 values") for note in extraction.notes)
+
+
+def test_a_file_above_the_limit_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "big.glb", b"glTF\2\0\0\0")
+    os.truncate(path, 2_000_000_000)  # sparse
+    with pytest.raises(WorldError, match=r"big\.glb has 2000 MB; the limit of one file is 1000 MB.*--max-file-mb"):
+        extract_scene(path)
+
+
+@pytest.mark.parametrize("limit", [71, 20])
+def test_too_many_triangles_are_refused_in_every_format(tmp_path: Path, limit: int) -> None:
+    for suffix in (".glb", ".obj", ".stl", ".ply", ".dae", ".sdf", ".urdf"):
+        given = StageLimits(max_triangles=limit, unit="m", up="z") if suffix in {".obj", ".stl", ".ply"} else None
+        with pytest.raises(WorldError, match=f"more than {limit} triangles.*--max-triangles"):
+            extract_scene(write_room(tmp_path, suffix), given or StageLimits(max_triangles=limit))
+
+
+BOMBS: dict[str, Callable[[Path], str]] = {
+    "room.sdf": lambda _: sdf_room(head=LAUGHS),
+    "room.urdf": lambda _: urdf_room(head=LAUGHS),
+    "room.xml": lambda folder: mjcf_room(folder, head=LAUGHS),
+    "room.dae": lambda folder: dae_room(folder, head=LAUGHS),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_xml_entities_are_refused_and_nothing_is_written(tmp_path: Path, name: str) -> None:
+    if name == "room.xml":
+        pytest.importorskip("mujoco")
+    path = write(tmp_path / name, BOMBS[name](tmp_path))
+    with pytest.raises(WorldError, match="declares XML entities"):
+        import_scene(path, "room", tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()
+
+
+def test_deeply_nested_xml_is_refused(tmp_path: Path) -> None:
+    deep = "<model name='m'>" * 5000 + "</model>" * 5000
+    with pytest.raises(WorldError, match="nested more than 200 deep"):
+        extract_scene(write(tmp_path / "deep.sdf", sdf_room(deep)))
+
+
+def include(uri: str, more: str = "") -> str:
+    return f"<include><uri>{uri}</uri>{more}</include>"
+
+
+def test_all_missing_models_are_named_with_the_searched_folders(tmp_path: Path) -> None:
+    uris = ("model://sofa", "model://table", "https://fuel.gazebosim.org/1.0/lamp")
+    path = write(tmp_path / "house.sdf", sdf_room("".join(map(include, uris))))
+    with pytest.raises(WorldError) as caught:
+        import_scene(path, "house", tmp_path / "cache", limits=StageLimits(models=(tmp_path / "more",)))
+    for words in (*uris, str(tmp_path / "more"), str(tmp_path / "models"), "--models DIR", "on the network"):
+        assert words in str(caught.value)
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize("uri", ["../secret.obj", "file:///etc/hostname", "model://../secret.obj"])
+def test_a_mesh_outside_of_the_folder_is_refused(tmp_path: Path, uri: str) -> None:
+    write(tmp_path / "secret.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "world").mkdir()
+    mesh = f"<model name='m'><link name='l'><visual name='v'><geometry><mesh><uri>{uri}</uri></mesh></geometry>"
+    path = write(tmp_path / "world" / "w.sdf", sdf_room(mesh + "</visual></link></model>"))
+    with pytest.raises(WorldError, match=r"outside of the scene's folder.*--allow-outside"):
+        extract_scene(path)
+    if uri.startswith("../"):
+        found = extract_scene(path, StageLimits(allow_outside=True))
+        assert any("/m/l/v" in part.path for part in found.parts)
+
+
+def test_a_buffer_of_gltf_outside_of_the_folder_is_refused(tmp_path: Path) -> None:
+    document = gltf_room(tmp_path)
+    (tmp_path / "in").mkdir()
+    write(tmp_path / "room.bin", document.data)
+    path = write(tmp_path / "in" / "room.gltf", document.gltf())
+    text = path.read_text()
+    start, end = text.index("data:application"), text.index('"', text.index("data:application"))
+    path.write_text(text[:start] + "../room.bin" + text[end:])
+    with pytest.raises(WorldError, match="outside of the scene's folder"):
+        extract_scene(path)
+    assert len(extract_scene(path, StageLimits(allow_outside=True)).parts) == len(ROOM) + 2
+
+
+def test_a_model_that_includes_itself_is_noted(tmp_path: Path) -> None:
+    write(tmp_path / "loop.sdf", f'<sdf version="1.9"><model name="loop">{include("loop.sdf")}</model></sdf>')
+    extraction = extract_scene(write(tmp_path / "w.sdf", sdf_room(include("loop.sdf"))))
+    assert any("includes itself" in note for note in extraction.notes)
+
+
+def test_points_that_are_not_finite_are_noted_and_the_rest_is_kept(tmp_path: Path) -> None:
+    document = gltf_room(tmp_path)
+    bad = document.mesh([(float("nan"), 0, 0), (1, 0, 0), (0, 1, 0)], [0, 1, 2])
+    document.node("Broken", bad)
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    assert "/Broken: skipped, points are not finite" in extraction.notes
+    assert len(extraction.parts) == len(ROOM) + 2
+
+
+def test_triangles_without_area_are_imported_without_an_error(tmp_path: Path) -> None:
+    path = write(tmp_path / "flat.obj", "v 0 0 0\nv 4 0 0\nv 4 4 0\nf 1 2 3\nf 1 1 2\nf 2 2 2\n")
+    extraction = extract_scene(path, METRES)
+    assert np.isfinite(extraction.parts[0].triangles).all()
+
+
+def test_a_compressed_gltf_names_its_extension_and_a_command(tmp_path: Path) -> None:
+    document = gltf_room(tmp_path)
+    document.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    with pytest.raises(WorldError, match=r"KHR_draco_mesh_compression, not supported.*gltf-transform copy room\.glb"):
+        extract_scene(write(tmp_path / "room.glb", document.glb()))
+
+
+def test_a_missing_texture_and_material_are_notes(tmp_path: Path) -> None:
+    path = write_room(tmp_path, ".obj")
+    (tmp_path / "room.mtl").unlink()
+    extraction = extract_scene(path, METRES)
+    assert any("material library room.mtl is missing" in note for note in extraction.notes)
+    assert any("material SM_Chair_01 is not defined" in note for note in extraction.notes)
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "room.glb", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(UsageError, match=r"pointer of Git LFS.*git lfs pull"):
+        extract_scene(path)
+
+
+def test_xacro_macros_are_refused_with_the_command_that_expands_them(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "room.urdf", '<robot xmlns:xacro="http://ros.org/xacro"><xacro:include filename="a"/></robot>'
+    )
+    with pytest.raises(WorldError, match="contains xacro macros; expand them first"):
+        extract_scene(path)
+
+
+def test_a_loop_of_nodes_or_joints_is_refused(tmp_path: Path) -> None:
+    document = Gltf()
+    document.node("A", children=[0])
+    with pytest.raises(WorldError, match="node 0 is its own descendant"):
+        extract_scene(write(tmp_path / "loop.glb", document.glb()))
+    joint = '<joint name="j" type="fixed"><parent link="SM_Chair_01"/><child link="base"/></joint>'
+    with pytest.raises(WorldError, match="joints form a loop"):
+        extract_scene(write(tmp_path / "loop.urdf", urdf_room(joint)))
