@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,6 +28,17 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Collects tests/install only with `--install`."""
     is_install = collection_path == Path(__file__).parent / "install"
     return True if is_install and not config.getoption("--install") else None
+
+
+def pytest_collection() -> None:
+    """Collects no garbage while tests are collected: millions of objects are made, and all are kept."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Leaves what the collection made out of all later garbage collections."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
-from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
@@ -92,7 +92,7 @@ def build_scene(
 def rules_of(name: str) -> RuleBook:
     """Returns the rules of a built-in scene: of the paper's categories, or of the categories of a family."""
     seen, held_out = BUILTIN_CATEGORIES[name]
-    return load_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
+    return builtin_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
 
 
 def _require_categories(name: str, seed: int, found: Collection[str]) -> None:
@@ -174,7 +174,7 @@ def _read_stage(
     from factory.scenes.formats import extract_scene
 
     extraction = extract_scene(path, limits)
-    book = (rules or load_rules()).model_dump_json()
+    book = (rules or builtin_rules()).model_dump_json()
     parts = (path.name, extraction.files_sha256, *extraction.notes, book, targets and targets.digest)
     made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts)))
     return extraction, hashlib.sha256(made_from.encode()).hexdigest()

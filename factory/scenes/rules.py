@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Collection, Iterator
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -117,7 +117,13 @@ def split_name(name: str) -> str:
     return "_".join(word for word in re.split(r"[^a-z0-9]+", spaced.lower()) if word)
 
 
-def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
+@cache
+def builtin_rules() -> RuleBook:
+    """Returns the built-in category rules; reads them once in a process."""
+    return load_rules(BUILTIN_RULES)
+
+
+def load_rules(path: Path) -> RuleBook:
     """Reads a table of category rules.
 
     Raises:

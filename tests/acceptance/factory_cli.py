@@ -1,13 +1,14 @@
 """Runs the installed `factory` in separate processes with an empty home.
 
-`start` and `fresh` start a new interpreter, for runs and for processes that are killed. `run` and a call fork a process
-that has imported the commands, which saves the seconds that an interpreter needs to import them.
+`fresh` starts a new interpreter, for runs of reference datasets and the README's example. `start`, `run` and a call fork a
+process that has imported the commands, which saves the seconds that an interpreter needs to import them.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from types import MappingProxyType
 from typing import Any
 
 from factory.cli.main import VERBS
-from tests.builders.fork_server import ForkServer
+from tests.builders.fork_server import Child, ForkServer
 
 TINY_PLAN = """
 name = "tiny"
@@ -46,7 +47,7 @@ physics_substeps = 8
 IMPORTED = (
     *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # which sets variables
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
-    *("factory.verify.episode", "av", "trimesh"),
+    *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
 )
 """Modules that the commands import."""
 _HANGS_S = 800.0
@@ -58,6 +59,28 @@ def start_server() -> ForkServer:
     return ForkServer(("factory.__main__", *IMPORTED), os.environ)
 
 
+class Started:
+    """A command in a forked process, with the part of the interface of `subprocess.Popen` that the tests need."""
+
+    def __init__(self, child: Child, out: Path, err: Path) -> None:
+        self._child, self._out, self._err = child, out, err
+        self.folder = out.parent
+        self.pid, self.poll, self.wait = child.pid, child.poll, child.wait
+        self.send_signal, self.kill = child.send_signal, child.kill
+
+    @property
+    def returncode(self) -> int | None:
+        return self._child.poll()
+
+    def terminate(self) -> None:
+        self.send_signal(signal.SIGTERM)
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """Waits for the end of the command; returns its output and its errors."""
+        self.wait(timeout)
+        return self._out.read_text(), self._err.read_text()
+
+
 class FactoryCli:
     """`factory` with a private cache and home; kills the remaining processes at the end."""
 
@@ -67,42 +90,39 @@ class FactoryCli:
         self._server = server
         self._environment = {**os.environ, "HOME": str(home), "MINIVLA_CACHE": str(cache), **variables}
         self._environment.pop("XDG_CACHE_HOME", None)
-        self._started: list[subprocess.Popen[str]] = []
+        self._started: list[Started] = []
 
-    def start(self, *words: object) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "factory", *map(str, words)],
-            env=self._environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        self._started.append(process)
-        return process
+    def start(self, *words: object) -> Started:
+        """Starts a command in a forked process with its own session."""
+        self._started.append(self._fork(Path(tempfile.mkdtemp()), words))
+        return self._started[-1]
+
+    def _fork(self, folder: Path, words: tuple[object, ...]) -> Started:
+        out, err = folder / "out", folder / "err"
+        child = self._server.start("factory.__main__", [*map(str, words)], self._environment, out, err)
+        return Started(child, out, err)
 
     def fresh(self, *words: object) -> None:
         """Runs a command in a new interpreter; fails unless it succeeds."""
-        process = self.start(*words)
-        try:
-            _, err = process.communicate(timeout=_HANGS_S)
-        finally:
-            if process.poll() is None:
-                kill_group(process)
-        assert process.returncode == 0, f"factory {words}: exit {process.returncode}\n{err}"
+        done = subprocess.run(
+            [sys.executable, "-m", "factory", *map(str, words)],
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=_HANGS_S,
+        )
+        assert done.returncode == 0, f"factory {words}: exit {done.returncode}\n{done.stderr}"
 
     def run(self, *words: object) -> subprocess.CompletedProcess[str]:
         """Runs a command in a forked process, whatever its exit status."""
-        args = [*map(str, words)]
         with tempfile.TemporaryDirectory() as folder:
-            out, err = Path(folder, "out"), Path(folder, "err")
-            child = self._server.start("factory.__main__", args, self._environment, out, err)
+            started = self._fork(Path(folder), words)
             try:
-                status = child.wait(_HANGS_S)
+                out, err = started.communicate(_HANGS_S)
             finally:
-                child.kill()
-            return subprocess.CompletedProcess(args, status, out.read_text(), err.read_text())
+                started.kill()
+        return subprocess.CompletedProcess([*map(str, words)], started.wait(), out, err)
 
     def __call__(self, *words: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
         done = self.run(*words)
@@ -116,12 +136,10 @@ class FactoryCli:
         for process in self._started:
             if process.poll() is None:
                 kill_group(process)
-            for stream in (process.stdout, process.stderr):
-                if stream is not None:
-                    stream.close()
+            shutil.rmtree(process.folder)
 
 
-def kill_group(process: subprocess.Popen[str], number: int = signal.SIGKILL) -> None:
+def kill_group(process: Started, number: int = signal.SIGKILL) -> None:
     os.killpg(process.pid, number)
     process.wait(30)
 

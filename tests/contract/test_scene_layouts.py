@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
 from factory.scenes.author.placement import FloorPlan, footprint
 from factory.scenes.navigation.occupancy import BAND_M
-from factory.scenes.rules import load_rules
+from factory.scenes.rules import builtin_rules
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 from schemas.terms import BUILTIN_CATEGORIES, PAPER_SCENES
@@ -23,7 +23,7 @@ from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
 
 CELL_M = 0.05
 REACH_M = 0.97 + 0.2335 + CELL_M  # success radius, and the distance of the body's centre behind base_link
-RULES = load_rules()
+RULES = builtin_rules()
 
 
 def piece_boxes(plan: FloorPlan) -> Floats:

@@ -9,7 +9,7 @@ import pytest
 
 from factory.scenes import build_scene, encode_topdown, package_path
 from factory.scenes.author import BUILTIN_SCENES
-from factory.scenes.rules import load_rules
+from factory.scenes.rules import builtin_rules
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, decode_scene
@@ -120,7 +120,7 @@ def test_visible_targets_of_a_spawn_can_be_reached_straight(scene: CompiledScene
 
 
 def test_most_objects_have_a_correct_colour(scene: CompiledScene) -> None:
-    uncoloured = load_rules().uncoloured
+    uncoloured = builtin_rules().uncoloured
     things = [target for target in scene.info.targets if target.category not in uncoloured]
     assert sum(target.colour != "unknown" for target in things) >= 0.8 * len(things)
     assert {target.colour for target in scene.info.targets if target.category in uncoloured} <= {"unknown"}

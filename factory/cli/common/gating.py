@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
@@ -15,13 +15,15 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.file import shrink
 from factory.cli.common.bars import Bars
 from factory.cli.common.output import print_table, stderr
-from factory.runs.gate import GateReport, Pilot, evaluate_gate, run_pilot
-from factory.stats.model import Share
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
+
+if TYPE_CHECKING:
+    from factory.runs.gate import GateReport
+    from factory.stats.model import Share
 
 GateMode = Literal["auto", "enforce", "report", "skip"]
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -91,6 +93,8 @@ def try_scene(
     Raises:
         WorldError: simulations do not start.
     """
+    from factory.runs.gate import Pilot, evaluate_gate, run_pilot  # only now: most runs have no pilot
+
     pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name
     with Bars() as bar:

@@ -103,7 +103,7 @@ def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: fl
         FigureCanvasAgg(figure)
         paint(figure.add_subplot())
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # compute the layout once for both files
+        figure.set_layout_engine(None)  # the layout is computed once; an engine would draw each file twice
         return Panel(name, alt, _as_svg(figure), _as_png(figure))
 
 

@@ -29,7 +29,7 @@ from factory.scenes.navigation.collider import solid_triangles, weld
 from factory.scenes.navigation.floor import find_floor_height
 from factory.scenes.navigation.occupancy import build_occupancy
 from factory.scenes.navigation.reach import Terrain, sees_matrix
-from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.rules import RuleBook, builtin_rules
 from factory.scenes.survey.spawns import MIN_SPAWNS, survey_spawns
 from factory.scenes.targets.candidates import Candidate, find_candidates
 from factory.scenes.targets.target_edits import apply_candidate_edits, apply_target_edits, recoloured
@@ -130,7 +130,7 @@ def compile_extraction(
         UsageError: `chosen` names prims that the stage does not have.
         WorldError: the stage has no visible mesh, no floor or no reachable target.
     """
-    rules = rules or load_rules()
+    rules = rules or builtin_rules()
     notes = list(extraction.notes)
     parts = with_ceiling(_without_outliers(file, extraction, notes), extraction.ceiling_m)
     shown = _show(file, extraction, parts, (rules, chosen), notes)

@@ -8,14 +8,14 @@ import pytest
 from pydantic import ValidationError
 
 from factory.scenes.author.props.catalogue import CATALOGUE
-from factory.scenes.rules import load_rules
+from factory.scenes.rules import builtin_rules
 from schemas.plan import ScenePlan
 from schemas.taxonomy import category_of, load_taxonomy
 from schemas.terms import BUILTIN_CATEGORIES
 
 
 def test_every_category_of_a_rule_or_a_scene_has_a_place_in_the_taxonomy() -> None:
-    used = {rule.category for rule in load_rules().rules}
+    used = {rule.category for rule in builtin_rules().rules}
     used |= {category for groups in BUILTIN_CATEGORIES.values() for group in groups for category in group}
     assert used == set(load_taxonomy())
 
@@ -27,7 +27,7 @@ def test_a_synonym_belongs_to_one_category() -> None:
 
 
 def test_a_prim_that_is_named_by_a_synonym_has_its_category() -> None:
-    rules = load_rules()
+    rules = builtin_rules()
     wrong = {}
     for category, kind in load_taxonomy().items():
         for name in (category, *kind.synonyms) if category != "box" else kind.synonyms:  # a box can be anything
@@ -44,7 +44,7 @@ def test_names_are_read_in_any_case_with_spaces_or_underscores() -> None:
 
 
 def test_at_least_45_categories_have_three_variants_each() -> None:
-    rules, variants = load_rules(), Counter[str]()
+    rules, variants = builtin_rules(), Counter[str]()
     for name, entry in CATALOGUE.items():
         rule = rules.match(f"{name}_00")
         if rule is not None:

@@ -114,7 +114,7 @@ def test_a_cyclic_reference_is_noted_and_the_rest_is_kept(tmp_path: Path) -> Non
     TEXT.write(tmp_path / "other.usda", TEXT.group("Back", "", head="prepend references = @scene.usda@"))
     extraction = extract(tmp_path, TEXT.group("There", "", head="prepend references = @other.usda@") + BOX)
     assert "/World/Box" in [part.path for part in extraction.parts]
-    assert noted(extraction, "ycle", "/World/There", "@other.usda@", "take the reference out")
+    assert noted(extraction, "ycle", "/World/There", "@other.usda@", "remove the circular reference")
 
 
 def test_usd_warnings_are_the_same_at_every_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

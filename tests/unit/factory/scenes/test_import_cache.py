@@ -10,7 +10,7 @@ import pytest
 from factory.runs.catalog import find_imported
 from factory.scenes.build import find_import, import_scene
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
-from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.rules import RuleBook, builtin_rules
 from factory.scenes.targets.target_list import TargetEntry, TargetList
 from tests.builders.stage import StageText, room_body
 
@@ -52,7 +52,7 @@ def test_a_changed_layer_rule_or_target_list_triggers_compilation(stage: Path) -
     imported(stage)
     chair = TargetEntry(id="chair_001", category="chair", prim_path="/World/SM_Chair_01")
     assert imported(stage, targets=TargetList(scene="lab", targets=(chair,)))[1]
-    assert imported(stage, rules=RuleBook(rules=load_rules().rules[:6]))[1]
+    assert imported(stage, rules=RuleBook(rules=builtin_rules().rules[:6]))[1]
     TEXT.write(stage.parent / "a.usda", TEXT.box("Box", (0, 0, 0), (0.5, 0.5, 0.7)))
     assert imported(stage)[1]
 
@@ -98,7 +98,7 @@ def test_a_damaged_or_missing_package_is_compiled_again(stage: Path, damage: byt
 
 def test_importing_again_makes_a_package_the_newest(stage: Path) -> None:
     first, _ = imported(stage)
-    second, _ = imported(stage, rules=RuleBook(rules=load_rules().rules[:6]))
+    second, _ = imported(stage, rules=RuleBook(rules=builtin_rules().rules[:6]))
     for package in (first, second):
         os.utime(package, (1, 1))
     imported(stage)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from factory.scenes.rules import BUILTIN_RULES, load_rules, split_name
+from factory.scenes.rules import BUILTIN_RULES, builtin_rules, load_rules, split_name
 from schemas.errors import UsageError
 from schemas.terms import CATEGORIES
 
-RULES = load_rules()
+RULES = builtin_rules()
 
 
 @pytest.mark.parametrize(
@@ -124,4 +124,4 @@ def test_a_missing_rule_table_is_refused_with_the_command_that_creates_one(tmp_p
 
 
 def test_racks_shelves_and_monitors_are_not_named_after_their_content() -> None:
-    assert load_rules().only(CATEGORIES).uncoloured == {"rack", "shelf", "monitor"}
+    assert builtin_rules().only(CATEGORIES).uncoloured == {"rack", "shelf", "monitor"}

@@ -14,7 +14,7 @@ from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction
 from factory.scenes.limits import StageLimits
-from factory.scenes.rules import load_rules
+from factory.scenes.rules import builtin_rules
 from factory.scenes.targets.candidates import find_candidates
 from tests.builders.formats import CHAIR, ROOM, write_room
 from tests.builders.pages import ROOT
@@ -80,7 +80,7 @@ def test_the_chair_is_a_candidate_in_every_format_with_names(tmp_path: Path, suf
         pytest.importorskip("mujoco")
     extraction = extract(write_room(tmp_path, suffix))
     shown = [part for part in extraction.parts if not part.is_collider]
-    found = find_candidates(extraction, shown, load_rules(), lambda _parts: "red")
+    found = find_candidates(extraction, shown, builtin_rules(), lambda _parts: "red")
     assert [candidate.category for candidate in found] == ["chair"]
 
 

@@ -10,7 +10,7 @@ import pytest
 from factory.scenes.compile.shade import target_colour
 from factory.scenes.compile.textures import load_textures
 from factory.scenes.importer import extract_stage
-from factory.scenes.rules import load_rules
+from factory.scenes.rules import builtin_rules
 from factory.scenes.targets.candidates import find_candidates, footprint_width
 from tests.builders.stage import StageText, Vector3
 
@@ -24,7 +24,7 @@ def box(name: str, at: float = 0.0, size: float = 0.8, colour: Vector3 = (0.5, 0
 def found(tmp_path: Path, body: str) -> list[tuple[str, str]]:
     extraction = extract_stage(TEXT.write(tmp_path / "scene.usda", body))
     book = load_textures({}, lambda path: None)
-    candidates = find_candidates(extraction, extraction.parts, load_rules(), lambda own: target_colour(own, book))
+    candidates = find_candidates(extraction, extraction.parts, builtin_rules(), lambda own: target_colour(own, book))
     return [(candidate.path.removeprefix("/World/"), candidate.category) for candidate in candidates]
 
 
