@@ -34,6 +34,7 @@ from schemas.config import (
     TaskConfig,
 )
 from schemas.rig.arrays import rig_faults
+from schemas.taxonomy import category_of
 from schemas.terms import (
     BUILTIN_CATEGORIES,
     CATEGORIES,
@@ -128,11 +129,14 @@ class ScenePlan(Model):
     @field_validator("seen", "held_out")
     @classmethod
     def _are_known_categories(cls, categories: tuple[str, ...], others: ValidationInfo) -> tuple[str, ...]:
-        unknown = [name for name in categories if name not in CATEGORIES]
+        scene = others.data.get("name", "")
+        known = {*CATEGORIES, *(name for group in BUILTIN_CATEGORIES.get(scene, ()) for name in group)}
+        unknown = [name for name in categories if name not in known]
         if unknown and others.data.get("file") is None:
-            raise ValueError(
-                f"unknown categories {', '.join(unknown)}; categories of built-in scenes: {', '.join(CATEGORIES)}"
-            )
+            meant = {name: category_of(name) for name in unknown}
+            hints = [f"{name} is a synonym of {found}" for name, found in meant.items() if found in known]
+            text = f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}"
+            raise ValueError("; ".join([text, *hints]))
         return categories
 
     @field_validator("ceiling_m")

@@ -6,13 +6,13 @@ from types import MappingProxyType
 
 from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.plan import Budget, Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
+from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
 
 _BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 _DEMO = Plan(
     name="demo",
-    scenes=tuple(ScenePlan(name=name, episodes=4) for name in BUILTIN_CATEGORIES),
+    scenes=tuple(ScenePlan(name=name, episodes=4) for name in PAPER_SCENES),
     tiers={Tier.NEAR: 1.0},
     splits=dict.fromkeys((Split.TRAIN_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD, Split.TEST_OOD_OBJ), 0.25),
     balance="categories",

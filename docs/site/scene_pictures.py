@@ -1,31 +1,47 @@
-"""Renders the pictures of docs/scenes: views, frames, categories and map of every built-in scene.
+"""Renders the pictures of docs/scenes: views, frames, categories and map of a scene; maps and views of a family.
 
-python docs/site/scene_pictures.py [SCENE ...]
+A family has one sheet of maps and one of views, with one layout of each seed. Seeds without a layout are left out.
+
+python docs/site/scene_pictures.py [SCENE|FAMILY ...]
 """
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from PIL import Image
+from PIL import Image, ImageOps
+
+from factory.scenes import build_scene, encode_topdown
+from factory.scenes.pictures.sheet import draw_sheet, variants
+from factory.scenes.pictures.viewpoints import EYE, best_views
+from factory.support.settings import scene_cache
+from schemas.errors import WorldError
+from schemas.scene import CompiledScene, decode_scene
+from workers.render.choose import open_renderer
 
 SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
+FAMILIES = ("home", "shop", "school")
+LAYOUTS = 6
 FOLDER = Path(__file__).parents[1] / "scenes"
 GAP_PX = 4
 
 
 def main(scenes: Sequence[str]) -> None:
-    """Writes four pictures of each scene."""
+    """Writes four pictures of each scene, and three of each family."""
     for scene in scenes:
+        if scene in FAMILIES:
+            draw_family(scene)
+            continue
         with tempfile.TemporaryDirectory() as folder:
             rendered = Path(folder)
             subprocess.run(["factory", "scene", "render", scene, "-o", folder], check=True, stdout=subprocess.DEVNULL)
-            save(tile(sorted(rendered.glob("eye_*.png")), columns=3, size_px=420), f"{scene}_eye.jpg")
-            save(tile(sorted(rendered.glob("robot_*.png")), columns=4, size_px=320), f"{scene}_robot.jpg")
+            save(tile(opened(rendered, "eye_*.png"), columns=3, size_px=420), f"{scene}_eye.jpg")
+            save(tile(opened(rendered, "robot_*.png"), columns=4, size_px=320), f"{scene}_robot.jpg")
             categories = Image.open(rendered / "categories.png").convert("RGB")
             categories.thumbnail((1600, 1600))
             save(categories, f"{scene}_categories.jpg")
@@ -34,21 +50,65 @@ def main(scenes: Sequence[str]) -> None:
             )
 
 
-def tile(pictures: Sequence[Path], columns: int, size_px: int) -> Image.Image:
-    """Returns the pictures in rows of `columns` squares of `size_px`."""
+def draw_family(family: str) -> None:
+    """Writes the maps and two views of the first layouts of a family, and the categories of the first one."""
+    maps: list[Image.Image] = []
+    views: list[Image.Image] = []
+    for seed in range(3 * LAYOUTS):
+        try:
+            package = build_scene(family, seed, scene_cache())
+        except WorldError as error:
+            print(error)
+            continue
+        with package.open("rb") as file:
+            scene = decode_scene(file)
+        maps.append(Image.open(io.BytesIO(encode_topdown(scene))))
+        views += draw_views(scene)
+        if len(maps) == 1:
+            with open_renderer("auto", 400) as eye:
+                categories = draw_sheet(eye, scene, variants(scene.info.targets))
+            categories.thumbnail((1400, 1600))
+            save(categories, f"{family}_categories.jpg", 80)
+        if len(maps) == LAYOUTS:
+            break
+    save(tile(maps, 3, 440, fill="white"), f"{family}_maps.jpg", 80)
+    save(tile(views, 4, 340), f"{family}_views.jpg", 80)
+
+
+def draw_views(scene: CompiledScene) -> Iterator[Image.Image]:
+    """Yields the two best views of a scene at eye height."""
+    with open_renderer("auto", 96) as eye:
+        chosen = best_views(eye, scene, EYE, 2)
+    with open_renderer("auto", 2 * 340) as eye:
+        for view in chosen:
+            eye.load(scene, view.camera)
+            yield Image.fromarray(eye.render(view.pose).rgb)
+
+
+def opened(folder: Path, pattern: str) -> list[Image.Image]:
+    """Returns the pictures whose names match, in the order of their names."""
+    return [Image.open(path) for path in sorted(folder.glob(pattern))]
+
+
+def tile(pictures: Sequence[Image.Image], columns: int, size_px: int, fill: str | None = None) -> Image.Image:
+    """Returns the pictures in rows of `columns` squares of `size_px`; with `fill`, they keep their proportions."""
     rows, step = -(-len(pictures) // columns), size_px + GAP_PX
-    sheet = Image.new("RGB", (columns * step - GAP_PX, rows * step - GAP_PX), "white")
-    for number, path in enumerate(pictures):
-        picture = Image.open(path).convert("RGB").resize((size_px, size_px), Image.Resampling.LANCZOS)
+    sheet = Image.new("RGB", (columns * step - GAP_PX, rows * step - GAP_PX), fill or "white")
+    for number, original in enumerate(pictures):
+        picture = original.convert("RGB")
+        if fill is None:
+            picture = picture.resize((size_px, size_px), Image.Resampling.LANCZOS)
+        else:
+            picture = ImageOps.pad(picture, (size_px, size_px), Image.Resampling.LANCZOS, fill)
         sheet.paste(picture, (number % columns * step, number // columns * step))
     return sheet
 
 
-def save(picture: Image.Image, name: str) -> None:
+def save(picture: Image.Image, name: str, quality: int = 85) -> None:
     """Writes a JPEG."""
-    picture.save(FOLDER / name, quality=85, optimize=True)
+    picture.save(FOLDER / name, quality=quality, optimize=True)
     print(FOLDER / name)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or SCENES)
+    main(sys.argv[1:] or (*SCENES, *FAMILIES))

@@ -70,7 +70,7 @@ REASON_COLOURS = MappingProxyType(
         FailReason.NOT_IN_VIEW: "not_in_view",
     }
 )
-DASHES = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
+DASHES = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)), (0, (9, 3)), (0, (1, 3)), (0, (3, 1, 1, 1, 1, 1)))
 """Line styles by scene, cyclic."""
 _SCENE_COLOURS = tuple(name for name in COLOURS if name.startswith("scene"))
 _BY_LIGHT = {light: name for name, (light, _) in COLOURS.items()}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,11 +19,11 @@ from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
-from schemas.errors import UsageError
+from schemas.errors import UsageError, WorldError
 from schemas.scene import SCENE_FORMAT, encode_scene
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
-from schemas.terms import CATEGORIES
+from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 
 if TYPE_CHECKING:
     from factory.scenes.importer import Extraction
@@ -42,7 +42,7 @@ def package_path(
     if name not in BUILTIN_SCENES:
         known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a file"
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
-    book = (rules or _paper_rules()).model_dump_json()
+    book = (rules or rules_of(name)).model_dump_json()
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
@@ -63,7 +63,7 @@ def build_scene(
         name: one of `BUILTIN_SCENES`.
         seed: random seed of the layout.
         cache: directory of packages; created if missing.
-        rules: category rules; when `None`, those of the built-in table for the paper's categories.
+        rules: category rules; when `None`, those of the built-in table for the categories of the scene.
         targets: edited target list; all targets that the rules find when `None`.
         tell: progress callback, called before a scene is built.
 
@@ -72,7 +72,7 @@ def build_scene(
 
     Raises:
         UsageError: `name` is not a built-in scene, or `targets` names prims that the scene does not have.
-        WorldError: the cache cannot be written.
+        WorldError: the cache cannot be written, or the layout lacks a category of the scene; another seed has it.
     """
     path = package_path(name, seed, cache, rules, targets)
     if not path.is_file():
@@ -82,13 +82,23 @@ def build_scene(
         tell()
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
             root = author_scene(name, seed, Path(directory))
-            scene = compile_stage(root, name, f"built-in {name}, seed {seed}", rules or _paper_rules(), targets)
+            scene = compile_stage(root, name, f"built-in {name}, seed {seed}", rules or rules_of(name), targets)
+        if rules is None and targets is None:
+            _require_categories(name, seed, {target.category for target in scene.info.targets})
         write_whole(path, encode_scene(scene))
     return path
 
 
-def _paper_rules() -> RuleBook:
-    return builtin_rules().only(CATEGORIES)
+def rules_of(name: str) -> RuleBook:
+    """Returns the rules of a built-in scene: of the paper's categories, or of the categories of a family."""
+    seen, held_out = BUILTIN_CATEGORIES[name]
+    return builtin_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
+
+
+def _require_categories(name: str, seed: int, found: Collection[str]) -> None:
+    missing = sorted({category for group in BUILTIN_CATEGORIES[name] for category in group} - set(found))
+    if missing:
+        raise WorldError(f"{name}, seed {seed}: no reachable {', '.join(missing)}; use another seed")
 
 
 def import_scene(

@@ -19,13 +19,13 @@ import pytest
 from numpy.typing import NDArray
 
 from factory.scenes import build_scene as build_package
-from factory.scenes.author import BUILTIN_SCENES
 from schemas.config import CameraConfig, RobotConfig
 from schemas.rig.file import load_rig
 from schemas.rig.motion import WheelOdometry
 from schemas.rig.mount import Mount
 from schemas.rig.ranging import Lidar3d
 from schemas.scene import CompiledScene, decode_scene
+from schemas.terms import PAPER_SCENES
 from tests.builders.scene import box_room
 from tests.builders.shared import locked
 from workers.geometry.camera import intrinsics, optical_pose
@@ -53,7 +53,7 @@ VLP16 = Lidar3d(
 )
 
 
-@pytest.fixture(scope="module", params=sorted(BUILTIN_SCENES))
+@pytest.fixture(scope="module", params=sorted(PAPER_SCENES))
 def scene(request: pytest.FixtureRequest, shared: Path, cache: Path) -> CompiledScene:
     with locked(shared / f"{request.param}-0.lock"):
         package = build_package(request.param, 0, cache / "scenes")

@@ -24,7 +24,8 @@ from schemas.terms import BUILTIN_CATEGORIES
 seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 
 
-def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+def complete_scene(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Completes the name of a built-in or imported scene, or a file."""
     known = [*BUILTIN_CATEGORIES, *find_imported(scene_cache())]
     names = [CompletionItem(name) for name in known if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
@@ -42,7 +43,7 @@ def _complete_file(context: click.Context, param: click.Parameter, word: str) ->
 file_argument = click.argument("file", type=click.Path(path_type=Path), shell_complete=_complete_file)
 """FILE: a scene of any format that `factory scene import` reads."""
 
-scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=_complete)
+scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=complete_scene)
 """SCENE|PACKAGE: the name of a built-in or imported scene, or a scene package (`*.scene.zip`)."""
 
 

@@ -1,4 +1,4 @@
-"""`factory scene survey`: measures the number and the distribution of the start points of a scene."""
+"""`factory scene survey`: measures the start points of a scene, or the diversity of the layouts of a family."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.common.options import number_option
+from factory.cli.common.options import count_option, number_option
 from factory.cli.common.output import json_option, print_json, print_table, print_text
-from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
+from factory.cli.scene.choice import chosen_scene, complete_scene, seed_option
+from factory.cli.scene.diversity import survey_family
 from schemas.terms import SuccessMeasure
 
 if TYPE_CHECKING:
@@ -19,8 +20,12 @@ if TYPE_CHECKING:
 
 
 @click.command("survey")
-@scene_argument
+@click.argument("scene", metavar="[SCENE|PACKAGE]", required=False, shell_complete=complete_scene)
 @seed_option
+@click.option(
+    "--family", metavar="NAME", help="Family whose layouts to compare, instead of one scene. Seeds start at --seed."
+)
+@count_option("--layouts", 20, "Number of layouts of --family.", least=1, most=10_000)
 @number_option(
     "METRES", "--within", 2.0, "Floor within this distance of a start point counts as covered, metres.", least=0.1
 )
@@ -30,14 +35,20 @@ if TYPE_CHECKING:
     help="Measure of the distance to the targets. Default: surface if the package has footprints, otherwise centroid.",
 )
 @json_option
-def command(scene: str, seed: int, within: float, success: str | None, as_json: bool) -> int:
-    """Measure the start points of a scene.
+def command(
+    scene: str | None, seed: int, family: str | None, layouts: int, within: float, success: str | None, as_json: bool
+) -> int:
+    """Measure the start points of a scene, or the diversity of a family.
 
     SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
-    Exits with 1 if there are too few start points.
+    Exits with 1 if there are too few start points or layouts.
     """
     from factory.scenes.survey.report import report_survey
 
+    if (scene is None) == (family is None):
+        raise click.UsageError("give either SCENE|PACKAGE or --family NAME")
+    if scene is None:
+        return survey_family(str(family), layouts, seed, as_json)
     chosen = chosen_scene(scene, seed)
     usual = SuccessMeasure.SURFACE if chosen.info.has_footprints else SuccessMeasure.CENTROID
     report = report_survey(chosen, within, SuccessMeasure(success or usual))

@@ -1,4 +1,4 @@
-"""Authors the four built-in scenes as USD from a seed: office, hospital and two warehouses.
+"""Authors the built-in scenes as USD from a seed: office, hospital, two warehouses, homes, shops and schools.
 
 Does not compile or simulate. The importer reads the result like any USD stage of a user.
 """
@@ -13,8 +13,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from factory.scenes.author.layouts.home import lay_out_home
 from factory.scenes.author.layouts.hospital import lay_out_hospital
 from factory.scenes.author.layouts.office import lay_out_office
+from factory.scenes.author.layouts.school import lay_out_school
+from factory.scenes.author.layouts.shop import lay_out_shop
 from factory.scenes.author.layouts.warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
 from factory.scenes.author.placement import FloorPlan
 from schemas.errors import UsageError
@@ -57,6 +60,9 @@ _SCENES = (
         1.0,
         lay_out_multiple_shelves,
     ),
+    BuiltinScene("home", "90-170 m2 home of 5 to 9 rooms, open or off a hall", 1.0, lay_out_home),
+    BuiltinScene("shop", "140-250 m2 shop: sales floor, store, office, wash room", 1.0, lay_out_shop),
+    BuiltinScene("school", "190-330 m2 school: class rooms, library, staff room off a hall", 1.0, lay_out_school),
 )
 
 BUILTIN_SCENES: Mapping[str, BuiltinScene] = MappingProxyType({scene.name: scene for scene in _SCENES})

@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from factory.scenes.author.geometry import block, fitted_block
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted, textured, tinted
-from factory.scenes.author.placement import FloorPlan, Rectangle
+from factory.scenes.author.placement import FloorPlan, Rectangle, RoomRecord
 from factory.scenes.author.room import PLAIN, WALL_THICKNESS_M, Doorway, Trim, ceiling, floor, wall
 
 PLASTER = tinted("Plaster", "WallPlaster", "#dedbd1", 0.8, 0.9)
@@ -103,6 +103,8 @@ def build_wings(
     for side, spans in wings.items():
         depth = (0.0, corridor[0]) if side == "S" else (corridor[1], size[1])
         rooms += _build_wing(plan, side, depth, spans, styles, height)
+    plan.rooms += [RoomRecord(room.kind, room.area, (len(rooms),)) for room in rooms]
+    plan.rooms.append(RoomRecord("corridor", hall, tuple(range(len(rooms)))))
     return rooms
 
 

@@ -68,8 +68,20 @@ PAINTS = {
     "Steel": "#a5abb0",
     "Chrome": "#c9ced2",
     "Rubber": "#2a2a2c",
+    "Pink": "#d9849c",
+    "Cream": "#efe8d8",
 }
 """Paint name -> sRGB colour."""
+
+
+_WOODS = {
+    "Oak": "#cb9f66",
+    "Walnut": "#7c5233",
+    "Pale": "#e2c79c",
+    "Cherry": "#9a5636",
+    "Ebony": "#43352c",
+    "Ash": "#b8a68c",
+}
 
 
 def painted(paint: str, roughness: float = 0.6, metallic: float = 0.0) -> SurfaceMaterial:
@@ -86,6 +98,16 @@ def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -
 def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> SurfaceMaterial:
     """Returns a material that multiplies a light texture with a colour, so that paints share one texture."""
     return SurfaceMaterial(name, colour, texture, tile_m, roughness, tint=colour)
+
+
+def wood(name: str) -> SurfaceMaterial:
+    """Returns furniture wood: Oak, Walnut, Pale, Cherry, Ebony or Ash, all tints of one texture."""
+    return tinted("Grain", f"Wood{name}Tint", _WOODS[name], 0.9, 0.5)
+
+
+def cloth(paint: str) -> SurfaceMaterial:
+    """Returns upholstery in the colour of a named paint; all tints of one texture."""
+    return tinted("Cloth", f"Cloth{paint}", PAINTS[paint], 0.4, 0.95)
 
 
 def glowing(name: str, colour: str, texture: str | None = None, glow: float = 1.0) -> SurfaceMaterial:

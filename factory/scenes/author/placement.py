@@ -85,6 +85,14 @@ class PropPlacement:
     yaw: float
 
 
+class RoomRecord(NamedTuple):
+    """Room of a layout, for statistics: use, floor between the wall faces, numbers of the rooms behind its doors."""
+
+    kind: str
+    area: Rectangle
+    neighbours: tuple[int, ...]
+
+
 @dataclass
 class FloorPlan:
     """Scene during authoring. Placements that do not fit are rejected."""
@@ -96,6 +104,9 @@ class FloorPlan:
     placements: list[PropPlacement] = field(default_factory=list)
     taken: list[Rectangle] = field(default_factory=list)
     kept_clear: list[Rectangle] = field(default_factory=list)
+    rooms: list[RoomRecord] = field(default_factory=list)
+    texture_seed: int | None = None
+    """Seed of the texture pixels; `None` is the seed of the layout."""
 
     def __post_init__(self) -> None:
         self.props = PropBuilder(self.seed)
@@ -149,7 +160,11 @@ class FloorPlan:
             return None
         if not share and any(print_.grown(clearance).overlaps(other) for other in self.taken):
             return None
-        self.taken.append(print_)
+        return self.stand(model, x, y, yaw)
+
+    def stand(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement:
+        """Places a model on the floor without a test; its footprint is taken."""
+        self.taken.append(footprint(model, x, y, yaw))
         return self.add(model, x, y, yaw)
 
     def against(
@@ -189,12 +204,24 @@ class FloorPlan:
         """Mounts a model on a wall beside other models, or returns None if no free section is found."""
         for _ in range(6):
             x, y, yaw = wall_pose(model, room, side, along, 0.0)
-            if not self._meets_anything(model, x, y, yaw):
+            if not self.meets(model, x, y, yaw):
                 return self.add(model, x, y, yaw)
             along = float(self.rng.uniform(0.05, 0.95))
         return None
 
-    def _meets_anything(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
+    def hang_at(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement | None:
+        """Mounts a model at a pose, or returns None if it meets another model."""
+        return None if self.meets(model, x, y, yaw) else self.add(model, x, y, yaw)
+
+    def is_free_strip(self, room: Rectangle, side: str, start: float, length: float, depth: float) -> bool:
+        """Returns whether a strip of floor along a wall, `depth` metres deep, is free from `start` on."""
+        a, b = (room.x0, room.y0) if side in "NS" else (room.y0, room.x0)
+        across = {"N": (room.y1 - depth, room.y1), "E": (room.x1 - depth, room.x1)}.get(side, (b, b + depth))
+        low, high = (a + start, across[0]), (a + start + length, across[1])
+        strip = Rectangle(*low, *high) if side in "NS" else Rectangle(low[1], low[0], high[1], high[0])
+        return not any(strip.overlaps(other) for other in (*self.kept_clear, *self.taken))
+
+    def meets(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
         """Returns whether the rotated box of the model, with a margin of 5 cm, intersects the box of a placed model."""
         print_ = footprint(model, x, y, yaw).grown(0.05)
         return any(

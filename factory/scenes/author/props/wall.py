@@ -8,7 +8,7 @@ from __future__ import annotations
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import block, cylinder, moved, quad
-from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured
+from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured, wood
 
 BLACK = painted("Black", 0.5)
 WHITE = painted("White", 0.45)
@@ -99,3 +99,27 @@ def roller_door(_variant: int, _rng: Generator) -> list[PropPiece]:
         PropPiece(STEEL, box),
         *(PropPiece(BLACK, bumper) for bumper in bumpers),
     ]
+
+
+def framed_picture(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A painting at eye height; the wall plane is y = 0."""
+    names = ("PictureAbstract", "PictureStillLife", "PictureLake", "PosterHills", "PosterCity", "PosterArcs")
+    name = names[variant % 6]
+    frame = (BLACK, wood("Oak"), WHITE)[variant % 3]
+    half = (0.40, 0.30, 0.50)[variant % 3]
+    low, high = 1.50 - half, 1.50 + half
+    border = block((-half - 0.03, -0.03, low - 0.03), (half + 0.03, 0.0, high + 0.03))
+    art = quad([(-half, -0.0315, low), (half, -0.0315, low), (half, -0.0315, high), (-half, -0.0315, high)])
+    return [PropPiece(frame, border), PropPiece(SurfaceMaterial(name, "#dcd2c0", name, roughness=0.5), art)]
+
+
+def home_window(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A casement window with one of five views, 1.6 m wide, white or wooden."""
+    name = ("ViewGarden", "ViewSuburb", "ViewHills", "ViewSea", "ViewStreet", "WindowView")[variant % 6]
+    view, frame = glowing(name, "#cfe2f2", name, 0.9), (WHITE, wood("Pale"))[variant // 6 % 2]
+    half, low, high = 0.8, 0.9, 2.15
+    bars = [block((x - 0.03, -0.06, low), (x + 0.03, 0.0, high)) for x in (-half, 0.0, half)]
+    bars += [block((-half - 0.03, -0.061, z - 0.03), (half + 0.03, 0.0, z + 0.03)) for z in (low, high)]
+    sill = block((-half - 0.08, -0.14, low - 0.05), (half + 0.08, 0.0, low - 0.031))
+    panes = quad([(-half, -0.02, low), (half, -0.02, low), (half, -0.02, high), (-half, -0.02, high)])
+    return [PropPiece(view, panes), *(PropPiece(frame, bar) for bar in (*bars, sill))]

@@ -19,7 +19,7 @@ from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import InvalidPlan
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Screening, Split, SuccessMeasure, Tier
+from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
 
 PAPER = BUILTIN_PLANS["paper"]
@@ -77,7 +77,7 @@ def test_the_demo_has_16_episodes_spread_evenly_over_scenes_and_splits():
     assert demo.episodes == 16
     jobs = expand(demo, make_catalog(demo))
     assert Counter((job.episode.scene, job.episode.split) for job in jobs) == Counter(
-        (scene, split) for scene in BUILTIN_CATEGORIES for split, share in demo.splits.items() if share
+        (scene, split) for scene in PAPER_SCENES for split, share in demo.splits.items() if share
     )
 
 

@@ -1,0 +1,152 @@
+"""Places furniture of one style in one room: against walls, beside and on other furniture, in corners, in rows.
+
+Uses the floor plan's tests for free floor. Does not choose what a room contains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from itertools import accumulate
+
+from factory.scenes.author.dwelling import Chamber
+from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, wall_pose
+from factory.scenes.author.props.catalogue import PropModel
+from factory.scenes.author.style import Palette
+
+_WALL_ROW_DEPTH_M = 0.66
+_DOOR_M = 2.0
+"""Distance along a wall from the centre of an opening within which nothing hangs, metres."""
+
+
+class Furnisher:
+    """Room with its plan and its style."""
+
+    def __init__(self, plan: FloorPlan, room: Chamber, palette: Palette) -> None:
+        self.plan, self.room, self.area, self.palette = plan, room, room.area, palette
+        self.rng = plan.rng
+
+    def length(self, side: str) -> float:
+        """Returns the length of a wall, metres."""
+        return self.area.width if side in "NS" else self.area.depth
+
+    def sides(self) -> str:
+        """Returns the four sides in random order, those without an opening first."""
+        order = ["NESW"[k] for k in self.rng.permutation(4)]
+        return "".join(sorted(order, key=lambda side: side in self.room.doors))
+
+    def model(self, name: str, variant: int | None = None) -> PropModel:
+        """Returns a model; a random variant if none is given."""
+        return self.plan.props.model(name, self.plan.pick(12) if variant is None else variant)
+
+    def wall_piece(
+        self,
+        name: str,
+        variant: int | None = None,
+        sides: str | None = None,
+        clearance: float = 0.1,
+        gap: float = 0.02,
+    ) -> PropPlacement | None:
+        """Places a piece with its back to the first wall with room, at a random position."""
+        model = self.model(name, variant)
+        for side in sides or self.sides():
+            for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
+                x, y, yaw = wall_pose(model, self.area, side, share, gap)
+                found = (
+                    None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
+                )
+                if found is not None:
+                    return found
+        return None
+
+    def on_top(self, name: str, variant: int | None, below: PropPlacement, height: float, along: float = 0.0) -> None:
+        """Places a small thing on furniture, `along` metres off its centre."""
+        c, s = math.cos(below.yaw), math.sin(below.yaw)
+        self.plan.add(self.model(name, variant), below.x + c * along, below.y + s * along, below.yaw, height)
+
+    def beside(
+        self, name: str, variant: int | None, of: PropPlacement, along: float, gap: float
+    ) -> PropPlacement | None:
+        """Places a piece at the same wall, `along` metres from the centre of another one."""
+        model = self.model(name, variant)
+        c, s = math.cos(of.yaw), math.sin(of.yaw)
+        shift = float(of.model.high[1]) - float(model.high[1]) - gap
+        x, y = of.x + c * along - s * shift, of.y + s * along + c * shift
+        return self.plan.place(model, x, y, of.yaw, self.area, 0.0)
+
+    def before(self, name: str, variant: int | None, of: PropPlacement, reach: float) -> PropPlacement | None:
+        """Places a seat `reach` metres before a piece, towards which it faces."""
+        x, y = of.x + reach * math.sin(of.yaw), of.y - reach * math.cos(of.yaw)
+        return self.plan.place(self.model(name, variant), x, y, of.yaw + math.pi, self.area, 0.0, True)
+
+    def corner(self, name: str, variant: int | None = None, clearance: float = 0.35) -> PropPlacement | None:
+        """Places a piece in a free corner."""
+        return self.plan.in_some_corner(self.model(name, variant), self.area, clearance)
+
+    def small(self, names: Sequence[str], clearance: float = 0.45) -> None:
+        """Places small things along the walls where they fit."""
+        for name in names:
+            self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance)
+
+    def hang(self, name: str, count: int = 1, variant: int | None = None) -> None:
+        """Hangs things on free parts of the walls, away from the openings."""
+        for _ in range(count):
+            model = self.model(name, variant)
+            for side in self.sides() * 3:
+                x, y, yaw = wall_pose(model, self.area, side, float(self.rng.uniform(0.1, 0.9)), 0.0)
+                at = x if side in "NS" else y
+                is_clear = all(abs(at - door) > _DOOR_M for door in self.room.doors.get(side, ()))
+                if is_clear and self.plan.hang_at(model, x, y, yaw):
+                    break
+
+    def row(self, names: Sequence[str], variant: int, sides: str) -> tuple[str, list[PropPlacement], float] | None:
+        """Places pieces side by side along the first wall with a free strip.
+
+        Returns:
+            The side, the pieces, and the distance of the first one from the start of the wall, metres; `None` if no
+            wall has room for all.
+        """
+        models = [self.model(name, variant) for name in names]
+        widths = [float(model.high[0] - model.low[0]) for model in models]
+        for side in sides:
+            spare = self.length(side) - sum(widths)
+            for start in (0.02, spare / 2, spare - 0.02):
+                is_inside = 0.0 < start < spare
+                if is_inside and self.plan.is_free_strip(self.area, side, start, sum(widths), _WALL_ROW_DEPTH_M):
+                    ends = accumulate(widths, initial=start)
+                    return (
+                        side,
+                        [self._stand(model, side, end) for model, end in zip(models, ends, strict=False)],
+                        start,
+                    )
+        return None
+
+    def at_wall(self, side: str, along: float, back: float) -> tuple[float, float]:
+        """Returns the point `along` metres from the start of a wall and `back` metres off its face."""
+        x = {"W": self.area.x0 + back, "E": self.area.x1 - back}.get(side, self.area.x0 + along)
+        y = {"S": self.area.y0 + back, "N": self.area.y1 - back}.get(side, self.area.y0 + along)
+        return x, y
+
+    def _stand(self, model: PropModel, side: str, start: float) -> PropPlacement:
+        """Places a piece of a row whose strip is free."""
+        width = float(model.high[0] - model.low[0])
+        x, y = self.at_wall(side, start + width / 2, float(model.high[1]) + 0.01)
+        return self.plan.stand(model, x, y, FACING[side])
+
+
+def complete(plan: FloorPlan, own: Sequence[Furnisher], wanted: Mapping[str, int], kinds: Collection[str] = ()) -> None:
+    """Adds pieces at walls of rooms in random order until the building has the wanted numbers of them.
+
+    Args:
+        plan: floor plan of the building.
+        own: its rooms.
+        wanted: least number of each piece; random variants are added.
+        kinds: kinds of rooms to use; empty uses all.
+    """
+    rooms = [each for each in own if not kinds or each.room.kind in kinds]
+    for name, least in wanted.items():
+        standing = sum(placement.model.name.startswith(name) for placement in plan.placements)
+        for clearance in (0.35, 0.1, 0.02):
+            for number in plan.rng.permutation(len(rooms)):
+                if standing < least:
+                    standing += rooms[number].wall_piece(name, None, None, clearance, 0.03) is not None

@@ -1,0 +1,254 @@
+"""Furnishes the rooms of a home: lounge and dining room, kitchen, bedrooms, bath, study, laundry and hall.
+
+Places props in metres; larger ones first. Does not build walls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from factory.scenes.author.dwelling import Chamber, rug
+from factory.scenes.author.furnisher import Furnisher, complete
+from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle
+from factory.scenes.author.style import Palette
+
+_EVERYWHERE = {
+    "SM_Sofa_A": 1,
+    "SM_Wardrobe": 1,
+    "SM_Dresser": 1,
+    "SM_Sideboard": 1,
+    "SM_ShelfBook_B": 2,
+    "SM_LampFloor": 1,
+    "SM_Plant_A": 2,
+    "SM_Vase": 2,
+    "SM_Ottoman": 2,
+    "SM_TrashCan_A": 2,
+    "SM_Basket": 2,
+}
+"""Pieces that every home has, with their least numbers."""
+
+
+def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) -> None:
+    """Furnishes every room by its kind."""
+    kinds: dict[str, Callable[[Furnisher], None]] = {
+        "living": _living,
+        "dining": _dining,
+        "kitchen": _kitchen,
+        "bedroom": _bedroom,
+        "bath": _bath,
+        "study": _study,
+        "laundry": _laundry,
+        "hall": _hall,
+    }
+    has = {room.kind for room in rooms}
+    own = [Furnisher(plan, room, palette) for room in rooms]
+    for furnisher in own:
+        room = furnisher.room
+        kinds[room.kind](furnisher)
+        if room.kind == "living" and "dining" not in has:
+            _dining_group(furnisher, along_wall=True)
+        if room.kind == "bath" and "laundry" not in has:
+            furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
+    dry = ("living", "dining", "bedroom", "study", "hall")
+    complete(plan, own, _EVERYWHERE, dry)
+
+
+def _living(own: Furnisher) -> None:
+    """A sofa opposite a television; arm chairs, a low table on a rug, shelves, perhaps a fireplace and a piano."""
+    plan, rng, look = own.plan, own.rng, own.palette.wood
+    for side in own.sides():
+        media = own.wall_piece("SM_TvUnit", look, side, 0.3, 0.02)
+        if media is not None:
+            own.on_top("SM_TelevisionFlat", plan.pick(3), media, float(media.model.high[2]))
+            _seats(own, side, media)
+            break
+    if rng.random() < 0.6:
+        own.wall_piece("SM_Fireplace", clearance=0.4, gap=0.0)
+    own.wall_piece("SM_ShelfBook_B", look, clearance=0.3)
+    if rng.random() < 0.5:
+        piano = own.wall_piece("SM_Piano", clearance=0.35)
+        if piano is not None:
+            own.before("SM_Stool_F", 1, piano, 0.55)
+    own.corner("SM_LampFloor")
+    own.corner("SM_Plant_A")
+    own.corner("SM_Plant_A")
+    own.wall_piece("SM_Sideboard", look + 1, clearance=0.3)
+    own.small(("SM_Vase", "SM_Basket", "SM_ClockTall", "SM_ToyPile")[plan.pick(2) :: 2])
+    own.hang("SM_PictureFrame", 3)
+
+
+def _seats(own: Furnisher, side: str, media: PropPlacement) -> None:
+    """A sofa that faces the media bench, with a rug, a coffee table, an arm chair and an ottoman."""
+    plan, rng, cover = own.plan, own.rng, own.palette.cover
+    reach = min(float(rng.uniform(2.5, 3.1)), (own.area.depth if side in "NS" else own.area.width) - 0.9)
+    into = (math.sin(media.yaw), -math.cos(media.yaw))
+    x, y = media.x + into[0] * reach, media.y + into[1] * reach
+    middle = (media.x + into[0] * (reach - 1.15), media.y + into[1] * (reach - 1.15))
+    if plan.place(plan.props.model("SM_Sofa_A", cover), x, y, media.yaw + math.pi, own.area, 0.1) is None:
+        own.wall_piece("SM_Sofa_A", cover, clearance=0.3)
+    half = (1.25, 0.85) if side in "NS" else (0.85, 1.25)
+    carpet = Rectangle(middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1])
+    if own.area.contains(carpet):
+        rug(plan, carpet, own.palette.rug)
+    along = (math.cos(media.yaw), math.sin(media.yaw))
+    plan.place(plan.props.model("SM_TableCoffee_D", own.palette.wood), *middle, media.yaw, own.area, 0.1)
+    for turn in (1.0, -1.0) if rng.random() < 0.5 else (-1.0, 1.0):
+        shift = turn * float(rng.uniform(1.45, 1.7))
+        seat = (middle[0] + along[0] * shift, middle[1] + along[1] * shift)
+        model = plan.props.model("SM_ChairLounge_G", cover + 1)
+        plan.place(model, *seat, media.yaw + turn * math.pi / 2 + math.pi, own.area, 0.15)
+        if rng.random() < 0.5:
+            break
+    own.small(("SM_Ottoman",), 0.3)
+
+
+def _dining(own: Furnisher) -> None:
+    """A table with chairs, a sideboard, a plant and pictures."""
+    _dining_group(own, along_wall=False)
+    board = own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.5)
+    if board is not None and own.rng.random() < 0.5:
+        own.on_top("SM_LampSmall", own.plan.pick(4), board, float(board.model.high[2]), -0.35)
+    own.corner("SM_Plant_A")
+    own.small(("SM_ClockTall", "SM_Vase") if own.rng.random() < 0.5 else ("SM_Vase",))
+    own.hang("SM_PictureFrame", 2)
+
+
+def _dining_group(own: Furnisher, along_wall: bool) -> None:
+    """A dining table with four chairs in the middle of a room, or near a wall of a larger one."""
+    plan, rng = own.plan, own.rng
+    table = plan.props.model("SM_TableDining_E", own.palette.wood)
+    kind, look = (("SM_ChairWood_D", own.palette.wood), ("SM_ChairWaiting_E", own.palette.cover))[plan.pick(2)]
+    for _ in range(14):
+        margin = 1.5 if along_wall else 1.9
+        x = float(rng.uniform(own.area.x0 + margin, max(own.area.x1 - margin, own.area.x0 + margin)))
+        y = float(rng.uniform(own.area.y0 + margin, max(own.area.y1 - margin, own.area.y0 + margin)))
+        if not along_wall:
+            x, y = 0.6 * own.area.centre[0] + 0.4 * x, 0.6 * own.area.centre[1] + 0.4 * y
+        yaw = 0.0 if own.area.width >= own.area.depth else math.pi / 2
+        found = plan.place(table, x, y, yaw, own.area, 0.75)
+        if found is not None:
+            _chairs(own, found, kind, look)
+            return
+
+
+def _chairs(own: Furnisher, table: PropPlacement, kind: str, look: int) -> None:
+    """Two chairs on each long side of a table, and one at its end."""
+    c, s = math.cos(table.yaw), math.sin(table.yaw)
+    half = float(table.model.high[1])
+    seats = [(a, side * (half + 0.10), 0.0 if side > 0 else math.pi) for a in (-0.33, 0.33) for side in (-1, 1)]
+    seats.append((float(table.model.high[0]) + 0.16, 0.0, -math.pi / 2))
+    for a, b, turn in seats:
+        if own.rng.random() < 0.86:
+            x, y = table.x + c * a - s * b, table.y + s * a + c * b
+            yaw = table.yaw + turn + float(own.rng.uniform(-0.15, 0.15))
+            own.plan.place(own.plan.props.model(kind, look), x, y, yaw, own.area, 0.0, True)
+
+
+def _kitchen(own: Furnisher) -> None:
+    """A row of units with sink, oven, dishwasher and refrigerator; an island or a table where it fits."""
+    plan, look = own.plan, own.palette.wood
+    sides = own.sides()
+    main = _units(own, sides, look)
+    rest = "".join(side for side in sides if side != main)
+    if main is None:
+        for name in ("SM_SinkUnit", "SM_Oven", "SM_Dishwasher"):
+            own.wall_piece(name, look, clearance=0.02)
+    if own.wall_piece("SM_Refrigerator", None, rest, 0.05) is None:
+        own.wall_piece("SM_Refrigerator", None, clearance=0.0)
+    space = min(own.area.width, own.area.depth)
+    if own.rng.random() < 0.5 and space > 4.0:
+        plan.place(own.model("SM_CounterIsland", look), *own.area.centre, FACING[main or "N"], own.area, 0.9)
+    elif space > 3.3:
+        table = plan.place(own.model("SM_TableRound_C"), *own.area.centre, 0.0, own.area, 0.8)
+        for turn in (0.4, 3.5) if table is not None else ():
+            x, y = own.area.centre[0] + 0.55 * math.cos(turn), own.area.centre[1] + 0.55 * math.sin(turn)
+            plan.place(own.model("SM_ChairWood_D", look), x, y, turn - math.pi / 2, own.area, 0.0, True)
+    own.small(("SM_TrashCan_A", "SM_Basket"), 0.3)
+    own.hang("SM_PictureFrame")
+
+
+def _units(own: Furnisher, sides: str, look: int) -> str | None:
+    """Places a row of kitchen units with small appliances, wall tiles and wall units; returns its side."""
+    names = ["SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_Oven", "SM_KitchenUnit"]
+    order = [names[k] for k in own.rng.permutation(len(names))]
+    short = [name for name in order if name != "SM_KitchenUnit"]
+    found = own.row(order, look, sides) or own.row(short, look, sides)
+    if found is None:
+        return None
+    side, units, start = found
+    tops = ["SM_Microwave", "SM_CoffeeMachine"]
+    for unit in units:
+        if unit.model.name.startswith(("SM_KitchenUnit", "SM_Dishwasher")) and tops:
+            own.on_top(tops.pop(0), None, unit, 0.90)
+    length = sum(float(unit.model.high[0] - unit.model.low[0]) for unit in units)
+    for index in range(int(length // 0.6)):
+        middle = start + (index + 0.5) * length / (length // 0.6)
+        own.plan.add(own.model("SM_SplashTiles", look), *own.at_wall(side, middle, 0.0), FACING[side])
+        if side not in own.room.outer:
+            own.plan.add(own.model("SM_KitchenWallUnit", look), *own.at_wall(side, middle, 0.31), FACING[side])
+    return side
+
+
+def _bedroom(own: Furnisher) -> None:
+    """A bed with its head at a wall and night stands, a wardrobe, a dresser, a lounge chair, a rug."""
+    plan, rng, look = own.plan, own.rng, own.palette.wood
+    variant = look + plan.pick(3)
+    found = own.wall_piece("SM_BedDouble", variant, clearance=0.75, gap=0.01)
+    if found is not None:
+        half = float(found.model.high[0])
+        for turn in (-1.0, 1.0):
+            stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
+            if stand is not None and rng.random() < 0.7:
+                own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
+    own.wall_piece("SM_Wardrobe", look, clearance=0.5)
+    own.wall_piece("SM_Dresser", look, clearance=0.45)
+    extra = ("SM_ChairLounge_G", "SM_Ottoman", "SM_Bench", "SM_ShelfBook_B")[plan.pick(4)]
+    own.wall_piece(extra, own.palette.cover, clearance=0.45)
+    own.small((("SM_Suitcase", "SM_Basket"), ("SM_Backpack", "SM_Basket"), ("SM_Mirror", "SM_Fan"))[plan.pick(3)], 0.3)
+    own.hang("SM_PictureFrame")
+
+
+def _bath(own: Furnisher) -> None:
+    """A bathtub, a toilet, a basin, a basket and a towel rail."""
+    plan = own.plan
+    own.wall_piece("SM_BathTub", plan.pick(3), clearance=0.2, gap=0.02)
+    own.wall_piece("SM_WashBasin", plan.pick(3), clearance=0.15, gap=0.0)
+    own.wall_piece("SM_Toilet", plan.pick(3), clearance=0.2, gap=0.0)
+    own.small(("SM_Basket", "SM_TrashCan_A"), 0.15)
+    own.hang("SM_TowelRail")
+
+
+def _study(own: Furnisher) -> None:
+    """A desk with a monitor and a chair, book cases, an arm chair."""
+    plan, look = own.plan, own.palette.wood
+    desk = own.wall_piece("SM_TableDesk_A", look, clearance=0.5, gap=0.05)
+    if desk is not None:
+        own.on_top("SM_Monitor_A", plan.pick(3), desk, 0.745)
+        own.on_top("SM_LampSmall", plan.pick(4), desk, 0.745, 0.5)
+        own.before("SM_ChairOffice_A", None, desk, 0.5)
+    for number in range(2):
+        own.wall_piece("SM_ShelfBook_B", look + number, clearance=0.3)
+    own.wall_piece("SM_ChairLounge_G", own.palette.cover, clearance=0.4)
+    own.small(("SM_TrashCan_A", "SM_Plant_A"), 0.4)
+    own.hang("SM_PictureFrame")
+
+
+def _laundry(own: Furnisher) -> None:
+    """Washing machines, a basket, a cabinet and a fan."""
+    plan = own.plan
+    first = own.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
+    if first is not None:
+        own.beside("SM_WashingMachine", plan.pick(3), first, 0.62, 0.02)
+    own.wall_piece("SM_Wardrobe", own.palette.wood + 1, clearance=0.3)
+    own.small(("SM_Basket", "SM_Basket", "SM_Fan"), 0.25)
+
+
+def _hall(own: Furnisher) -> None:
+    """A bench, a mirror, bags and a plant along a hall whose middle stays free."""
+    plan = own.plan
+    own.small(("SM_Backpack", "SM_Suitcase", "SM_Vase")[plan.pick(2) :], 0.5)
+    if min(own.area.width, own.area.depth) > 1.9:
+        own.small(("SM_Mirror",), 0.5)
+    own.corner("SM_Plant_A")
+    own.hang("SM_PictureFrame", 2)

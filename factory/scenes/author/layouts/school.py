@@ -1,0 +1,199 @@
+"""Layout of the family `school`: class rooms, a library or computer room, a staff room and wash rooms off a hall.
+
+The number, sizes and order of the rooms, the rows of desks and the style differ by seed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from factory.scenes.author.dwelling import Fabric, Look, build_rooms
+from factory.scenes.author.furnisher import Furnisher, complete
+from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
+from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
+from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
+
+_IN_HALL = {
+    "SM_TrafficCone": 2, "SM_Bicycle": 1, "SM_VendingMachine": 1, "SM_Bench": 1, "SM_Locker": 2, "SM_WaterDispenser": 1,
+    "SM_FireExtinguisher_02": 2,
+}  # fmt: skip
+_IN_ROOMS = {
+    "SM_Sofa_A": 1, "SM_Piano": 1, "SM_Whiteboard_A": 2, "SM_Copier": 1, "SM_ComputerCase": 2, "SM_ShelfBook_B": 2,
+    "SM_Plant_A": 2, "SM_TrashCan_A": 3, "SM_Backpack": 3,
+}  # fmt: skip
+"""Pieces that every school has, with their least numbers."""
+_OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
+
+
+def lay_out_school(plan: FloorPlan) -> None:
+    """Builds the rooms, then furnishes them.
+
+    Raises:
+        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+    """
+    palette = draw_palette(plan.rng, PLAIN_WALLS)
+    plan.texture_seed = 0
+    ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
+    fabric = Fabric(
+        _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.8, 3.3))
+    )
+    rooms = build_rooms(plan, _divide(plan), fabric)
+    kinds = {
+        "class": _class, "library": _library, "computing": _computing, "staff": _staff, "wash": _wash, "hall": _hall,
+    }  # fmt: skip
+    own = [Furnisher(plan, room, palette) for room in rooms]
+    for each in own:
+        kinds[each.room.kind](each)
+    complete(plan, own, _IN_HALL, ("hall", "library"))
+    complete(plan, own, _IN_ROOMS, ("class", "library", "computing", "staff"))
+
+
+def _divide(plan: FloorPlan) -> Division:
+    rng = plan.rng
+    specs = [RoomSpec("class", float(rng.uniform(44, 58)), 5.6) for _ in range(2 + plan.pick(2))]
+    specs.append(RoomSpec("library", float(rng.uniform(34, 48)), 4.5))
+    specs.append(RoomSpec("staff", float(rng.uniform(24, 32)), 3.6))
+    specs.append(RoomSpec("wash", float(rng.uniform(15, 20)), 2.6))
+    if rng.random() < 0.6:
+        specs.append(RoomSpec("computing", float(rng.uniform(36, 48)), 4.8))
+    hall = float(rng.uniform(2.6, 3.6))
+    area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.3, 1.9))
+    width = math.sqrt(area * ratio)
+    doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("library", "hall")): (1.6, 2.4)}, 0.0)
+    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, hall)
+
+
+def _looks(palette: Palette) -> dict[str, Look]:
+    paints = palette.paints
+    return {
+        "class": Look(palette.boards, paints[0], 3),
+        "library": Look(palette.pile, paints[1], 2),
+        "computing": Look(palette.pile, paints[2], 2, palette.curtain),
+        "staff": Look(palette.boards, paints[3], 2, palette.curtain + 1),
+        "wash": Look(palette.stone, palette.tiles, 0),
+        "hall": Look(palette.stone, paints[4], 1),
+    }
+
+
+def _class(own: Furnisher) -> None:
+    """A whiteboard and a teacher's desk at one wall, rows of pupils' desks towards it, shelves and bags."""
+    plan, rng = own.plan, own.rng
+    front = own.sides()[0]
+    board = own.wall_piece("SM_Whiteboard_A", None, front, 0.2)
+    depth = own.area.depth if front in "NS" else own.area.width
+    along = float(rng.uniform(0.15, 0.85))
+    teacher = own.model("SM_TableTeacher_G", own.palette.wood)
+    x, y = own.at_wall(front, 0.8 + along * (own.length(front) - 1.6), 1.55)
+    desk = plan.place(teacher, x, y, FACING[_OPPOSITE[front]], own.area, 0.3)
+    if desk is not None:
+        own.before("SM_ChairOffice_A", None, desk, -0.6)
+        own.on_top("SM_Laptop", None, desk, 0.76)
+    if board is None:
+        own.wall_piece("SM_Whiteboard_A", clearance=0.2)
+    _desks(own, front, depth)
+    own.wall_piece("SM_ShelfBook_B", own.palette.wood, clearance=0.3)
+    own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3)
+    own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Backpack"), 0.4)
+    own.hang("SM_WallMap", 2)
+    own.hang("SM_ClockWall")
+
+
+def _desks(own: Furnisher, front: str, depth: float) -> None:
+    """Rows of desks for two with two chairs each; aisles of at least 0.9 m."""
+    plan, rng = own.plan, own.rng
+    width = own.length(front)
+    columns = max(1, int((width - 0.8) // 2.05))
+    rows = max(1, int((depth - 3.1) // 1.7))
+    look, chair_look = plan.pick(12), plan.pick(5)
+    for column in range(columns):
+        for row in range(rows):
+            along = (column + 0.5) * width / columns
+            x, y = own.at_wall(front, along, 3.2 + 1.7 * row)
+            yaw = FACING[_OPPOSITE[front]] + math.pi
+            desk = plan.place(own.model("SM_TablePupil_F", look), x, y, yaw, own.area, 0.3)
+            if desk is None:
+                continue
+            for shift in (-0.3, 0.3):
+                if rng.random() < 0.88:
+                    seat = (
+                        x + 0.42 * math.sin(yaw) + shift * math.cos(yaw),
+                        y - 0.42 * math.cos(yaw) + shift * math.sin(yaw),
+                    )
+                    turn = yaw + math.pi + float(rng.uniform(-0.15, 0.15))
+                    plan.place(own.model("SM_ChairWaiting_E", chair_look), *seat, turn, own.area, 0.0, True)
+
+
+def _library(own: Furnisher) -> None:
+    """Book cases along the walls, a reading table, lounge chairs, a floor lamp."""
+    for number in range(6):
+        own.wall_piece("SM_ShelfBook_B", own.palette.wood + 4 * number, clearance=0.12)
+    table = own.plan.place(own.model("SM_TableMeeting_B", own.palette.wood), *own.area.centre, 0.0, own.area, 0.8)
+    if table is not None:
+        for side, shift in ((1.0, -0.4), (1.0, 0.4), (-1.0, 0.0)):
+            yaw = 0.0 if side > 0 else math.pi
+            x, y = table.x + shift, table.y + side * 0.55
+            own.plan.place(own.model("SM_ChairWood_D", own.palette.wood), x, y, yaw, own.area, 0.0, True)
+        own.on_top("SM_Laptop", None, table, 0.75, 0.5)
+    for _ in range(2):
+        own.wall_piece("SM_ChairLounge_G", own.palette.cover, clearance=0.4)
+    own.corner("SM_LampFloor")
+    own.corner("SM_Plant_A")
+    own.small(("SM_Ottoman", "SM_TrashCan_A"), 0.4)
+    own.hang("SM_WallMap")
+
+
+def _computing(own: Furnisher) -> None:
+    """Desks with screens and computers along the walls, a copier, a whiteboard."""
+    own.wall_piece("SM_Whiteboard_A", clearance=0.2)
+    for _ in range(6):
+        desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.25, gap=0.05)
+        if desk is not None:
+            own.on_top("SM_Monitor_A", None, desk, 0.745)
+            own.before("SM_ChairOffice_A", own.palette.cover, desk, 0.55)
+    own.small(("SM_Copier", "SM_ComputerCase", "SM_ComputerCase", "SM_Fan", "SM_TrashCan_A"), 0.35)
+
+
+def _staff(own: Furnisher) -> None:
+    """A table with chairs, a sofa, a copier, a kitchen unit with a coffee machine, lockers."""
+    unit = own.wall_piece("SM_KitchenUnit", own.palette.wood, clearance=0.1)
+    if unit is not None:
+        own.on_top("SM_CoffeeMachine", None, unit, 0.90)
+    own.wall_piece("SM_Sofa_A", own.palette.cover, clearance=0.4)
+    table = own.plan.place(own.model("SM_TableRound_C"), *own.area.centre, 0.0, own.area, 0.7)
+    for turn in (0.4, 2.5, 4.6) if table is not None else ():
+        x, y = own.area.centre[0] + 0.6 * math.cos(turn), own.area.centre[1] + 0.6 * math.sin(turn)
+        own.plan.place(own.model("SM_ChairWood_D", own.palette.wood), x, y, turn - math.pi / 2, own.area, 0.0, True)
+    own.wall_piece("SM_Locker", clearance=0.2)
+    own.small(("SM_Copier", "SM_WaterDispenser", "SM_TrashCan_A", "SM_Plant_A"), 0.35)
+    own.hang("SM_PictureFrame")
+
+
+def _wash(own: Furnisher) -> None:
+    """Basins, toilets and a bin."""
+    for _ in range(2):
+        own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+        own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
+    own.small(("SM_TrashCan_A",), 0.3)
+
+
+def _hall(own: Furnisher) -> None:
+    """Lockers, benches, bags, a bicycle, a vending machine, cones and extinguishers."""
+    for number in range(4):
+        own.wall_piece("SM_Locker", own.palette.cover, ("NS", "SN")[number % 2], clearance=0.25)
+    own.wall_piece("SM_VendingMachine", clearance=0.4)
+    own.wall_piece("SM_Bench", own.palette.wood, clearance=0.4)
+    own.wall_piece("SM_Bench", own.palette.wood, clearance=0.4)
+    own.wall_piece("SM_Bicycle", clearance=0.3, gap=0.1)
+    own.small(
+        (
+            "SM_Backpack",
+            "SM_Backpack",
+            "SM_TrashCan_A",
+            "SM_TrafficCone",
+            "SM_WaterDispenser",
+            "SM_FireExtinguisher_02",
+        ),
+        0.45,
+    )
+    own.hang("SM_ClockWall")
+    own.hang("SM_WallMap", 2)

@@ -1,0 +1,154 @@
+"""Measures how much the layouts of a family differ: distributions of their properties, and distances between them.
+
+Works on floor plans and compiled scenes. Does not build scenes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+
+import numpy as np
+
+from factory.scenes.author.placement import FloorPlan
+from schemas.config import TaskConfig
+from schemas.scene import CompiledScene
+from schemas.support.numpy_types import Bools
+from schemas.terms import SuccessMeasure
+from workers.geometry.grid import OCCUPIED, Grid
+from workers.planning import geodesic_m
+
+_COARSE = 4
+"""Side of a cell in which two maps are compared, cells of the occupancy grid (0.2 m)."""
+_STARTS, _GOALS = 4, 12
+"""Most starts and targets of a layout between which path lengths are measured."""
+
+
+@dataclass(frozen=True)
+class LayoutFacts:
+    """Properties of one layout."""
+
+    seed: int
+    """Seed of the layout."""
+    rooms: int
+    """Number of rooms; a hall without recorded rooms has 1."""
+    area_m2: float
+    """Extent of the building, square metres."""
+    free_area_m2: float
+    """Floor that the robot can occupy, square metres."""
+    loops: int
+    """Independent loops of the room graph; 0 for a tree."""
+    widest_degree: int
+    """Largest number of openings of a room."""
+    categories: int
+    """Number of categories with a target."""
+    targets: int
+    """Number of targets."""
+    clutter: float
+    """Objects per 10 square metres of the building."""
+    path_m: float
+    """Median path length along the floor between sampled starts and targets, metres."""
+    visible: float
+    """Median number of targets that a start point sees and reaches straight."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Distribution of one property over layouts."""
+
+    least: float
+    """Smallest value."""
+    median: float
+    """Median."""
+    greatest: float
+    """Largest value."""
+    deviation: float
+    """Standard deviation."""
+
+
+def measure_layout(seed: int, plan: FloorPlan, scene: CompiledScene) -> LayoutFacts:
+    """Measures one layout.
+
+    Args:
+        seed: seed of the layout.
+        plan: floor plan of the layout, for its rooms.
+        scene: compiled scene of the layout.
+    """
+    (west, south, _), (east, north, _) = scene.info.bounds_m
+    area = (east - west) * (north - south)
+    degrees = [len(room.neighbours) for room in plan.rooms] or [0]
+    visible = scene.spawn_sees.sum(axis=1) if len(scene.spawns) else np.zeros(1)
+    return LayoutFacts(
+        seed=seed,
+        rooms=max(1, len(plan.rooms)),
+        area_m2=round(area, 1),
+        free_area_m2=round(scene.info.free_area_m2, 1),
+        loops=max(0, sum(degrees) // 2 - len(degrees) + 1),
+        widest_degree=max(degrees),
+        categories=len({target.category for target in scene.info.targets}),
+        targets=len(scene.info.targets),
+        clutter=round(10 * len(plan.placements) / area, 2),
+        path_m=round(_median_path(scene), 2),
+        visible=float(np.median(visible)),
+    )
+
+
+def _median_path(scene: CompiledScene) -> float:
+    """Returns the median path length between evenly chosen starts and targets, metres."""
+    grid, task = Grid.from_scene(scene), TaskConfig(success=SuccessMeasure.SURFACE)
+    starts = scene.spawns[:: max(1, len(scene.spawns) // _STARTS)][:_STARTS].astype(float)
+    goals = scene.info.targets[:: max(1, len(scene.info.targets) // _GOALS)][:_GOALS]
+    lengths = [geodesic_m(grid, start, goal, task) for goal in goals for start in starts]
+    known = [length for length in lengths if length is not None]
+    return float(np.median(known)) if known else 0.0
+
+
+def spreads(layouts: Sequence[LayoutFacts]) -> dict[str, Spread]:
+    """Returns the distribution of every property; empty without layouts."""
+    if not layouts:
+        return {}
+    table = {name: np.array([asdict(facts)[name] for facts in layouts], float) for name in asdict(layouts[0])}
+    del table["seed"]
+    return {
+        name: Spread(*(round(float(v), 3) for v in (x.min(), np.median(x), x.max(), x.std())))
+        for name, x in table.items()
+    }
+
+
+def coarse_map(scene: CompiledScene) -> Bools:
+    """Returns the occupied cells of a layout, 0.2 m wide, without empty margins."""
+    occupied = scene.occupancy == OCCUPIED
+    rows, columns = np.nonzero(occupied)
+    cut = occupied[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    padded = np.pad(cut, [(0, -size % _COARSE) for size in cut.shape])
+    blocks = padded.reshape(padded.shape[0] // _COARSE, _COARSE, padded.shape[1] // _COARSE, _COARSE)
+    return np.asarray(blocks.mean(axis=(1, 3)) >= 0.5)
+
+
+def map_distance(one: Bools, two: Bools) -> float:
+    """Returns the share of occupied cells that two maps do not have in common, 0..1.
+
+    The maps are laid corner to corner; of the eight turns and reflections, the one with most common cells counts.
+    """
+    turned = [np.rot90(mirrored, turn) for mirrored in (two, two[:, ::-1]) for turn in range(4)]
+    return min(_jaccard(one, other) for other in turned)
+
+
+def _jaccard(one: Bools, two: Bools) -> float:
+    shape = np.maximum(one.shape, two.shape)
+    first, second = (np.pad(each, [(0, int(size - own)) for size, own in zip(shape, each.shape, strict=True)])
+                     for each in (one, two))  # fmt: skip
+    union = int((first | second).sum())
+    return 1.0 - int((first & second).sum()) / union if union else 0.0
+
+
+def nearest_neighbours(maps: Mapping[int, Bools]) -> dict[int, tuple[int, float]]:
+    """Returns for each layout by its seed the seed of the most similar other layout, and the distance to it."""
+    found: dict[int, tuple[int, float]] = {}
+    for one, two in combinations(sorted(maps), 2):
+        distance = map_distance(maps[one], maps[two])
+        for own, other in ((one, two), (two, one)):
+            if own not in found or distance < found[own][1]:
+                found[own] = (other, round(distance, 4))
+    return found
