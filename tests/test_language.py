@@ -44,10 +44,10 @@ NAMES = (
 
 def _pattern(phrases: tuple[str, ...]) -> str:
     words = sorted(set(phrases) | {phrase[0].upper() + phrase[1:] for phrase in phrases}, key=len)
-    return "|".join(rf"(?<![\w/.`\"'-]){re.escape(word)}(?![\w-])" for word in reversed(words))
+    return rf"(?<![\w/.`\"'-])(?:{'|'.join(map(re.escape, reversed(words)))})(?![\w-])"
 
 
-BANNED = re.compile(f"{_pattern(PHRASES)}|{_pattern(NAMES)}")
+BANNED = re.compile(_pattern((*PHRASES, *NAMES)))
 
 
 def python_text(source: str) -> Iterator[tuple[int, str]]:
