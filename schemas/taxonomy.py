@@ -12,7 +12,7 @@ from typing import NamedTuple
 _FILE = Path(__file__).with_name("taxonomy.toml")
 
 
-class Kind(NamedTuple):
+class CategoryKind(NamedTuple):
     """Place of a category in the taxonomy."""
 
     superclass: str
@@ -22,12 +22,12 @@ class Kind(NamedTuple):
 
 
 @cache
-def load_taxonomy() -> Mapping[str, Kind]:
+def load_taxonomy() -> Mapping[str, CategoryKind]:
     """Returns the place of every category by its name."""
     table = tomllib.loads(_FILE.read_text(encoding="utf-8"))
     return MappingProxyType(
         {
-            category: Kind(superclass, tuple(synonyms))
+            category: CategoryKind(superclass, tuple(synonyms))
             for superclass, categories in table.items()
             for category, synonyms in categories.items()
         }

@@ -20,7 +20,7 @@ SHADOW_RINGS = ((0.0, 0.78, 0.55), (0.78, 0.9, 0.68), (0.9, 1.02, 0.81), (1.02, 
 """Inner and outer radius, in radii of the object, and the share of light, of the rings of its shadow."""
 
 
-class Shape(NamedTuple):
+class ClutterShape(NamedTuple):
     """Triangles of an object on the plane z = 0."""
 
     triangles: Floats
@@ -30,7 +30,7 @@ class Shape(NamedTuple):
 
 
 @functools.cache
-def shape_of(kind: str) -> Shape:
+def shape_of(kind: str) -> ClutterShape:
     """Returns the shape of a kind of object.
 
     Raises:
@@ -39,18 +39,18 @@ def shape_of(kind: str) -> Shape:
     return _SHAPES[kind]()
 
 
-def _shaded(triangles: Floats, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Shape:
+def _shaded(triangles: Floats, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> ClutterShape:
     """Shades triangles by their normals: baked light has no object in it."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.maximum(np.sqrt((cross**2).sum(axis=1)), 1e-12)
     facing = (cross * _LIGHT).sum(axis=1) / length
     shade = 0.62 + 0.38 * np.clip(facing, -1, 1)
-    return Shape(triangles, shade[:, None] * np.array(tint))
+    return ClutterShape(triangles, shade[:, None] * np.array(tint))
 
 
-def _joined(*shapes: Shape) -> Shape:
+def _joined(*shapes: ClutterShape) -> ClutterShape:
     triangles, shades = zip(*shapes, strict=True)
-    return Shape(np.concatenate(triangles), np.concatenate(shades))
+    return ClutterShape(np.concatenate(triangles), np.concatenate(shades))
 
 
 def _box(size: tuple[float, float, float], low_z: float = 0.0, yaw: float = 0.0) -> Floats:
@@ -86,22 +86,22 @@ def _turned(profile: tuple[tuple[float, float], ...]) -> Floats:
     return np.array(found)
 
 
-def _ball() -> Shape:
+def _ball() -> ClutterShape:
     steps = [math.pi * k / 12 for k in range(13)]
     return _shaded(_turned(tuple((0.5 * math.sin(a), 0.5 - 0.5 * math.cos(a)) for a in steps)))
 
 
-def _bottle() -> Shape:
+def _bottle() -> ClutterShape:
     body = _turned(((0, 0), (0.14, 0), (0.15, 0.02), (0.15, 0.62), (0.12, 0.72), (0.05, 0.82), (0.05, 0.9)))
     cap = _turned(((0.0, 0.9), (0.06, 0.9), (0.06, 1.0), (0.0, 1.0)))
     return _joined(_shaded(body), _shaded(cap, (0.35, 0.35, 0.35)))
 
 
-def _carton() -> Shape:
+def _carton() -> ClutterShape:
     return _joined(_shaded(_box((1.0, 0.7, 0.55))), _shaded(_box((1.002, 0.12, 0.551), 0.0005), (0.86, 0.86, 0.86)))
 
 
-def _books() -> Shape:
+def _books() -> ClutterShape:
     found, height = [], 0.0
     for size, yaw, tint in (
         ((1.0, 0.72, 0.13), 0.0, 1.0),
@@ -116,7 +116,7 @@ def _books() -> Shape:
     return _joined(*found)
 
 
-def _cone() -> Shape:
+def _cone() -> ClutterShape:
     plate = _box((0.5, 0.5, 0.04))
     lower = _turned(((0.19, 0.04), (0.125, 0.4)))
     band = _turned(((0.125, 0.4), (0.085, 0.62)))

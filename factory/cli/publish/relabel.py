@@ -29,7 +29,7 @@ from workers.client.stopping import stop_on_signals
 @workers_option("Number of processes")
 @json_option
 def command(root: Path, out: Path, reference: str, workers: int | None, as_json: bool) -> int:
-    """Write new verified instructions for a dataset, without driving.
+    """Write new verified instructions for a dataset.
 
     The new dataset has hard links to the episodes of DIR, and one or more new instructions for each. A verifier reads
     every instruction, and accepts it only if it fits the target and no other object. An episode without such an

@@ -97,7 +97,8 @@ def build(
     help="Axis of a glTF, OBJ, PLY, STL or COLLADA file that points up. Default: the axis that the file states.",
 )
 @click.option(
-    "--models",
+    "--model-dir",
+    "models",
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="DIR",

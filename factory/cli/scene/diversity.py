@@ -15,7 +15,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.support.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from factory.scenes.survey.diversity import LayoutFacts, Spread
+    from factory.scenes.survey.diversity import Distribution, LayoutFacts
     from schemas.support.numpy_types import Bools
 
 _TRIES_PER_LAYOUT = 3
@@ -74,7 +74,7 @@ def survey_family(family: str, layouts: int, first_seed: int, as_json: bool) -> 
 def _show(
     family: str,
     facts: Sequence[LayoutFacts],
-    spread: Mapping[str, Spread],
+    spread: Mapping[str, Distribution],
     nearest: Mapping[int, tuple[int, float]],
 ) -> None:
     rows = [(name, each.least, each.median, each.greatest, each.deviation) for name, each in spread.items()]

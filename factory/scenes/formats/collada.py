@@ -15,7 +15,7 @@ import collada
 import numpy as np
 
 from factory.scenes.formats.files import SceneFiles
-from factory.scenes.formats.shapes import BROKEN, Content, Names, Shape, display_colour, mesh_piece
+from factory.scenes.formats.shapes import BROKEN, Content, Names, ShapeNode, display_colour, mesh_piece
 from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.model import Surface
@@ -94,7 +94,7 @@ def _add(reader: _Reader, geometry: Any, bindings: Any, parent: str, frame: Floa
         except BROKEN as error:
             reader.files.scene.notes.append(f"{reader.path.name} {path}: skipped, {error}")
     if pieces:
-        reader.content.shapes.append(Shape(path, tuple(pieces), frame))
+        reader.content.shapes.append(ShapeNode(path, tuple(pieces), frame))
 
 
 def _pieces(reader: _Reader, primitive: Any, material: Any, path: str) -> Iterator[Piece]:

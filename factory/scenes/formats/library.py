@@ -15,7 +15,7 @@ from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.gltf.nodes import read_gltf
 from factory.scenes.formats.meshes import read_ply, read_stl
 from factory.scenes.formats.obj import read_obj
-from factory.scenes.formats.shapes import BROKEN, Content, Shape, place_content
+from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content
 from factory.scenes.formats.units import to_metres
 from factory.scenes.formats.xml_text import parse_xml, text_of
 from factory.scenes.importer.model import Surface
@@ -81,7 +81,7 @@ class Library:
         elif uri.startswith(_NAMED) and not place.exists():
             searched = ", ".join(str(folder) for folder in self.folders)
             self.files.add_fault(
-                f"missing in {searched}; give the folder that contains them with --models DIR", uri, user
+                f"missing in {searched}; give the folder that contains them with --model-dir DIR", uri, user
             )
         elif (place.is_dir() and self.files.readable.encloses(str(place))) or self.files.is_usable(place, user):
             return place
@@ -122,7 +122,7 @@ class Library:
         return self._contents[mesh]
 
 
-def _recoloured(shape: Shape, surface: Surface) -> Shape:
+def _recoloured(shape: ShapeNode, surface: Surface) -> ShapeNode:
     return replace(shape, pieces=tuple(replace(piece, surface=surface, tints=None) for piece in shape.pieces))
 
 

@@ -15,7 +15,7 @@ from trimesh.exchange.ply import load_ply
 from trimesh.exchange.stl import load_stl
 
 from factory.scenes.formats.files import SceneFiles
-from factory.scenes.formats.shapes import Content, Names, Shape, mesh_piece
+from factory.scenes.formats.shapes import Content, Names, ShapeNode, mesh_piece
 from factory.scenes.importer.model import Surface
 from schemas.appearance.colour_names import linear_of
 from schemas.support.numpy_types import Floats, Ints
@@ -38,7 +38,7 @@ def read_stl(data: bytes, path: Path, files: SceneFiles) -> Content:
         corners = np.asarray(solid["faces"], np.int64)
         files.scene.require_room(path.name, len(corners))
         piece = mesh_piece(np.asarray(solid["vertices"], np.float64), corners, Surface())
-        content.shapes.append(Shape(names.path("", str(name), "solid"), (piece,), np.eye(4)))
+        content.shapes.append(ShapeNode(names.path("", str(name), "solid"), (piece,), np.eye(4)))
     if not content.shapes:
         raise ValueError("it contains no triangles, or it is truncated")
     return content
@@ -64,7 +64,7 @@ def read_ply(data: bytes, path: Path, files: SceneFiles) -> Content:
     values = None if uvs is None else np.asarray(uvs, np.float64)[corners]
     piece = mesh_piece(points, corners, surface, values, _tints(found, corners))
     content = Content(metres_per_unit=None, up=None)
-    content.shapes.append(Shape(Names().path("", path.stem, "mesh"), (piece,), np.eye(4)))
+    content.shapes.append(ShapeNode(Names().path("", path.stem, "mesh"), (piece,), np.eye(4)))
     return content
 
 

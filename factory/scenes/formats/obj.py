@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.scenes.formats.files import SceneFiles, place_of
-from factory.scenes.formats.shapes import Content, Names, Shape, display_colour, mesh_piece
+from factory.scenes.formats.shapes import Content, Names, ShapeNode, display_colour, mesh_piece
 from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.model import Surface
 from factory.scenes.importer.polygons import triangulate
@@ -69,7 +69,7 @@ def read_obj(data: bytes, path: Path, files: SceneFiles) -> Content:
         piece = _piece(faces, points, colours, uvs, surfaces.get(material, Surface()))
         objects.setdefault(name, []).append(piece)
     for name, pieces in objects.items():
-        content.shapes.append(Shape(names.path("", name, "object"), tuple(pieces), np.eye(4)))
+        content.shapes.append(ShapeNode(names.path("", name, "object"), tuple(pieces), np.eye(4)))
     return content
 
 

@@ -30,7 +30,7 @@ _COLLIDER_PREFIX = re.compile(r"^(ucx|ubx|usp|ucp)_", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Shape:
+class ShapeNode:
     """Node of a file with geometry."""
 
     path: str
@@ -48,7 +48,7 @@ class Content:
     """Length of the unit, metres; `None` if the file does not state it."""
     up: str | None
     """`y` or `z`; `None` if the file does not state it."""
-    shapes: list[Shape] = field(default_factory=list)
+    shapes: list[ShapeNode] = field(default_factory=list)
     labels: dict[str, str] = field(default_factory=dict)
     """Path below the root of the file -> semantic label."""
 

@@ -54,7 +54,7 @@ class LayoutFacts:
 
 
 @dataclass(frozen=True)
-class Spread:
+class Distribution:
     """Distribution of one property over layouts."""
 
     least: float
@@ -104,14 +104,14 @@ def _median_path(scene: CompiledScene) -> float:
     return float(np.median(known)) if known else 0.0
 
 
-def spreads(layouts: Sequence[LayoutFacts]) -> dict[str, Spread]:
+def spreads(layouts: Sequence[LayoutFacts]) -> dict[str, Distribution]:
     """Returns the distribution of every property; empty without layouts."""
     if not layouts:
         return {}
     table = {name: np.array([asdict(facts)[name] for facts in layouts], float) for name in asdict(layouts[0])}
     del table["seed"]
     return {
-        name: Spread(*(round(float(v), 3) for v in (x.min(), np.median(x), x.max(), x.std())))
+        name: Distribution(*(round(float(v), 3) for v in (x.min(), np.median(x), x.max(), x.std())))
         for name, x in table.items()
     }
 

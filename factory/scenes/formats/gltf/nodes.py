@@ -17,7 +17,7 @@ from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.gltf.buffers import Document, read_document
 from factory.scenes.formats.gltf.materials import read_surface
 from factory.scenes.formats.poses import quaternion_matrix
-from factory.scenes.formats.shapes import BROKEN, Content, Names, Shape, label_of, mesh_piece
+from factory.scenes.formats.shapes import BROKEN, Content, Names, ShapeNode, label_of, mesh_piece
 from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.model import Surface
 from schemas.support.numpy_types import Floats, Ints
@@ -138,7 +138,7 @@ def _add(reader: _Reader, path: str, mesh: int, here: Floats, instancing: dict[s
         return
     for number, copy in enumerate(copies):
         own = path if instancing is None else f"{path}/copy[{number}]"
-        reader.content.shapes.append(Shape(own, reader.pieces[mesh], here @ copy))
+        reader.content.shapes.append(ShapeNode(own, reader.pieces[mesh], here @ copy))
 
 
 def _copies(document: Document, attributes: dict[str, int]) -> Iterator[Floats]:

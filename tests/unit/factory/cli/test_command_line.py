@@ -97,4 +97,4 @@ def test_the_shell_completes_the_names_of_imported_scenes() -> None:
     folder = scene_cache()
     folder.mkdir(parents=True)
     (folder / "home_lab-0123456789ab.scene.zip").write_bytes(b"")
-    assert complete("scene", "survey", "ho") == [("plain", "hospital"), ("plain", "home_lab")]
+    assert complete("scene", "survey", "ho") == [("plain", "hospital"), ("plain", "home"), ("plain", "home_lab")]

@@ -42,6 +42,7 @@ DIFFERENT = {
     ("factory bench collect", "--expert"): "compares several experts",
     ("factory bench collect", "--record"): "compares both recordings",
     ("factory render", "--rig"): "renders several rigs",
+    ("factory relabel", "--language"): "a file; a flag of `factory stats`",
     ("factory repair", "--plan"): "an addition to the dataset it works on",
 }
 """Options that take another kind of value than others of their name, and why."""

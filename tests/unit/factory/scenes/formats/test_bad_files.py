@@ -126,7 +126,7 @@ def test_all_missing_models_are_named_with_the_searched_folders(tmp_path: Path) 
     path = write(tmp_path / "house.sdf", sdf_room("".join(map(include, uris))))
     with pytest.raises(WorldError) as caught:
         import_scene(path, "house", tmp_path / "cache", limits=StageLimits(models=(tmp_path / "more",)))
-    for words in (*uris, str(tmp_path / "more"), str(tmp_path / "models"), "--models DIR", "on the network"):
+    for words in (*uris, str(tmp_path / "more"), str(tmp_path / "models"), "--model-dir DIR", "on the network"):
         assert words in str(caught.value)
     assert not (tmp_path / "cache").exists()
 
