@@ -31,6 +31,8 @@ _Focal = Annotated[float, Field(ge=0.5, le=2)]
 _Stops = Annotated[float, Field(ge=-4, le=4)]
 _Number = Annotated[int, Field(ge=0, le=64)]
 _Side = Annotated[float, Field(ge=0.02, le=0.5)]
+MAX_SETS = 64
+"""Largest number of entries in a list of materials or kinds."""
 
 WallSet = Literal["paint", "brick", "concrete", "panels", "tiles"]
 """Materials of walls."""
@@ -60,9 +62,23 @@ class LightRanges(Model):
 class MaterialRanges(Model):
     """Sets of the colours and textures of surfaces."""
 
-    walls: tuple[WallSet, ...] = ("paint", "paint", "paint", "brick", "concrete", "panels", "tiles")
+    walls: Annotated[tuple[WallSet, ...], Field(max_length=MAX_SETS)] = (
+        "paint",
+        "paint",
+        "paint",
+        "brick",
+        "concrete",
+        "panels",
+        "tiles",
+    )
     """Materials of walls; a repeated one is more probable, and an empty list keeps the walls."""
-    floors: tuple[FloorSet, ...] = ("wood", "tiles", "carpet", "concrete", "linoleum")
+    floors: Annotated[tuple[FloorSet, ...], Field(max_length=MAX_SETS)] = (
+        "wood",
+        "tiles",
+        "carpet",
+        "concrete",
+        "linoleum",
+    )
     """Materials of floors; an empty list keeps the floors."""
     ceilings: bool = True
     """Whether the colour of ceilings varies."""
@@ -98,7 +114,13 @@ class ClutterRanges(Model):
     """Number of objects; fewer are placed where no room is found."""
     size_m: Annotated[tuple[_Side, _Side], AfterValidator(_ordered)] = (0.08, 0.3)
     """Largest side of an object, metres."""
-    kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1)] = ("ball", "bottle", "box", "books", "cone")
+    kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1, max_length=MAX_SETS)] = (
+        "ball",
+        "bottle",
+        "box",
+        "books",
+        "cone",
+    )
     """Kinds of the objects."""
     clearance_m: NonNegative = 0.15
     """Least distance from the footprint of the robot at every pose of the episode, metres."""

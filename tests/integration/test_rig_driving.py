@@ -95,7 +95,7 @@ def test_a_policy_gets_the_sensors_of_the_rig_and_the_results_record_it(
         publish(campaign, store, 0)
     results = json.loads((tmp_path / RESULTS_FILE).read_text())
     assert ViewSettings.model_validate(results["view"]) == campaign.setup.view
-    assert f"policies get the sensors of rig small ({rig.digest[:12]})" in results["remarks"]
+    assert f"view of the policies: rig small ({rig.digest[:12]})" in results["remarks"]
     with pytest.raises(UsageError, match=r"another evaluation \(view rig small \(.*\), now the recorded camera\)"):
         open_store(tmp_path, campaign_of(drives, specs, SCANS, None))
 

@@ -112,7 +112,7 @@ def _remarks(campaign: Campaign) -> list[str]:
     ways = sum(spec.geodesic_m is None for spec in specs)
     remarks = []
     if campaign.setup.view != ViewSettings():
-        remarks.append(f"policies see {campaign.setup.view.describe()}")
+        remarks.append(f"view of the policies: {campaign.setup.view.describe()}")
     if moved:
         remarks.append(
             f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "

@@ -220,8 +220,8 @@ def shopping_cart(variant: int, _rng: Generator) -> list[PropPiece]:
     floor_ = open_block((-0.19, -0.36, 0.545), (0.19, 0.31, 0.555), "SENWBT")
     frame = [tube([(x, 0.34, 0.92), (x, 0.36, 0.14), (x, -0.34, 0.14)], 0.014, 5) for x in (-0.22, 0.22)]
     posts = [rod((x, -0.30, 0.14), (x, -0.36, 0.56), 0.012, 4) for x in (-0.18, 0.18)]
-    handle = rod((-0.27, 0.45, 1.00), (0.27, 0.45, 1.00), 0.018, 6)
-    grips = [rod((x, 0.36, 0.92), (x, 0.45, 1.0), 0.012, 4) for x in (-0.26, 0.26)]
+    handle = rod((-0.27, 0.45, 0.98), (0.27, 0.45, 0.98), 0.018, 6)
+    grips = [rod((x, 0.36, 0.92), (x, 0.45, 0.98), 0.012, 4) for x in (-0.26, 0.26)]
     wheels = [
         moved(cylinder(0.055, -0.014, 0.014, sides=10), (x, y, 0.055), pitch=1.5708)
         for x in (-0.22, 0.22)
