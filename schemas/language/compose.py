@@ -17,7 +17,7 @@ import numpy as np
 
 from schemas.base import Count, Line, Model, Name
 from schemas.language.expression import Expression, Family
-from schemas.language.file import LanguageSpec, Tongue
+from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.facts import SceneFacts, ViewFacts
 from schemas.language.generator.minimal import (
     indefinite_expressions,
@@ -112,28 +112,28 @@ class Composer:
 
     def __init__(self, spec: LanguageSpec) -> None:
         self.spec = spec
-        self._tongues = {code: Tongue(spec, code) for code, share in spec.languages.items() if share > 0}
+        self._by_language = {code: SpokenLanguage(spec, code) for code, share in spec.languages.items() if share > 0}
         self._patterns: dict[tuple[str, bool], dict[str, list[SentencePattern]]] = defaultdict(
             lambda: defaultdict(list)
         )
-        for code, tongue in self._tongues.items():
-            for pattern in tongue.grammar.sentences:
+        for code, language in self._by_language.items():
+            for pattern in language.grammar.sentences:
                 if spec.registers.get(pattern.register, 0.0) > 0:
                     self._patterns[code, pattern.held_out][pattern.register].append(pattern)
 
     def missing_nouns(self, kinds: Sequence[str]) -> list[str]:
         """Returns a sentence for each kind and language without a noun."""
         return [
-            f"{tongue.grammar.name} has no noun for {kind!r}; add it to [nouns.{code}] of the language file"
-            for code, tongue in self._tongues.items()
+            f"{language.grammar.name} has no noun for {kind!r}; add it to [nouns.{code}] of the language file"
+            for code, language in self._by_language.items()
             for kind in sorted(set(kinds))
-            if not tongue.grammar.names(kind)
+            if not language.grammar.names(kind)
         ]
 
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
-        source = self._tongues[code].grammar
+        source = self._by_language[code].grammar
         return Search(scene.facts, seen, number, families, source.nouns, source.rooms)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
@@ -213,7 +213,7 @@ class Composer:
             if longer:
                 expression, is_minimal = longer[int(rng.integers(len(longer)))], False
         pattern, text = self._say(code, held_out, expression, rng)
-        fault = scene.verifier.check(text, self._tongues[code].reader, view, number)
+        fault = scene.verifier.check(text, self._by_language[code].reader, view, number)
         if fault:
             scene.rejected[fault] += 1
             return None
@@ -233,20 +233,20 @@ class Composer:
         usable = [each for each in patterns if each.case != "bare"] if not expression.definite else patterns
         pattern = (usable or patterns)[int(rng.integers(len(usable or patterns)))]
         choice = dict(zip(_WORD_GROUPS, rng.integers(_SYNONYMS, size=len(_WORD_GROUPS)).tolist(), strict=True))
-        return pattern, self._tongues[code].grammar.sentence(pattern, expression, choice)
+        return pattern, self._by_language[code].grammar.sentence(pattern, expression, choice)
 
     def _false_premise(
         self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
     ) -> Iterator[Instruction]:
         """Yields an instruction that names a kind, or the target's kind in a colour, that does not exist."""
         code = _weighted(self.spec.languages, rng)
-        tongue, each = self._tongues[code], scene.graph.objects[number]
+        language, each = self._by_language[code], scene.graph.objects[number]
         is_coloured = each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain
-        absent = [Expression(kind=kind) for kind in CATEGORIES if kind in tongue.grammar.nouns]
+        absent = [Expression(kind=kind) for kind in CATEGORIES if kind in language.grammar.nouns]
         absent += [Expression(kind=each.kind, colour=colour) for colour in COLOUR_NAMES if is_coloured]
         for place in rng.permutation(len(absent))[:_TRIES].tolist():
             pattern, text = self._say(code, held_out, absent[place], rng)
-            if scene.verifier.is_false_premise(text, tongue.reader, view):
+            if scene.verifier.is_false_premise(text, language.reader, view):
                 families = features_of(absent[place], absent[place].kind)
                 yield self._instruction(
                     InstructionKind.FALSE_PREMISE, text, code, pattern, absent[place], families, True, 0,

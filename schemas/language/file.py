@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from schemas.base import Count, Fraction, Model, Name, NonNegative
 from schemas.errors import InvalidLanguage, UsageError
@@ -21,15 +21,24 @@ from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml
 
+
+def _equal_shares(given: object) -> object:
+    """Returns weights of 1 for a list of names, and anything else unchanged."""
+    is_list = isinstance(given, list) and all(isinstance(name, str) for name in given)
+    return dict.fromkeys(given, 1.0) if is_list else given  # type: ignore[call-overload]
+
+
 Weights = dict[str, NonNegative]
+Shares = Annotated[Weights, BeforeValidator(_equal_shares)]
+"""Weights by name; a list of names gives equal shares."""
 
 
 class LanguageSpec(Model):
     """Content of a language file; every key is optional."""
 
-    languages: Weights = Field(default_factory=lambda: {"en": 1.0})
+    languages: Shares = Field(default_factory=lambda: {"en": 1.0})
     """Share of each language: en, de, es, zh."""
-    registers: Weights = Field(default_factory=lambda: dict.fromkeys(REGISTERS, 1.0))
+    registers: Shares = Field(default_factory=lambda: dict.fromkeys(REGISTERS, 1.0))
     """Share of each register: imperative, polite, question, terse, spoken."""
     features: Weights = Field(default_factory=dict)
     """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
@@ -115,7 +124,7 @@ def _require_words(source: Grammar, kind: str, words: tuple[str, ...]) -> None:
             raise ValueError(f"{source.code}.{kind}: {noun!r} is the noun of {taken[noun.lower()]!r}")
 
 
-class Tongue:
+class SpokenLanguage:
     """Grammar and reader of one language with the nouns of a language file.
 
     Args:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import InvalidLanguage, UsageError
-from schemas.language.file import LanguageSpec, Tongue, load_language
+from schemas.language.file import LanguageSpec, SpokenLanguage, load_language
 
 
 def load(tmp_path: Path, text: str | bytes) -> LanguageSpec:
@@ -18,6 +18,10 @@ def test_an_empty_file_has_the_defaults(tmp_path):
     spec = load(tmp_path, "")
     assert spec.languages == {"en": 1.0}
     assert len(spec.families) == 12
+
+
+def test_a_list_of_languages_gives_equal_shares(tmp_path):
+    assert load(tmp_path, 'languages = ["en", "de"]').languages == {"en": 1.0, "de": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -55,7 +59,7 @@ def test_a_file_that_does_not_exist_is_a_wrong_usage(reference, fault):
 
 
 def test_nouns_of_the_file_are_written_and_read(tmp_path):
-    tongue = Tongue(load(tmp_path, "nouns = {de = {robot_arm = ['Roboterarm:m']}}"), "de")
-    pattern = next(each for each in tongue.grammar.sentences if each.before == "Dein Ziel ist ")
-    (reading,) = tongue.reader.read("Dein Ziel ist der Roboterarm.")
-    assert tongue.grammar.sentence(pattern, reading.expression) == "Dein Ziel ist der Roboterarm."
+    language = SpokenLanguage(load(tmp_path, "nouns = {de = {robot_arm = ['Roboterarm:m']}}"), "de")
+    pattern = next(each for each in language.grammar.sentences if each.before == "Dein Ziel ist ")
+    (reading,) = language.reader.read("Dein Ziel ist der Roboterarm.")
+    assert language.grammar.sentence(pattern, reading.expression) == "Dein Ziel ist der Roboterarm."
