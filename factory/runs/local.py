@@ -27,6 +27,7 @@ from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
+from schemas.rig.requirements import require_sensor_packages
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
@@ -35,7 +36,6 @@ from schemas.support.closing import Closing
 from schemas.terms import RendererKind
 from workers.client.spool import find_bundle, folder_of
 from workers.experts import require_expert
-from workers.sim.sensors import require_packages
 
 _LISTEN = ("tcp/127.0.0.1:0",)
 _SPOOL = ".spool"
@@ -98,7 +98,7 @@ def run_locally(
             needs is not installed.
     """
     require_expert(run.plan.expert)
-    require_packages(run.plan.rig)
+    require_sensor_packages(run.plan.rig)
     require_room(run.root, settings.reserve_bytes)
     spool = folder_of(run.root / _SPOOL, run.plan.run)
     with Coordinator(

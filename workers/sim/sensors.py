@@ -14,21 +14,13 @@ from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.measurements import measurements_of
-from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
-from schemas.support.extras import require_package
+from schemas.rig import Camera, Imu, WheelOdometry
 from workers.appearance import changed_sensor
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer
 from workers.sensors.lidar import RayCaster
 from workers.sensors.observation import Observation, Trajectory, arrays_in, measure, observe
 from workers.sim.scene_renderer import LoadedScene
-
-
-def require_packages(rig: Rig | None) -> None:
-    """Raises `UsageError` unless the packages that the sensors of a rig need are installed."""
-    for sensor in rig.sensors if rig else ():
-        if isinstance(sensor, Lidar2d | Lidar3d):
-            require_package("embreex", f"the lidar {sensor.name!r}")
 
 
 class LoadedSurroundings:

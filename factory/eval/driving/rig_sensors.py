@@ -18,8 +18,8 @@ from schemas.errors import UsageError
 from schemas.rig import CameraOutput, Imu, PinholeCamera, Rig, Sensor, WheelOdometry
 from schemas.rig.arrays import arrays_of
 from schemas.rig.file import paper_rig, require_rates
+from schemas.rig.requirements import require_sensor_packages
 from workers.sensors.observation import Trajectory, arrays_in, measure, observe
-from workers.sim.sensors import require_packages
 
 SensorArrays = dict[str, dict[str, NDArray[Any]]]
 """Arrays of the latest measurement by sensor and name."""
@@ -34,7 +34,7 @@ def require_live(rig: Rig, control_hz: int) -> None:
         InvalidRig: A rate does not divide the control rate.
     """
     require_rates(rig, control_hz)
-    require_packages(rig)
+    require_sensor_packages(rig)
     for camera in rig.cameras:
         if CameraOutput.FLOW in camera.outputs:
             raise UsageError(

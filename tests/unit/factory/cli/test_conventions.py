@@ -276,6 +276,15 @@ def test_commands_import_scipy_submodules_lazily() -> None:
     assert {"scipy.stats", "scipy.ndimage", "scipy.sparse", "scipy.spatial"} & loaded == set()
 
 
+def test_the_commands_that_generate_data_are_imported_without_pybullet() -> None:
+    body = "import factory.cli.run.run, factory.cli.run.gate, factory.cli.run.render, factory.cli.farm.coordinator"
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTED.format(body=body)], capture_output=True, text=True, check=True
+    )
+    assert "factory.cli.run.run" in done.stderr.split()
+    assert "pybullet" not in done.stderr.split()  # so that they name the versions of Python that have it
+
+
 def commands_below(command: click.Command) -> Iterator[click.Command]:
     yield command
     if isinstance(command, click.Group):
