@@ -242,7 +242,7 @@ def grammar(code: str) -> Grammar:
     """Returns the grammar of a language.
 
     Raises:
-        UsageError: there is no grammar of that language.
+        UsageError: unknown language.
     """
     if code not in LANGUAGES:
         raise UsageError(f"unknown language {code!r}; languages: {', '.join(LANGUAGES)}{did_you_mean(code, LANGUAGES)}")

@@ -253,6 +253,6 @@ def reader(code: str) -> Reader:
     """Returns the reader of a language.
 
     Raises:
-        UsageError: there is no grammar of that language.
+        UsageError: unknown language.
     """
     return Reader(grammar(code))

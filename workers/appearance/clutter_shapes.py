@@ -34,7 +34,7 @@ def shape_of(kind: str) -> ClutterShape:
     """Returns the shape of a kind of object.
 
     Raises:
-        KeyError: there is no such kind.
+        KeyError: unknown kind.
     """
     return _SHAPES[kind]()
 

@@ -23,7 +23,7 @@ def draw_pattern(name: str) -> NDArray[np.uint8]:
     """Returns a pattern, (512, 512, 3) sRGB, top row first.
 
     Raises:
-        KeyError: there is no pattern of that name.
+        KeyError: unknown pattern.
     """
     rows, columns = np.meshgrid(np.arange(_N), np.arange(_N), indexing="ij")
     tone = np.clip(PATTERNS[name](rows, columns), 0.0, 1.0)

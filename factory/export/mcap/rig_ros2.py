@@ -79,7 +79,7 @@ def _camera_info(camera: Camera, head: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _scan_message(lidar: Lidar2d, reader: SensorReader, t: int, stamp_ns: int) -> TopicMessage:
-    """Returns the scan; its stamp is the time of the first ray, and `+Inf` is no return (REP 117)."""
+    """Returns the scan; its stamp is the time of the first ray, and `+Inf` means no return (REP 117)."""
     azimuths, ranges = ray_azimuths(lidar), reader.scan(lidar, t).ranges[0]
     increment = math.radians((lidar.azimuth_max_deg - lidar.azimuth_min_deg) / lidar.samples)
     step_s = (lidar.noise.sweep_s if lidar.noise else 0.0) / lidar.samples

@@ -79,7 +79,7 @@ def test_every_sentence_is_read_with_the_meaning_that_it_was_written_for(code):
     ("code", "text", "expression"),
     [
         ("en", "Go to the red chair.", Expression(kind="chair", colour="red")),
-        ("en", "go to an orange crate", None),  # without the full stop it is no sentence of the grammar
+        ("en", "go to an orange crate", None),  # without the full stop it is not a sentence of the grammar
         ("en", "Go to an orange crate.", Expression(kind="crate", colour="orange", definite=False)),
         ("en", "Could you drive to the couch next to a grey bin?", None),  # `bin` is not a word of the grammar
         (
