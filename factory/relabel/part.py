@@ -119,7 +119,7 @@ def instructions_of(
 
 
 def rows_of(start: LanguageStart, found: list[Instruction]) -> list[dict[str, Any]]:
-    """Returns the rows of an episode: goals first, or the recorded instruction if there is no goal."""
+    """Returns the rows of an episode: goals first, or the recorded instruction if the episode has no goal."""
     goals = [each for each in found if each.kind is InstructionKind.GOAL]
     others = [each for each in found if each.kind is not InstructionKind.GOAL]
     rows = [_row(start, each) for each in goals] or [_recorded(start)]

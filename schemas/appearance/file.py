@@ -7,10 +7,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from schemas.appearance.ranges import Appearance
-from schemas.errors import InvalidAppearance, UsageError
-from schemas.support.foreign import path_trouble
-from schemas.support.suggest import did_you_mean
-from schemas.support.toml_file import mistakes_of, read_toml
+from schemas.errors import InvalidAppearance
+from schemas.support.toml_file import find_toml, mistakes_of, read_toml
 
 _FOLDER = Path(__file__).parent / "builtin"
 BUILTIN_APPEARANCES = ("varied", "full", "light", "materials", "camera", "clutter")
@@ -34,14 +32,7 @@ def load_appearance(reference: str) -> Appearance:
         UsageError: neither a built-in appearance nor a file has that name.
         InvalidAppearance: the file has mistakes; the error lists all of them.
     """
-    path = _FOLDER / f"{reference}.toml" if reference in BUILTIN_APPEARANCES else Path(reference)
-    trouble = path_trouble(reference)
-    if trouble:
-        raise UsageError(f"cannot read appearance {reference[:80]!r}: {trouble}")
-    if not path.is_file():
-        known = f"the built-in appearances are {', '.join(BUILTIN_APPEARANCES)}"
-        what = "that is a directory; give a TOML file" if path.is_dir() else "no such file"
-        raise UsageError(f"no appearance {reference!r}: {what}; {known}{did_you_mean(path.stem, BUILTIN_APPEARANCES)}")
+    path = find_toml(reference, "appearance", _FOLDER, BUILTIN_APPEARANCES)
     data = read_toml(path, "appearance", InvalidAppearance)
     data.setdefault("name", path.stem)
     try:

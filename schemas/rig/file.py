@@ -7,11 +7,9 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from schemas.errors import InvalidRig, UsageError
+from schemas.errors import InvalidRig
 from schemas.rig.rig import Rig
-from schemas.support.foreign import path_trouble
-from schemas.support.suggest import did_you_mean
-from schemas.support.toml_file import mistakes_of, read_toml
+from schemas.support.toml_file import find_toml, mistakes_of, read_toml
 
 _FOLDER = Path(__file__).parent / "builtin"
 BUILTIN_RIGS = ("paper", "nova-carter", "turtlebot4", "panorama")
@@ -31,14 +29,7 @@ def load_rig(reference: str, control_hz: int | None = DEFAULT_CONTROL_HZ) -> Rig
         UsageError: neither a built-in rig nor a file has that name.
         InvalidRig: the file has mistakes, or a rate does not divide the control rate; the error lists all of them.
     """
-    path = _FOLDER / f"{reference}.toml" if reference in BUILTIN_RIGS else Path(reference)
-    trouble = path_trouble(reference)
-    if trouble:
-        raise UsageError(f"cannot read rig {reference[:80]!r}: {trouble}")
-    if not path.is_file():
-        known = f"the built-in rigs are {', '.join(BUILTIN_RIGS)}{did_you_mean(path.stem, BUILTIN_RIGS)}"
-        what = "that is a directory; give a TOML file" if path.is_dir() else "no such file"
-        raise UsageError(f"no rig {reference!r}: {what}; {known}")
+    path = find_toml(reference, "rig", _FOLDER, BUILTIN_RIGS)
     data = read_toml(path, "rig", InvalidRig)
     data.setdefault("name", path.stem)
     try:

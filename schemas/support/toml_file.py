@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from schemas.errors import FactoryError, Findings
-from schemas.support.foreign import PARSER_ERRORS
+from schemas.errors import FactoryError, Findings, UsageError
+from schemas.support.foreign import PARSER_ERRORS, path_trouble
 from schemas.support.suggest import did_you_mean
 
 _MOST_BYTES = 4 << 20
@@ -73,3 +74,26 @@ def _unknown_tag(context: dict[str, str]) -> str:
     name, tag = context["discriminator"].strip("'"), context["tag"]
     known = [word.strip("' ") for word in context["expected_tags"].split(",")]
     return f"unknown {name} {tag!r}; valid: {', '.join(known)}{did_you_mean(tag, known)}"
+
+
+def find_toml(reference: str, kind: str, folder: Path, builtin: Collection[str]) -> Path:
+    """Returns the path of a built-in file or of a file of the user.
+
+    Args:
+        reference: name of a built-in file, or path.
+        kind: what the file describes, for messages, such as `rig`.
+        folder: folder of the built-in files.
+        builtin: names of the built-in files, without suffix.
+
+    Raises:
+        UsageError: neither a built-in file nor a file has that name.
+    """
+    path = folder / f"{reference}.toml" if reference in builtin else Path(reference)
+    trouble = path_trouble(reference)
+    if trouble:
+        raise UsageError(f"cannot read {kind} {reference[:80]!r}: {trouble}")
+    if not path.is_file():
+        known = f"the built-in {kind}s are {', '.join(builtin)}{did_you_mean(path.stem, builtin)}"
+        what = "that is a directory; give a TOML file" if path.is_dir() else "no such file"
+        raise UsageError(f"no {kind} {reference!r}: {what}; {known}")
+    return path

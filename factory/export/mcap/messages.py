@@ -86,7 +86,7 @@ def frame_messages(
     """Yields the transforms, calibration, odometry and action of a frame, and its images.
 
     Args:
-        episode: the episode; if it has a rig, the transforms are those of its sensors, and there is no calibration.
+        episode: the episode; if it has a rig, the transforms are those of its sensors, and no calibration is written.
         t: index of the frame.
         stamp_ns: time of the frame, nanoseconds.
         twist: (2,) measured v (m/s) and w (rad/s).
