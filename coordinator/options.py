@@ -12,7 +12,7 @@ from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, Nearby, nothing_nearby
-from schemas.dataset_meta import GateOutcome
+from schemas.dataset.meta import GateOutcome
 from schemas.storage.object_path import ObjectPath
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)

@@ -15,8 +15,8 @@ from coordinator.archive.contract import Archive
 from coordinator.ledger.states import OPEN_STATES
 from coordinator.ledger.tables import episodes, jobs
 from coordinator.tables.card import with_shards
-from schemas.dataset_files import CARD_FILE
 from schemas.plan import Plan
+from schemas.storage.dataset_files import CARD_FILE
 from schemas.storage.shards import MAX_SHARD_EPISODES, range_of, range_of_shard
 from schemas.terms import Recording
 

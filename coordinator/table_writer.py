@@ -13,7 +13,7 @@ from coordinator.ledger.run_ledger import RESTART_REMEDY
 from coordinator.packing import pack_settled
 from coordinator.tables.checkpoint import Checkpoints
 from coordinator.tables.split_tables import write_split_tables
-from schemas.dataset_meta import GateOutcome
+from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
 
 _THUMBNAILS_S = 2.0

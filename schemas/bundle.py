@@ -20,9 +20,9 @@ from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, enc
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import MAX_FRAMES, EpisodeMeta, parse_meta
 from schemas.errors import InvalidBundle
-from schemas.measurements import SENSORS, Arrays, MeasurementWriter, members_of_rig, read_measurement
 from schemas.rig import Rig, Sensor
 from schemas.rig.arrays import MAX_MEASURED_IMAGES
+from schemas.rig.measurements import SENSORS, Arrays, MeasurementWriter, members_of_rig, read_measurement
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 

@@ -33,8 +33,8 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
+from schemas.instruction.taxonomy import category_of
 from schemas.rig.arrays import rig_faults
-from schemas.taxonomy import category_of
 from schemas.terms import (
     BUILTIN_CATEGORIES,
     CATEGORIES,

@@ -21,10 +21,10 @@ import structlog
 from coordinator.archive.contract import scene_file
 from coordinator.archive.packing import PackingArchive
 from coordinator.archive.staging import Staged, Staging
-from schemas.dataset import file_name_of
-from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
+from schemas.dataset.rows import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id, index_of_file
+from schemas.storage.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.storage.disk import set_aside, translated
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.packed_path import PackedPath

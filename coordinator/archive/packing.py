@@ -23,10 +23,10 @@ import numpy as np
 import structlog
 
 from coordinator.archive.staging import Staging
-from schemas.dataset import file_name_of
-from schemas.dataset_files import EPISODES, SHARDS_FILE
+from schemas.dataset.rows import file_name_of
 from schemas.errors import ArchiveCorrupt
 from schemas.job import episode_id, index_of_file
+from schemas.storage.dataset_files import EPISODES, SHARDS_FILE
 from schemas.storage.disk import translated
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import FilePlace, Place

@@ -14,9 +14,9 @@ import time
 from io import FileIO
 from pathlib import Path
 
-from schemas.dataset_files import STAGING
 from schemas.errors import WorldError
 from schemas.job import episode_id
+from schemas.storage.dataset_files import STAGING
 from schemas.storage.disk import translated, world_error
 from schemas.support.closing import Closing
 

@@ -29,10 +29,10 @@ from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.base import Model
-from schemas.dataset_files import EPISODES
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
+from schemas.storage.dataset_files import EPISODES
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import FilePlace, digest_of
 from schemas.storage.shard_index import episode_place

@@ -13,7 +13,7 @@ from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.protocol.protocol import Pull
 from coordinator.protocol.relay import Archived, ExtendLease, Inventory, InventoryReply, Refused
-from schemas.dataset import BundleReceipt
+from schemas.dataset.rows import BundleReceipt
 from schemas.errors import UsageError
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, cut_detail

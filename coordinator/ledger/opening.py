@@ -25,10 +25,10 @@ from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
 from coordinator.ledger.tallies import install_tallies
 from schemas.base import Sha256
-from schemas.dataset_files import LEDGER_FILE
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
+from schemas.storage.dataset_files import LEDGER_FILE
 
 _INSERT_ROWS = 5000
 _SCENES = TypeAdapter(dict[str, Sha256])

@@ -21,7 +21,7 @@ from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, episodes, gateway_episodes, jobs, workers
 from coordinator.ledger.transitions import FREED, JOB, UNDER_LEASE, JobRow, Transition, lease_parameters, record_attempt
-from schemas.dataset import BundleReceipt
+from schemas.dataset.rows import BundleReceipt
 from schemas.plan import Budget
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Done, Fail, Lease

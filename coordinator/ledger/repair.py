@@ -23,7 +23,7 @@ from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, jobs
 from coordinator.ledger.transitions import FREED, Transition
-from schemas.dataset import BundleReceipt, FailedAttempt
+from schemas.dataset.rows import BundleReceipt, FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.protocol.messages import Done

@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import FailFast, Field
 
 from schemas.base import Bytes, Line, Model, Ordinal, Sha256, Text
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.job import Job
 from schemas.protocol.administration import Hosts
 from schemas.protocol.messages import Detail, Lease, RouterId, SessionId, Version

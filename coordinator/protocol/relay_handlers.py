@@ -38,7 +38,7 @@ from coordinator.protocol.relay import (
     UnrecordedFile,
 )
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Fail, Refusal, cut_detail
 from schemas.terms import FailReason

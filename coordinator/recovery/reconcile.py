@@ -33,7 +33,7 @@ from coordinator.protocol.protocol import Terms
 from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.contract import BundleValidator, EpisodeValidator
-from schemas.dataset import BundleReceipt, EpisodeSummary
+from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
 from schemas.storage.place import FilePlace, Place, at_hand
 

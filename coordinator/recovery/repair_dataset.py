@@ -35,12 +35,12 @@ from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_column
 from coordinator.transfer.contract import EpisodeValidator
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, EPISODES, META_FILE, METADATA_FILE, SHARDS_FILE
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
+from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
+from schemas.storage.dataset_files import ATTEMPTS_FILE, CARD_FILE, EPISODES, META_FILE, METADATA_FILE, SHARDS_FILE
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, relative_name

@@ -19,7 +19,7 @@ from coordinator.ledger.repair import obstacle_to
 from coordinator.ledger.tables import jobs
 from coordinator.transfer.contract import EpisodeValidator
 from schemas.bundle import BundleReader
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id
 from schemas.plan import Plan

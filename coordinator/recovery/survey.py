@@ -14,10 +14,10 @@ from coordinator.ledger.gateway_episodes import recorded_files
 from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import validated_files
 from coordinator.transfer.contract import EpisodeValidator
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import QUARANTINE
+from schemas.dataset.rows import EpisodeSummary
 from schemas.job import index_of_file
 from schemas.plan import Plan
+from schemas.storage.dataset_files import QUARANTINE
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import FilePlace, Place, children, digest_of
 

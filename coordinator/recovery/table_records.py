@@ -12,12 +12,12 @@ from coordinator.ledger.repair import record_failures
 from coordinator.recovery.stray_files import PlannedDraws
 from coordinator.tables.checkpoint import count_failures, read_failures
 from coordinator.tables.table_reader import read_column, read_failed_attempts
-from schemas.dataset import EpisodeSummary, FailedAttempt
-from schemas.dataset_files import ATTEMPTS_FILE, METADATA_FILE
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.episode_spec import columns_of
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.storage.dataset_files import ATTEMPTS_FILE, METADATA_FILE
 from schemas.storage.place import Place
 
 

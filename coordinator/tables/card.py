@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable
 
 from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from coordinator.tables.card_configs import configs_to_yaml, split_configs
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
 from schemas.instruction.language import TEMPLATES
 from schemas.terms import Recording, Split, SuccessMeasure, Tier
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from schemas.dataset_files import SPLITS_FOLDER
+from schemas.storage.dataset_files import SPLITS_FOLDER
 from schemas.storage.place import Place, children
 from schemas.terms import Split
 

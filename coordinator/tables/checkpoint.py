@@ -18,8 +18,8 @@ from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from coordinator.tables.write import DatasetTables, TableChanges, TableContent
-from schemas.dataset import FailedAttempt
-from schemas.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
+from schemas.dataset.meta import DatasetMeta, GateOutcome, read_dataset_meta
+from schemas.dataset.rows import FailedAttempt
 from schemas.episode_spec import columns_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id

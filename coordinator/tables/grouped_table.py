@@ -19,7 +19,7 @@ from coordinator.archive.contract import Archive
 from coordinator.tables.aggregates import TableAggregates
 from coordinator.tables.row_groups import RowGroup, RowGroupWriter
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, FailedAttempt
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.storage.place import Place
 
 Read = Callable[[int, int], Iterable[dict[str, Any]]]

@@ -20,7 +20,7 @@ from coordinator.tables.split_layout import (
     read_pictures,
     split_tables_of,
 )
-from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
+from schemas.storage.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.storage.place import Place, children, table_of
 
 SURPLUS = f"{METADATA_FILE} has no rows for it"

@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import xxhash
 
-from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.storage.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.storage.place import Place, table_of
 from schemas.terms import Recording, Split
 

@@ -34,10 +34,10 @@ from coordinator.tables.split_layout import (
     split_tables_of,
 )
 from schemas.bundle import BundleReader
-from schemas.dataset_files import CARD_FILE
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import InvalidBundle, WorldError
+from schemas.storage.dataset_files import CARD_FILE
 from schemas.storage.place import Place
 
 _READERS = 8

@@ -6,7 +6,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from schemas.dataset import FailedAttempt
+from schemas.dataset.rows import FailedAttempt
 from schemas.encoding.table_digest import DIGESTED, table_digest
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS

@@ -23,9 +23,7 @@ from coordinator.tables.card_configs import splits_at
 from coordinator.tables.grouped_table import GroupedTable, ListedRows, RowSource, plain_row
 from coordinator.tables.table_reader import read_digest
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, FailedAttempt
-from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
-from schemas.dataset_meta import (
+from schemas.dataset.meta import (
     DatasetMeta,
     GateOutcome,
     fields_of_plan,
@@ -33,8 +31,10 @@ from schemas.dataset_meta import (
     read_dataset_meta,
     software_versions,
 )
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.storage.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
 from schemas.storage.place import Place
 
 SIDE_COLUMN = "instance_side"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from coordinator.protocol.protocol import Pull
-from schemas.dataset import BundleReceipt, EpisodeSummary
+from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.job import Job
 from schemas.protocol.messages import Lease
 from schemas.scene import Target

@@ -11,7 +11,7 @@ from datetime import datetime
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.writer import Writer
 from coordinator.protocol.protocol import Pull, Terms, fail_attempt
-from schemas.dataset import BundleReceipt
+from schemas.dataset.rows import BundleReceipt
 from schemas.protocol.messages import Fail, cut_detail
 from schemas.terms import FailReason
 

@@ -19,7 +19,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
 from schemas.bundle import MAX_BUNDLE_BYTES
-from schemas.dataset import BundleReceipt
+from schemas.dataset.rows import BundleReceipt
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import episode_id
 from schemas.protocol.keys import Chunk, host_of

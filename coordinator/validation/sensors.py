@@ -14,8 +14,8 @@ from coordinator.validation.frames import MAX_FINDINGS
 from schemas.bundle import BundleReader
 from schemas.episode import FORMAT_WITHOUT_RIG, format_of
 from schemas.errors import InvalidBundle
-from schemas.measurements import MeasurementDigest, measurements_of
 from schemas.rig import Sensor
+from schemas.rig.measurements import MeasurementDigest, measurements_of
 
 _IDS = "ids"
 

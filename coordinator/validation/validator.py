@@ -25,7 +25,7 @@ from pydantic import Field, ValidationError
 
 from coordinator.validation.sandbox import SECCOMP
 from schemas.base import Line, Model
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
 from schemas.scene import Target

@@ -27,7 +27,7 @@ from coordinator.validation.validator import (
     Verdict,
 )
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
-from schemas.dataset import summary_of
+from schemas.dataset.rows import summary_of
 from schemas.errors import InvalidBundle
 
 

@@ -27,7 +27,7 @@ from factory.bench.model import CoordinatorBench, Spread
 from factory.bench.sample import BenchSample
 from factory.bench.wire import bench_wire
 from schemas.bundle import BundleReader
-from schemas.dataset import summary_of
+from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
 from schemas.protocol.messages import Done, Lease

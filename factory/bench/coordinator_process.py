@@ -16,7 +16,7 @@ from factory.bench.machine import measure_memory, resident_mib
 from factory.bench.model import Memory
 from factory.support.logs import configure_logs
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
 from schemas.job import Job
 from schemas.plan import Plan

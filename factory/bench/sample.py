@@ -15,7 +15,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand, to_job
 from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
-from schemas.dataset import EpisodeSummary, file_name_of, summary_of
+from schemas.dataset.rows import EpisodeSummary, file_name_of, summary_of
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan

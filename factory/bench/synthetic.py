@@ -29,14 +29,14 @@ from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from factory.bench.sample import BenchSample
 from schemas.bundle import BundleReader, EpisodeArrays
-from schemas.dataset import EpisodeSummary, file_name_of, summary_of
-from schemas.dataset_files import EPISODES, SHARDS_FILE
+from schemas.dataset.rows import EpisodeSummary, file_name_of, summary_of
 from schemas.encoding.arrays import EPISODE_ARRAYS
 from schemas.encoding.container import ContainerWriter
 from schemas.encoding.ndarray import encode_npy
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import columns_of
 from schemas.plan import Plan
+from schemas.storage.dataset_files import EPISODES, SHARDS_FILE
 from schemas.storage.shard_index import list_shards, write_index
 from schemas.storage.shards import MAX_SHARD_EPISODES, range_of, shard_name, write_shard
 

@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from factory.dataset.table import representable
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import METADATA_FILE
+from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import ArchiveCorrupt
+from schemas.storage.dataset_files import METADATA_FILE
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
 

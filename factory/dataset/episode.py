@@ -19,7 +19,7 @@ from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.packages import ScenePackage
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from factory.support.settings import cache_directory, scene_path
-from schemas.dataset_files import SCENES
 from schemas.errors import ArchiveCorrupt
 from schemas.scene import SceneInfo, decode_scene, read_scene_info
+from schemas.storage.dataset_files import SCENES
 from schemas.storage.disk import translated
 from schemas.storage.place import Place, digest_of
 from schemas.support.extras import require_package

@@ -21,15 +21,15 @@ from factory.dataset.episode import Episode, Frame
 from factory.dataset.vocabulary import require_known
 from schemas.appearance import Appearance
 from schemas.appearance.file import find_appearance
-from schemas.dataset import EpisodeSummary, file_name_of
-from schemas.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE
-from schemas.dataset_meta import DatasetMeta, read_dataset_meta
+from schemas.dataset.meta import DatasetMeta, read_dataset_meta
+from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.encoding.table_digest import table_digest
 from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE
 from schemas.storage.place import Place, place_of, table_of
 from schemas.storage.shard_index import packed_place
 from schemas.support.foreign import PARSER_ERRORS

@@ -19,8 +19,8 @@ from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.output import Output
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
+from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import UsageError
 from schemas.rig import Rig
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from coordinator.tables.card_configs import Configs, configs_to_yaml
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
 
 CARD_FILE = "README.md"
 TAGS = (

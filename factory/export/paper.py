@@ -23,13 +23,13 @@ from factory.export.rig.folders import FOLDERS_TEXT, write_sensors
 from factory.export.rig.reader import SensorReader
 from factory.export.source import TIMES_AND_WORKERS, as_frames, plain_dataset_meta, plain_meta, to_json
 from schemas.bundle import EpisodeArrays, seal
-from schemas.dataset import PUBLISHED_COLUMNS
-from schemas.dataset_files import META_FILE, METADATA_FILE, SPLITS_FOLDER
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
+from schemas.dataset.rows import PUBLISHED_COLUMNS
 from schemas.encoding.arrays import EPISODE_ARRAYS
 from schemas.encoding.digest import dataset_digest, frame_digest
 from schemas.encoding.ndarray import encode_npy
 from schemas.episode import EpisodeMeta
+from schemas.storage.dataset_files import META_FILE, METADATA_FILE, SPLITS_FOLDER
 from schemas.terms import Recording, Split
 
 PUBLISHED_SPLITS = {str(Split.TEST_PARAPHRASE_OOD): "test_ood_lang"}

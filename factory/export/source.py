@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
-from schemas.dataset_meta import DatasetMeta, described_as_frames, read_dataset_meta
+from schemas.dataset.meta import DatasetMeta, described_as_frames, read_dataset_meta
 from schemas.episode import EpisodeMeta
 from schemas.rig import Rig
 from schemas.storage.place import Place

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.dataset_files import EPISODES, META_FILE, QUARANTINE, SCENES, SPLITS_FOLDER, STAGING
 from schemas.errors import UsageError, WorldError
+from schemas.storage.dataset_files import EPISODES, META_FILE, QUARANTINE, SCENES, SPLITS_FOLDER, STAGING
 
 BATCH_FILES = 400
 """Maximum number of files in one commit; the Hub advises against many more."""

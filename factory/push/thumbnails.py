@@ -13,7 +13,7 @@ from coordinator.archive.directory import DirectoryArchive
 from coordinator.tables.split_layout import has_pictures, lacks_pictures
 from coordinator.tables.split_tables import write_split_tables
 from factory.dataset.reader import Dataset
-from schemas.dataset_files import META_FILE, SPLITS_FOLDER
+from schemas.storage.dataset_files import META_FILE, SPLITS_FOLDER
 from schemas.storage.place import children
 
 ProgressCallback = Callable[[int, int], None]

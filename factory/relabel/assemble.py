@@ -20,7 +20,10 @@ from coordinator.tables.row_groups import RowGroupWriter
 from coordinator.tables.split_tables import write_split_tables
 from factory.dataset.reader import Dataset
 from factory.export.output import Output
-from schemas.dataset_files import (
+from schemas.dataset.meta import Relabelling
+from schemas.language.compose import InstructionKind
+from schemas.language.file import LanguageSpec
+from schemas.storage.dataset_files import (
     ATTEMPTS_FILE,
     CARD_FILE,
     EPISODES,
@@ -31,9 +34,6 @@ from schemas.dataset_files import (
     SHARDS_FILE,
     SPLITS_FOLDER,
 )
-from schemas.dataset_meta import Relabelling
-from schemas.language.compose import InstructionKind
-from schemas.language.file import LanguageSpec
 
 _NEW_COLUMNS = ("instruction", "template_id")
 

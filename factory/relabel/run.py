@@ -24,12 +24,12 @@ from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.assemble import assemble
 from factory.relabel.part import LanguageStart, PartTask, instructions_of, make_part, prepared_scene
 from schemas.base import Model, Sha256
-from schemas.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE
-from schemas.dataset_meta import software_versions
+from schemas.dataset.meta import software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError
 from schemas.language.compose import Composer, Instruction, InstructionKind
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE
 
 _PART_EPISODES = 500
 _PROBES = 12

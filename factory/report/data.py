@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from factory.stats import Statistics
 from factory.stats.language import EpisodeView
-from schemas.dataset import EpisodeSummary, FailedAttempt
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.tokens import GRID_POINTS
 
 Outlines = list[NDArray[np.float64]]

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from factory.report.comparison.model import PaperComparison
 from factory.stats.model import Remark
 from schemas.base import Model
-from schemas.dataset_files import META_FILE
 from schemas.errors import UsageError, WorldError
+from schemas.storage.dataset_files import META_FILE
 
 MARKER_FILE, PAGE_FILE, FIGURES = "report.json", "report.html", "figures"
 _FORMAT = 1

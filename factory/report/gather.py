@@ -16,10 +16,10 @@ from factory.stats import compute_statistics
 from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from factory.stats.views import read_view
-from schemas.dataset import EpisodeSummary, file_name_of
-from schemas.dataset_files import EPISODES, SCENES
+from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import SceneInfo, decode_scene
+from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.storage.place import Place
 from schemas.storage.shard_index import episode_place
 

@@ -21,9 +21,9 @@ from factory.scenes.build import build_scene, find_import, import_scene, load_ed
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
-from schemas.dataset_files import SCENES, STAGING
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
+from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place

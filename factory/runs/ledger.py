@@ -12,11 +12,11 @@ from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
-from schemas.dataset_files import LEDGER_FILE, META_FILE, is_dataset
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
+from schemas.storage.dataset_files import LEDGER_FILE, META_FILE, is_dataset
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import Place
 from schemas.storage.shard_index import shard_places

@@ -23,7 +23,7 @@ from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
-from schemas.dataset_meta import GateOutcome
+from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress

@@ -24,8 +24,7 @@ from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.catalog import with_light
 from factory.runs.ledger import plan_of, require_outside_datasets
-from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
-from schemas.dataset_meta import DatasetMeta, described_by
+from schemas.dataset.meta import DatasetMeta, described_by
 from schemas.encoding.digest import frame_digest
 from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
@@ -33,6 +32,7 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.protocol.messages import MAX_STATES_CHARS
 from schemas.rig.file import load_rig
+from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind

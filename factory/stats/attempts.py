@@ -14,7 +14,7 @@ from factory.stats import paper
 from factory.stats.measures import share_of
 from factory.stats.model import AttemptRow, CellRow, Share
 from factory.stats.rollouts import ALL
-from schemas.dataset import EpisodeSummary, FailedAttempt
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.plan import Plan
 from schemas.terms import FailReason, Tier
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from factory.stats import paper
 from factory.stats.model import CountRow, OverlapRow, Published
 from factory.stats.rollouts import ALL
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 from schemas.plan import Plan
 from schemas.terms import Split

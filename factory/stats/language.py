@@ -18,7 +18,7 @@ from factory.stats.measures import share_of
 from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Remark, Share
 from factory.stats.rollouts import ALL
 from schemas.config import CameraConfig
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.language import says_in_front
 from schemas.instruction.referents import ids_in_view
 from schemas.instruction.start_view import IN_FRONT_RAD

@@ -15,9 +15,9 @@ from factory.dataset.reader import Dataset
 from factory.dataset.table import read_table
 from factory.stats.model import Remark
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, FailedAttempt
-from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE, METADATA_FILE
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
+from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE, METADATA_FILE
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import FilePlace, Place
 from schemas.support.foreign import PARSER_ERRORS

@@ -25,8 +25,11 @@ from factory.support.logs import configure_logs
 from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from factory.verify.rows import RowCheck
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import (
+from schemas.dataset.meta import DatasetMeta
+from schemas.dataset.rows import EpisodeSummary
+from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.job import episode_id
+from schemas.storage.dataset_files import (
     ATTEMPTS_FILE,
     CARD_FILE,
     EPISODES,
@@ -37,9 +40,6 @@ from schemas.dataset_files import (
     SPLITS_FOLDER,
     is_part,
 )
-from schemas.dataset_meta import DatasetMeta
-from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
-from schemas.job import episode_id
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import Place, at_hand, children, relative_name, table_of
 from schemas.terms import Recording

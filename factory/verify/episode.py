@@ -15,10 +15,10 @@ from factory.verify.difference import RenderDifference
 from factory.verify.rendering import compare_rendered
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
-from schemas.dataset import EpisodeSummary, summary_of
-from schemas.dataset_files import METADATA_FILE
+from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import Target
+from schemas.storage.dataset_files import METADATA_FILE
 from schemas.storage.place import Place, opened
 from schemas.storage.shard_index import episode_place
 

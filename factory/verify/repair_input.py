@@ -16,10 +16,10 @@ from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.recovery.stray_files import count_plans
 from factory.dataset.packages import package_file
 from factory.runs.catalog import open_catalog
-from schemas.dataset_files import SCENES
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
+from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import Place, at_hand
 
 MessageCallback = Callable[[str], None]

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from factory.dataset.reader import Dataset
 from factory.verify.report import Kind, VerifyReport
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_files import METADATA_FILE
+from schemas.dataset.rows import EpisodeSummary
 from schemas.job import episode_id
+from schemas.storage.dataset_files import METADATA_FILE
 from schemas.terms import Split, Tier
 
 

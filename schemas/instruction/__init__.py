@@ -1,1 +1,1 @@
-"""Instructions: templates, the objects that an instruction fits, and conditions on the image at the start."""
+"""Instructions: templates, taxonomy of categories, objects that an instruction fits, conditions on the start image."""

@@ -1,4 +1,4 @@
-"""Sensor rigs: named cameras, lidars, IMUs and wheel odometry with mounting pose, rate and noise, as data."""
+"""Sensor rigs as data: cameras, lidars, IMUs, odometry, mounting poses, rates and noise, and their measurements."""
 
 from schemas.rig.cameras import Camera, CameraOutput, DepthKind, EquirectangularCamera, FisheyeCamera, PinholeCamera
 from schemas.rig.motion import Imu, WheelOdometry

@@ -8,8 +8,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from schemas.dataset_files import EPISODES
 from schemas.job import episode_id, index_of_file
+from schemas.storage.dataset_files import EPISODES
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import FilePlace, Place, children
 from schemas.storage.shard_index import ShardIndex, open_shard, read_index

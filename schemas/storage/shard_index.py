@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.dataset_files import EPISODES, SHARDS_FILE
 from schemas.errors import InvalidBundle
 from schemas.job import episode_id
+from schemas.storage.dataset_files import EPISODES, SHARDS_FILE
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import FilePlace, Place, children, table_of

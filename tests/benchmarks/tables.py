@@ -20,7 +20,7 @@ from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import METADATA, episodes, events, jobs
 from coordinator.tables.checkpoint import Checkpoints
 from factory.cli.common.output import print_table
-from schemas.dataset import summary_of
+from schemas.dataset.rows import summary_of
 from schemas.episode_spec import EpisodeSpec
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan

@@ -16,7 +16,7 @@ from coordinator.packing import pack_settled
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
-from schemas.dataset import summary_of
+from schemas.dataset.rows import summary_of
 from schemas.protocol.messages import Done
 from schemas.terms import FailReason, Recording
 from tests.builders.bundle import parts_for

@@ -24,7 +24,7 @@ from schemas.fingerprint import Fingerprint
 from schemas.instruction.language import instruction
 from schemas.job import Job
 from schemas.measure import measure_track
-from schemas.measurements import Arrays, measurements_of
+from schemas.rig.measurements import Arrays, measurements_of
 from schemas.scene import Instance
 from schemas.terms import EndReason, ExpertName, Recording, Split, Tier
 from schemas.tokens import tokens_of

@@ -15,7 +15,7 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
-from schemas.dataset import EpisodeSummary, FailedAttempt, summary_of
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt, summary_of
 from schemas.plan import Plan
 from schemas.scene import Instance, Target, encode_scene
 from schemas.terms import Split, Tier

@@ -15,7 +15,7 @@ from coordinator.expansion.draw import PlannedJob, expand, to_job
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
 from schemas.config import TaskConfig
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Recording, Split, Tier

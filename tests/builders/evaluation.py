@@ -16,7 +16,7 @@ from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.config import TaskConfig
-from schemas.dataset import summary_of
+from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.instruction.language import instruction
 from schemas.job import Job

@@ -21,7 +21,7 @@ from coordinator.ledger.claims import lease_of
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.tables import jobs
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.protocol.messages import Done, Fail, Lease

@@ -6,8 +6,8 @@ import functools
 from typing import Any
 
 from factory.stats.rows import Rows
-from schemas.dataset import EpisodeSummary, FailedAttempt, summary_of
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt, summary_of
 from schemas.job import episode_id
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split

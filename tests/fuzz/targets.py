@@ -25,11 +25,11 @@ from factory.scenes.importer import extract_stage
 from factory.scenes.limits import StageLimits
 from factory.scenes.stage_file import kind_of_file
 from factory.verify.dataset import verify
-from schemas.dataset_files import EPISODES, SHARDS_FILE
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.protocol.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
+from schemas.storage.dataset_files import EPISODES, SHARDS_FILE
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.shard_index import ShardIndex, open_shard, read_index, write_index

@@ -20,7 +20,7 @@ from factory.eval.models.spec import read_specs
 from factory.scenes.rules import load_rules
 from factory.scenes.targets.target_list import load_target_list
 from factory.scenes.yaml_text import read_yaml
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
 from schemas.encoding.ndarray import decode_npy
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.storage.place import place_of

@@ -33,7 +33,7 @@ from coordinator.protocol.relay_handlers import serve_gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.base import MAX_COUNT
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for

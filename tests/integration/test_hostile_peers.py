@@ -22,7 +22,7 @@ from coordinator.options import CoordinatorOptions
 from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from schemas.dataset import summary_of
+from schemas.dataset.rows import summary_of
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Verb, verb_key
 from schemas.protocol.messages import Ack, Beat, BeatReply, Hello, HelloReply, Refusal

@@ -13,7 +13,7 @@ import pytest
 
 from coordinator.tables.split_layout import THUMBNAIL
 from coordinator.tables.write import SIDE_COLUMN
-from schemas.dataset import PUBLISHED_COLUMNS, EpisodeSummary
+from schemas.dataset.rows import PUBLISHED_COLUMNS, EpisodeSummary
 from schemas.terms import Split
 from tests.builders.dataset import make_dataset
 

@@ -23,8 +23,8 @@ from factory.dataset.reader import Dataset
 from factory.push.files import plan_push
 from factory.stats.rows import read_rows
 from factory.verify.dataset import Kind, verify
-from schemas.dataset_files import LEDGER_FILE
 from schemas.errors import UsageError
+from schemas.storage.dataset_files import LEDGER_FILE
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.shard_index import read_index

@@ -21,10 +21,10 @@ from factory.dataset.site import site_of
 from factory.runs.render import StatesSource, prepare_rendering
 from factory.verify.dataset import verify
 from schemas.bundle import BundleReader, BundleWriter
-from schemas.dataset_files import EPISODES, METADATA_FILE, SCENES
 from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
+from schemas.storage.dataset_files import EPISODES, METADATA_FILE, SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording
 from tests.builders.dataset import make_dataset

@@ -22,8 +22,8 @@ from factory.dataset.reader import Dataset
 from factory.dataset.sampler import SceneSampler
 from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from factory.eval.specs.from_dataset import specs_of_dataset
-from schemas.dataset_files import SCENES
 from schemas.errors import UsageError
+from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
 

@@ -15,9 +15,9 @@ import pytest
 from factory.dataset.packages import ScenePackage
 from factory.dataset.shared_renderer import KEPT_SCENES, SharedRenderer, View
 from schemas.config import CameraConfig
-from schemas.dataset_files import SCENES
 from schemas.errors import WorldError
 from schemas.scene import encode_scene
+from schemas.storage.dataset_files import SCENES
 from tests.builders.process_state import children_of
 from tests.builders.scene import box_room
 from workers.geometry.pose import Pose

@@ -16,7 +16,7 @@ from coordinator.tables.grouped_table import GROUP_ROWS, ListedRows
 from coordinator.tables.row_groups import RowGroupWriter
 from coordinator.tables.write import DatasetTables, TableChanges, TableContent
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, FailedAttempt, summary_of
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt, summary_of
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import failure
 from tests.builders.ledger import room_plan

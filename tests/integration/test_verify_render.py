@@ -18,10 +18,10 @@ from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from factory.verify.report import Kind, VerifyReport
 from schemas.bundle import BundleReader, BundleWriter
-from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import UsageError
 from schemas.instruction.start_view import StartView
 from schemas.plan import MAX_EPISODES
+from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.terms import Recording
 from tests.builders.dataset import make_dataset
 

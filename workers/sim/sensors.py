@@ -13,8 +13,8 @@ from schemas.appearance import CameraChange
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
 from schemas.errors import WorldError
 from schemas.job import Job
-from schemas.measurements import measurements_of
 from schemas.rig import Camera, Imu, WheelOdometry
+from schemas.rig.measurements import measurements_of
 from workers.appearance import changed_sensor
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer

@@ -15,7 +15,7 @@ from sqlalchemy.sql.base import ReadOnlyColumnCollection
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from coordinator.ledger.tallies import job_counts
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.terms import Split, Tier

@@ -13,8 +13,8 @@ from coordinator.ledger.opening import require_plan
 from factory.cli.common.options import shrunk_plan
 from factory.dataset.site import Site
 from factory.runs.ledger import plan_of, require_outside_datasets
-from schemas.dataset_files import EPISODES, is_part
 from schemas.plan import Plan
+from schemas.storage.dataset_files import EPISODES, is_part
 from schemas.storage.disk import translated
 from schemas.storage.place import children
 

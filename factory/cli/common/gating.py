@@ -15,7 +15,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.file import shrink
 from factory.cli.common.bars import Bars
 from factory.cli.common.output import print_table, stderr
-from schemas.dataset_meta import GateOutcome
+from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import RendererKind

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from factory.eval.policies import find_policy
 from schemas.base import Model
-from schemas.dataset_meta import software_versions
+from schemas.dataset.meta import software_versions
 
 
 class PolicyNote(Model):

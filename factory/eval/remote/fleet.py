@@ -33,7 +33,7 @@ from factory.eval.remote.result_validator import ResultValidator
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, with_actions
-from schemas.dataset import file_name_of
+from schemas.dataset.rows import file_name_of
 from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan

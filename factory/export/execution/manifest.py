@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 from factory.export.execution.report import Skip
 from factory.export.output import WORK_FOLDER, Output
 from schemas.base import Model, Sha256
-from schemas.dataset_meta import DatasetMeta, software_versions
+from schemas.dataset.meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
 
 MANIFEST_FILE = "export.json"

@@ -19,7 +19,7 @@ from factory.export.lerobot.piece import LeRobotFacts, write_piece
 from factory.export.output import Output
 from factory.export.rig.document import RIG_FILE, rig_json, rig_table
 from schemas.config import CameraConfig
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
 from schemas.rig import CameraOutput, DepthKind, Rig
 
 ROBOT = "nova_carter"

@@ -22,7 +22,7 @@ from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Num
 from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
 from factory.export.lerobot.statistics import QUANTILES
 from factory.export.video import join_videos
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 
 VERSION = "v3.0"
 _EPISODES_A_BATCH = 200

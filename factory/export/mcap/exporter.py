@@ -24,7 +24,7 @@ from factory.export.rig.document import RIG_FILE, rig_json
 from factory.export.rig.reader import SensorReader
 from factory.export.source import describe_episode, to_json
 from factory.runs.catalog import find_package
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
 from schemas.errors import UsageError
 from schemas.rig import Camera, Rig
 from schemas.scene import CompiledScene, decode_scene

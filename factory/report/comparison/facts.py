@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from factory.stats.measures import deviation_of, mean_of
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.terms import Tier
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import colour
 from factory.report.data import FloorMap
 from factory.report.drawing.canvas import WIDTH_IN, Axes, fill_outlines, mark
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 
 _BESIDE_IN, _ABOVE_IN = 0.45, 0.95
 """Width of the axis labels; height of axis labels, title and legend, inches."""

@@ -8,7 +8,7 @@ import pytest
 
 from factory.eval.models.spec import EvalSpec
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, FailedAttempt
+from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.episode_spec import EpisodeSpec, columns_of
 from schemas.job import Job
 from schemas.terms import Split, Tier

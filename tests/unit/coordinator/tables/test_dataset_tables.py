@@ -13,8 +13,8 @@ import yaml
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.instances import Side
 from coordinator.tables.write import SIDE_COLUMN, write_tables
-from schemas.dataset import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
-from schemas.dataset_meta import DATASET_FORMAT, DatasetMeta, GateOutcome, git_commit, read_dataset_meta
+from schemas.dataset.meta import DATASET_FORMAT, DatasetMeta, GateOutcome, git_commit, read_dataset_meta
+from schemas.dataset.rows import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
 from tests.builders.bundle import job_for, parts_for

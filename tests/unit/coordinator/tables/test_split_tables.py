@@ -19,9 +19,9 @@ from coordinator.tables.split_tables import write_split_tables
 from factory.dataset.reader import Dataset
 from factory.push.files import plan_push
 from factory.verify.dataset import Kind, verify
-from schemas.dataset_files import CARD_FILE, META_FILE, METADATA_FILE, is_part
-from schemas.dataset_meta import DatasetMeta
+from schemas.dataset.meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.storage.dataset_files import CARD_FILE, META_FILE, METADATA_FILE, is_part
 from schemas.terms import Split
 from tests.builders.dataset import make_dataset
 

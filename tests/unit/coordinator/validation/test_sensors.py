@@ -13,8 +13,8 @@ from schemas.bundle import BundleReader
 from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerWriter
 from schemas.episode import FORMAT_WITHOUT_RIG
-from schemas.measurements import Arrays
 from schemas.rig import Lidar2d, Mount, Rig
+from schemas.rig.measurements import Arrays
 from schemas.view import ViewSettings
 from tests.builders.bundle import BundleParts, empty_arrays, job_for, parts_for
 

@@ -12,7 +12,7 @@ import pytest
 
 from factory.dataset.columns import NAMES, Columns
 from factory.dataset.reader import Dataset
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import ArchiveCorrupt
 from tests.builders.dataset import make_dataset
 

@@ -16,8 +16,8 @@ from factory.dataset import sampler
 from factory.dataset.reader import Dataset
 from factory.dataset.sampler import SceneSampler, shuffle_by_scene
 from factory.dataset.torch import ClipDataset, FrameDataset
-from schemas.dataset_files import METADATA_FILE
 from schemas.job import episode_id
+from schemas.storage.dataset_files import METADATA_FILE
 from tests.builders.dataset import make_dataset
 
 STEPS = (7, 3, 9, 1, 5, 4)

@@ -13,8 +13,8 @@ from PIL import Image
 from factory.dataset.reader import Dataset, Episode
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.paper import PaperOptions
-from schemas.dataset import PUBLISHED_COLUMNS
-from schemas.dataset_meta import read_dataset_meta
+from schemas.dataset.meta import read_dataset_meta
+from schemas.dataset.rows import PUBLISHED_COLUMNS
 from schemas.encoding.digest import content_digest, frame_digest
 from tests.unit.factory.export.varied import STEPS
 

@@ -18,7 +18,7 @@ from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import Kind, VerifyReport, verify
-from schemas.dataset import EpisodeSummary
+from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import WorldError
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.dataset import NOW, archive_episode, make_dataset

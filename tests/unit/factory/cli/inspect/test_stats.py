@@ -17,7 +17,7 @@ from coordinator.tables.write import write_tables
 from factory.cli.inspect.stats import command, print_statistics
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.config import TaskConfig
-from schemas.dataset import FailedAttempt
+from schemas.dataset.rows import FailedAttempt
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.instruction.language import TEMPLATES
 from schemas.plan import ScenePlan

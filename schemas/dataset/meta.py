@@ -15,9 +15,9 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from schemas.base import Fraction, Model, Sha256
-from schemas.dataset_files import META_FILE
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
+from schemas.storage.dataset_files import META_FILE
 from schemas.storage.place import Place
 from schemas.terms import Recording
 from schemas.view import ViewSettings

@@ -14,9 +14,9 @@ from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerWriter
 from schemas.episode import BUNDLE_FORMAT, FORMAT_WITHOUT_RIG
 from schemas.errors import InvalidBundle
-from schemas.measurements import Arrays, measurements_of
 from schemas.rig import Imu, Lidar2d, Mount, PinholeCamera, Rig, WheelOdometry
 from schemas.rig.arrays import MAX_MEASURED_IMAGES, arrays_of, rig_faults
+from schemas.rig.measurements import Arrays, measurements_of
 from schemas.view import ViewSettings
 from tests.builders.bundle import BundleParts, bundle_bytes, empty_arrays, job_for, parts_for
 
