@@ -11,7 +11,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from coordinator.expansion.apportion import apportion
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from schemas.appearance.file import BUILTIN_APPEARANCES, find_appearance
 from schemas.config import CameraConfig
@@ -20,6 +19,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.rig import Rig
 from schemas.rig.arrays import rig_faults
 from schemas.rig.file import BUILTIN_RIGS, load_rig, paper_rig
+from schemas.support.apportion import apportion
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml

@@ -19,7 +19,7 @@ from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import PlannedJob, expand
+from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
@@ -68,7 +68,7 @@ def open_run(
     catalog: Catalog,
     lease_ttl_s: float,
     now: datetime,
-    planned: Sequence[PlannedJob] | None = None,
+    planned: Iterable[PlannedJob] | None = None,
 ) -> bool:
     """Creates the run in an empty database, or checks that the database contains this run.
 
@@ -98,7 +98,7 @@ def open_run(
                 facts[PLANNED] = planned_digest(connection)
             _write_info(connection, facts)
             return False
-        planned = expand(plan, catalog) if planned is None else planned
+        planned = expand_each(plan, catalog) if planned is None else planned
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
         install_tallies(connection)

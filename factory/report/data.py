@@ -11,6 +11,7 @@ from factory.stats import Statistics
 from factory.stats.language import EpisodeView
 from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt
+from schemas.terms import family_of
 from schemas.tokens import GRID_POINTS
 
 Outlines = list[NDArray[np.float64]]
@@ -87,4 +88,4 @@ class ReportInput:
 
     def of(self, scene: str) -> list[EpisodeSummary]:
         """Returns the rows of a scene."""
-        return [row for row in self.episodes if row.scene == scene]
+        return [row for row in self.episodes if family_of(row.scene) == scene]

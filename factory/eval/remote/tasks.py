@@ -86,7 +86,7 @@ def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attac
     """
     counts = Counter(task.request.spec.scene for task in tasks.values())
     scenes = tuple(
-        scene.model_copy(update={"episodes": counts[scene.name]}) for scene in plan.scenes if scene.name in counts
+        scene.model_copy(update={"episodes": counts[scene.name]}) for scene in plan.parts if scene.name in counts
     )
     strange = counts.keys() - {scene.name for scene in scenes}
     if strange:

@@ -89,7 +89,12 @@ def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Pl
     """Returns the plan with these splits only, which draws from all reachable targets, not only those of the expert."""
     scenes = []
     for scene in plan.scenes:
-        possible = [split for split in splits if split is not Split.TEST_OOD_OBJ or scene.categories.held_out]
+        possible = [
+            split
+            for split in splits
+            if (scene.categories.held_out or not split.is_held_out)
+            and (scene.layouts is not None or not split.is_unseen_scene)
+        ]
         if possible:
             shares = _shares(plan.splits_of(scene), possible)
             scenes.append(scene.model_copy(update={"splits": shares}))
