@@ -13,7 +13,7 @@ from pydantic import Field, InstanceOf
 
 from schemas.scene_plan import ScenePlan
 from schemas.support.apportion import apportion, webster_sequence
-from schemas.terms import Split, Tier, layout_name
+from schemas.terms import Split, Tier, layout_name, layout_number
 
 Cell = tuple[Split, Tier]
 Cells = dict[Cell, int]
@@ -32,6 +32,15 @@ class LayoutPlan(ScenePlan):
     def quota(self) -> Cells:
         """Number of episodes of each cell in this layout."""
         return {cell: len(places) for cell, places in self.places.items()}
+
+    @property
+    def is_unseen(self) -> bool:
+        """Whether only the unseen-scene splits use the layout."""
+        return any(split.is_unseen_scene for split, _ in self.places)
+
+    def as_scene(self) -> ScenePlan:
+        """Returns the entry of the first seed of the layout as a fixed scene."""
+        return ScenePlan.model_construct(**{name: getattr(self, name) for name in ScenePlan.model_fields})
 
     def seeds(self, tries: int) -> Iterator[int]:
         """Yields the seeds to try, in order; no other layout of the family tries one of them."""
@@ -72,9 +81,11 @@ def layouts_of(scene: ScenePlan, splits: Mapping[Split, float], tiers: Mapping[T
         starts[split.is_held_out] += count
     shared = {name: getattr(scene, name) for name in ScenePlan.model_fields}
     shared |= {"layouts": None, "unseen_layouts": None, "family": scene}
+    shares = {is_unseen: {"splits": _splits_of_kind(splits, is_unseen)} for is_unseen in groups}
     return tuple(
         LayoutPlan.model_construct(
             **shared
+            | shares[number >= layouts - unseen]
             | {"name": layout_name(scene.name, scene.seed + number), "seed": scene.seed + number}
             | {"episodes": sum(map(len, cells.values())), "places": cells}
         )
@@ -103,28 +114,42 @@ def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator
         scene: entry of a scene or of a family.
         splits: fractions of the splits that apply to it.
     """
-    unseen_share = sum(share for split, share in splits.items() if split.is_unseen_scene)
-    if scene.layouts is None:
-        if unseen_share > 0:
+    has_unseen = any(share > 0 and split.is_unseen_scene for split, share in splits.items())
+    if scene.layouts is None or not has_unseen:
+        is_layout = layout_number(scene.name) is not None
+        if has_unseen and is_layout and not all(split.is_unseen_scene for split, share in splits.items() if share > 0):
+            yield "one layout has either the splits test_unseen_scene* or others; set the shares of one kind to 0"
+        if has_unseen and not is_layout:
             yield "the splits test_unseen_scene* need `layouts`; set their shares of this scene to 0"
-        return
-    if unseen_share <= 0:
         if scene.unseen_layouts is not None:
             yield "`unseen_layouts` is for the splits test_unseen_scene*, whose shares are 0"
         return
-    is_mixed = unseen_share < 1 - 1e-9
-    if scene.layouts < 2 and is_mixed:
-        yield "the splits test_unseen_scene* next to others need at least 2 `layouts`"
-        return
     unseen = unseen_layouts(scene, splits)
-    if is_mixed and unseen >= scene.layouts:
-        yield f"{unseen} unseen_layouts of {scene.layouts} layouts leave none to the other splits"
-        return
-    counts = apportion({key: share for key, share in splits.items() if share > 0}, scene.episodes)
-    held_back = sum(count for split, count in counts.items() if split.is_unseen_scene)
+    unseen_episodes = _unseen_episodes(splits, scene.episodes)
     for name, episodes, layouts in (
-        ("test_unseen_scene*", held_back, unseen),
-        ("other", scene.episodes - held_back, scene.layouts - unseen),
+        ("test_unseen_scene*", unseen_episodes, unseen),
+        ("other", scene.episodes - unseen_episodes, scene.layouts - unseen),
     ):
-        if episodes < layouts:
-            yield f"{episodes} episodes of the {name} splits are fewer than their {layouts} layouts"
+        if episodes and not 0 < layouts <= episodes:
+            yield f"{episodes} episodes of the {name} splits need 1 to {episodes} layouts, not {layouts}"
+
+
+def with_episodes(scene: ScenePlan, splits: Mapping[Split, float], episodes: int) -> ScenePlan:
+    """Returns an entry with another number of episodes; a family has fewer layouts where it has too few episodes."""
+    if scene.layouts is None:
+        return scene.model_copy(update={"episodes": episodes})
+    held_back, unseen = _unseen_episodes(splits, episodes), unseen_layouts(scene, splits)
+    fewer = min(unseen, held_back)
+    layouts = fewer + min(scene.layouts - unseen, episodes - held_back)
+    return scene.model_copy(update={"episodes": episodes, "layouts": layouts, "unseen_layouts": fewer or None})
+
+
+def _splits_of_kind(splits: Mapping[Split, float], is_unseen: bool) -> dict[Split, float]:
+    kept = {split: share for split, share in splits.items() if split.is_unseen_scene is is_unseen and share > 0}
+    total = sum(kept.values())
+    return {split: share / total for split, share in kept.items()}
+
+
+def _unseen_episodes(splits: Mapping[Split, float], episodes: int) -> int:
+    counts = apportion({key: share for key, share in splits.items() if share > 0}, episodes)
+    return sum(count for split, count in counts.items() if split.is_unseen_scene)

@@ -29,7 +29,7 @@ from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-from schemas.terms import BUILTIN_CATEGORIES, Recording, family_of
+from schemas.terms import BUILTIN_CATEGORIES, Recording, family_of, layout_number
 
 MessageCallback = Callable[[str], None]
 _PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
@@ -120,12 +120,14 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
 def write_target_lists(catalog: Catalog, root: Place) -> None:
     """Writes `targets_<scene>.yaml` next to the scene packages of a dataset, for people; keeps existing files.
 
+    Layouts have none: a plan edits the targets of single scenes only.
+
     Raises:
         WorldError: A file cannot be written.
     """
     for name, entry in catalog.items():
         path = root / SCENES / list_file_name(name)
-        if path.exists():
+        if layout_number(name) is not None or path.exists():
             continue
         text = format_target_list(entry.info)
         if isinstance(path, ObjectPath):
