@@ -7,7 +7,7 @@ nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -56,7 +56,12 @@ def open_catalog(
 
 
 def collect_scenes(
-    plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None, builds: LayoutBuilds | None = None
+    plan: Plan,
+    root: Place,
+    cache: Path,
+    tell: MessageCallback = lambda _: None,
+    builds: LayoutBuilds | None = None,
+    only: Collection[str] | None = None,
 ) -> Catalog:
     """Returns the scenes of a plan without checking that the fixed ones can fulfil it.
 
@@ -66,6 +71,7 @@ def collect_scenes(
         cache: Folder in which new packages are built.
         tell: Called with the name of each scene before it is built or compiled.
         builds: Settings of the builds of layouts; `None` builds them in this process.
+        only: Names of the scenes to return; `None` returns all.
 
     Raises:
         InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene, or a layout
@@ -76,7 +82,8 @@ def collect_scenes(
     require_files(plan, held)
     found: dict[str, Path] = {}
     missing: list[str] = []
-    for part in plan.parts:
+    parts = [part for part in plan.parts if only is None or part.name in only]
+    for part in parts:
         if part.name in held:
             found[part.name] = package_file(held[part.name])
         elif isinstance(part, LayoutPlan):
@@ -85,7 +92,7 @@ def collect_scenes(
             found[part.name] = _make(part, cache, partial(tell, part.name))
     builds = builds or LayoutBuilds()
     found |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
-    return with_light(plan, {part.name: read_entry(found[part.name]) for part in plan.parts})
+    return with_light(plan, {part.name: read_entry(found[part.name]) for part in parts})
 
 
 def with_light(plan: Plan, catalog: Catalog) -> Catalog:

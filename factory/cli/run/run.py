@@ -6,12 +6,12 @@ import os
 from typing import Any
 
 import click
-from rich.progress import TaskID
 
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     out_option,
     plan_argument,
@@ -25,7 +25,6 @@ from factory.cli.common.output import json_option, print_result, say_building, s
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
-from factory.runs.layouts import BuiltLayout, LayoutBuilds
 from factory.runs.local import LocalRun, run_locally
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -69,9 +68,8 @@ def command(
     warn_of_empty_splits(plan)
     processes = workers or os.cpu_count() or 1
     with stop_on_signals() as (stop, _):
-        with LayoutBar() as builds:
-            wanted = LayoutBuilds(processes, stop, builds.tell)
-            catalog = open_catalog(plan, site.place, scene_cache(), say_building, wanted)
+        with building_layouts(processes, stop) as builds:
+            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds)
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -86,20 +84,6 @@ def command(
     print_result(summary, as_json, print_summary)
     say_missing(site, progress)
     return 1 if progress.missing else 0
-
-
-class LayoutBar(Bars):
-    """Progress bar of the builds of layouts; prints why a seed was not used."""
-
-    _task: TaskID | None = None
-
-    def tell(self, built: BuiltLayout, total: int) -> None:
-        """Updates the bar."""
-        for line in built.refused:
-            click.echo(f"note: {built.name} has another seed: {line}", err=True)
-        if self._task is None:
-            self._task = self.add_task("layouts", total=total)
-        self.update(self._task, advance=1, note=built.name)
 
 
 class RunBar(Bars):
