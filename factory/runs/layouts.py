@@ -14,9 +14,9 @@ from pathlib import Path
 from coordinator.expansion.catalog import read_entry
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
-from factory.export.execution.pool import run_tasks
 from factory.scenes.build import build_scene
 from factory.scenes.rules import load_rules
+from factory.support.task_pool import run_tasks
 from schemas.errors import InvalidPlan, LayoutError
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan
