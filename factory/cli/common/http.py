@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from coordinator.status.address import parse_address
 from coordinator.status.health import StatusSource
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
@@ -61,18 +62,20 @@ def status_pages(source: StatusSource, http: str | None, token_file: Path | None
             raise UsageError("--http-token requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
         yield
         return
-    from coordinator.status.server import (
-        StatusServer,  # its packages are an extra
-        parse_address,
-    )
+    from coordinator.status.server import StatusServer  # its packages are an extra
 
-    token = _read_token(token_file) if token_file is not None else None
+    token = read_token(token_file) if token_file is not None else None
     with StatusServer(parse_address(http, token), source, token) as server:
         click.echo(f"status pages on {server.url}/metrics", err=True)
         yield
 
 
-def _read_token(path: Path) -> str:
+def read_token(path: Path) -> str:
+    """Returns the token in the first line of a file.
+
+    Raises:
+        UsageError: the file cannot be read.
+    """
     try:
         return path.read_text(encoding="ascii").partition("\n")[0].strip()
     except (OSError, UnicodeDecodeError) as error:

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import split_filter
 from factory.cli.common.options import former_option, place_argument, rig_option, workers_option, write_option
-from factory.cli.common.output import json_option, print_result, say_duration, stderr
+from factory.cli.common.output import json_option, print_result, stderr
 from factory.export.base import Options
 from factory.export.execution.estimate import ExportEstimate, estimate_export
 from factory.export.execution.report import ExportReport
@@ -23,6 +23,7 @@ from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.execution.selection import parse_episodes
 from factory.export.registry import EXPORTERS, check_format, find_exporter
 from factory.support.logs import configure_logs
+from factory.support.text import say_duration
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals

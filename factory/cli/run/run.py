@@ -20,13 +20,14 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_building, say_duration
+from factory.cli.common.output import json_option, print_result, say_building
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
 from factory.runs.local import LocalRun, run_locally
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
+from factory.support.text import say_duration
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
 from schemas.support.extras import require_package
