@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from http import HTTPStatus
 from pathlib import Path
 
@@ -17,22 +17,29 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from coordinator.status.address import HttpAddress
+from factory.dataset.marks import Marks
 from factory.html import render
 from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
 from factory.web.context import WebContext, page
 from factory.web.forms import read_form
+from factory.web.frames import FrameStore
 from factory.web.guard import Guard, signed_in
-from factory.web.pages import farm
+from factory.web.pages import episode, episodes, farm, operations, scenes, statistics
 from factory.web.workspace import Workspace
-from schemas.errors import FactoryError
+from schemas.errors import FactoryError, UsageError
+from schemas.protocol.administration import AdminReply, AdminRequest
 
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 
 
 def create_app(
-    workspace: Workspace, address: HttpAddress, access: Access, more_routes: Iterable[BaseRoute] = ()
+    workspace: Workspace,
+    address: HttpAddress,
+    access: Access,
+    administer: Callable[[AdminRequest], AdminReply],
+    more_routes: Iterable[BaseRoute] = (),
 ) -> ASGIApp:
     """Returns the application of a dataset.
 
@@ -40,6 +47,7 @@ def create_app(
         workspace: the dataset and its run.
         address: configured address of the server.
         access: token and reading rights.
+        administer: function that executes an admin request on the run.
         more_routes: further routes, for example the status pages of a coordinator.
     """
     app = Starlette(
@@ -48,11 +56,12 @@ def create_app(
             Route("/static/page.css", style),
             Mount("/static", StaticFiles(directory=_STATIC)),
             *farm.routes(workspace),
+            *(route for module in (episodes, episode, scenes, statistics, operations) for route in module.routes()),
             *more_routes,
         ],
         exception_handlers={HTTPException: _say_http, FactoryError: _say_failure, Exception: _say_bug},
     )
-    app.state.context = WebContext(workspace)
+    app.state.context = WebContext(workspace, Marks(workspace.site), FrameStore(workspace), administer)
     return Guard(app, address, access)
 
 
@@ -83,7 +92,7 @@ def _say_http(request: Request, error: Exception) -> Response:
 
 
 def _say_failure(request: Request, error: Exception) -> Response:
-    return _message(request, 503, str(error))
+    return _message(request, 400 if isinstance(error, UsageError) else 503, str(error))
 
 
 def _say_bug(request: Request, error: Exception) -> Response:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
+from factory.dataset.marks import Marks
 from factory.html import render
+from factory.web.figures import StatisticsStore
+from factory.web.floors import FloorStore
+from factory.web.frames import FrameStore
+from factory.web.table import Tables
 from factory.web.workspace import Workspace
+from schemas.protocol.administration import AdminReply, AdminRequest
 
 NAVIGATION = (("/", "Farm"), ("/episodes", "Episodes"), ("/scenes", "Scenes"), ("/statistics", "Statistics"))
 """Paths and titles of the pages."""
@@ -20,6 +27,18 @@ class WebContext:
 
     workspace: Workspace
     """The dataset and its run."""
+    marks: Marks
+    """Flags and notes."""
+    frames: FrameStore
+    """Encoded frames."""
+    administer: Callable[[AdminRequest], AdminReply]
+    """Executes an admin request on the run."""
+    tables: Tables = field(default_factory=Tables)
+    """Table of the episodes."""
+    floors: FloorStore = field(default_factory=FloorStore)
+    """Maps of the scenes."""
+    statistics: StatisticsStore = field(default_factory=StatisticsStore)
+    """Figures of the report."""
 
 
 def context_of(request: Request) -> WebContext:
@@ -52,3 +71,10 @@ def page(request: Request, template: str, title: str, status: int = 200, **value
         **values,
     )
     return HTMLResponse(text, status)
+
+
+def svg_image(svg: str) -> Response:
+    """Returns an SVG image. It may contain a style, but neither scripts nor references."""
+    policy = "default-src 'none'; style-src 'unsafe-inline'"
+    headers = {"content-security-policy": policy, "cache-control": "private, max-age=60"}
+    return Response(svg, media_type="image/svg+xml", headers=headers)

@@ -15,6 +15,7 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.outcomes import SUCCESS
+from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
 from coordinator.ledger.tables import attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts
 
@@ -88,6 +89,10 @@ class FarmReading:
     """Newest events, newest first."""
     history: tuple[Interval, ...]
     """Recent attempts over time, oldest first; empty without attempts."""
+    paused: bool
+    """Whether no job may be leased until an operator resumes the run."""
+    requests: tuple[RecordedRequest, ...]
+    """Newest admin requests, newest first."""
 
 
 def read_farm(connection: Connection, now: datetime) -> FarmReading:
@@ -100,6 +105,8 @@ def read_farm(connection: Connection, now: datetime) -> FarmReading:
         frames_per_s=_rates(recent, now.timestamp()),
         events=_events(connection),
         history=_history(recent),
+        paused=is_paused(connection),
+        requests=read_requests(connection)[::-1],
     )
 
 

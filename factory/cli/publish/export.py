@@ -16,6 +16,7 @@ from factory.cli.common.bars import Bars
 from factory.cli.common.filters import split_filter
 from factory.cli.common.options import former_option, place_argument, rig_option, workers_option, write_option
 from factory.cli.common.output import json_option, print_result, stderr
+from factory.dataset.marks import excluded_in
 from factory.export.base import Options
 from factory.export.execution.estimate import ExportEstimate, estimate_export
 from factory.export.execution.report import ExportReport
@@ -84,6 +85,13 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
     "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
 )
 @former_option("--episodes", "episodes", "--episode")
+@click.option(
+    "--exclude",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Leave out the flagged episodes of marks.json (see `factory serve`), or the ids in a text file, one on each "
+    "line. Default: none.",
+)
 @rig_option("Export the sensors of a rig. Default: the recorded camera.")
 @workers_option("Number of processes")
 @click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write no files.")
@@ -95,6 +103,7 @@ def command(
     out: Path,
     splits: tuple[str, ...] | None,
     episodes: str | None,
+    exclude: Path | None,
     rig: str | None,
     workers: int | None,
     dry_run: bool,
@@ -115,6 +124,7 @@ def command(
         options=_options(format_name, chosen),
         splits=splits or (),
         episodes=tuple(parse_episodes(episodes)) if episodes else (),
+        excluded=tuple(excluded_in(exclude)) if exclude else (),
         workers=workers or os.cpu_count() or 1,
         rig=rig,
     )

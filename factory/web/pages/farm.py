@@ -88,6 +88,8 @@ def draw_fragment(workspace: Workspace) -> str:
         chart=_chart(reading),
         events=[(say_time(event.at, farm.at), episode_id(event.index), event) for event in reading.events],
         disk=_disk(workspace),
+        paused=reading.paused,
+        requests=[(say_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
     )
 
 
