@@ -50,7 +50,8 @@ class Floor:
             ".wall { fill: var(--wall) }"
         )
         paths = "".join(f'<path class="{name}" fill-rule="evenodd" d="{data}"/>' for name, data in self.paths)
-        return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{view_box or self.view_box}"><style>{style}</style>{paths}</svg>'
+        head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{view_box or self.view_box}">'
+        return f"{head}<style>{style}</style>{paths}</svg>"
 
 
 class FloorStore:

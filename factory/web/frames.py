@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -104,15 +103,13 @@ class FrameStore:
 
     def _encode(self, episode: Episode, key: FrameKey) -> bytes:
         step = 2 if key.is_small else 1
-        is_stored = episode.meta.job.record is Recording.FRAMES
-        if key.kind == "rgb" and step == 1 and is_stored:
+        if episode.meta.job.record is not Recording.FRAMES:
+            image = np.asarray(getattr(self._frame(episode, key.t), key.kind))
+        elif key.kind == "rgb" and step == 1:
             return episode.stored(f"rgb_front/{key.t:06d}.png")
-        read: Callable[[str], object] = (
-            (lambda kind: getattr(episode, kind)(key.t))
-            if is_stored
-            else (lambda kind: getattr(self._frame(episode, key.t), kind))
-        )
-        image = np.asarray(read(key.kind))[::step, ::step]
+        else:
+            image = getattr(episode, key.kind)(key.t)
+        image = image[::step, ::step]
         if key.kind == "depth":
             image = show_depth(image)
         elif key.kind == "ids":
@@ -132,7 +129,7 @@ class FrameStore:
         if is_mine:
             try:
                 future.set_result(episode.frame(t))
-            except BaseException as error:
+            except Exception as error:  # noqa: BLE001 - raised by the future
                 future.set_exception(error)
                 with self._lock:
                     self._rendered.pop(key, None)

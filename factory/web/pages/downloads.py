@@ -20,6 +20,7 @@ from factory.dataset.packages import find_package_file
 from factory.export.mcap.exporter import McapExporter, McapOptions
 from factory.visualize.film import draw_film, film_rate, write_mp4
 from factory.web.context import context_of
+from factory.web.pages.find import find_episode
 from schemas.scene import decode_scene
 
 _AT_ONCE = 1
@@ -30,8 +31,6 @@ _making = threading.BoundedSemaphore(_AT_ONCE)
 
 def download(request: Request) -> Response:
     """Answers with a file of the episode."""
-    from factory.web.pages.episode import find_episode
-
     kind = request.path_params["kind"]
     if kind not in DOWNLOADS:
         raise HTTPException(404, f"{kind[:40]!r} is not a download; valid: {', '.join(DOWNLOADS)}")

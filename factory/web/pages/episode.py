@@ -19,9 +19,9 @@ from factory.web.charts import draw_lines
 from factory.web.context import WebContext, context_of, page
 from factory.web.forms import read_form
 from factory.web.pages.downloads import DOWNLOADS, download
+from factory.web.pages.find import find_episode
 from factory.web.pages.frame import show_frame, show_mask
 from factory.web.table import EpisodeTable
-from schemas.job import index_of_file
 from schemas.measure import Goal
 
 _RIM_M = 1.5
@@ -62,20 +62,6 @@ class TrackView:
     def view_box(self) -> str:
         """View box of the map."""
         return f"{self.box[0]} {self.box[1]} {self.box[2]} {self.box[2]}"
-
-
-def find_episode(context: WebContext, episode_id: str) -> Episode:
-    """Returns an episode of the dataset.
-
-    Raises:
-        HTTPException: the dataset has no such episode; the message names the nearest one.
-    """
-    try:
-        return context.frames.episode(episode_id)
-    except KeyError as error:
-        near = _nearest(context, episode_id)
-        text = f"the dataset has no episode {episode_id[:80]!r}" + (f"; the nearest one is {near}" if near else "")
-        raise HTTPException(404, text) from error
 
 
 def show(request: Request) -> Response:
@@ -130,15 +116,6 @@ def list_objects(request: Request) -> Response:
         key = ",".join(map(str, colour))
         found[key] = f"{found[key]} or {name}" if key in found else name
     return JSONResponse(found)
-
-
-def _nearest(context: WebContext, episode_id: str) -> str:
-    dataset = context.workspace.dataset()
-    wanted = index_of_file(f"{episode_id}.zip")
-    digits = "".join(filter(str.isdigit, episode_id[:40]))
-    number = wanted or int(digits or 0)
-    indices = dataset.column("index").to_numpy(zero_copy_only=False)
-    return str(dataset.column("episode_id")[int(np.abs(indices - number).argmin())]) if len(indices) else ""
 
 
 def _neighbours(context: WebContext, index: int) -> list[tuple[str, str]]:

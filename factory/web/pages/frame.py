@@ -13,6 +13,8 @@ from factory.html.palette import COLOURS
 from factory.web.charts import draw_lines
 from factory.web.context import context_of, svg_image
 from factory.web.frames import KINDS, FrameKey, TooBusy
+from factory.web.pages.find import find_episode
+from schemas.terms import Recording
 
 _MASKS = 40
 """Number of frames whose mask is measured."""
@@ -40,16 +42,12 @@ async def show_frame(request: Request) -> Response:
 
 def show_mask(request: Request) -> Response:
     """Answers with a plot of the share of the frame that the target covers."""
-    from factory.web.pages.episode import find_episode
-
     episode = find_episode(context_of(request), request.path_params["episode_id"])
     target, last = episode.meta.target_instance_id, len(episode) - 1
     steps = np.unique(np.linspace(0, last, min(last + 1, _MASKS)).round().astype(int)).tolist()
-    has_frames = episode.meta.job.record == "frames"
-    shares = [
-        100 * float(np.mean((episode.ids(t) if has_frames else episode.frame(t, _MASK_PX).ids) == target))
-        for t in steps
-    ]
+    has_frames = episode.meta.job.record is Recording.FRAMES
+    masks = ((episode.ids(t) if has_frames else episode.frame(t, _MASK_PX).ids) == target for t in steps)
+    shares = [100 * float(np.mean(mask)) for mask in masks]
     drawing = draw_lines("mask of the target", "% of the frame", shares, last / episode.meta.job.task.control_hz)
     middle, line = "#7d8794", COLOURS["scene1"][1]  # readable on both backgrounds
     style = (
@@ -57,4 +55,4 @@ def show_mask(request: Request) -> Response:
         f".line {{ fill: none; stroke: {line}; stroke-width: 1.5 }} .cursor {{ display: none }}</style>"
     )
     head, _, rest = drawing.partition(">")
-    return svg_image(f"{head.replace('<svg', '<svg xmlns="http://www.w3.org/2000/svg"', 1)}>{style}{rest}")
+    return svg_image(f'{head} xmlns="http://www.w3.org/2000/svg">{style}{rest}')
