@@ -8,8 +8,8 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-WIDTH, HEIGHT = 600, 120
-"""Size of a chart, units of its view box."""
+WIDTH, WIDE, HEIGHT = 600, 1200, 120
+"""Widths of a line chart and of a column chart, and their height, units of the view box."""
 _LEFT, _TOP, _BOTTOM = 46, 8, 18
 _MOST_POINTS = 600
 
@@ -53,7 +53,7 @@ def draw_columns(title: str, columns: Sequence[Mapping[str, int]], first: str, l
         last: label of the last interval.
     """
     most = max((sum(column.values()) for column in columns), default=0) or 1
-    wide = (WIDTH - _LEFT - 4) / max(1, len(columns))
+    wide = (WIDE - _LEFT - 4) / max(1, len(columns))
     room = HEIGHT - _TOP - _BOTTOM
     bars = []
     for place, column in enumerate(columns):
@@ -66,17 +66,17 @@ def draw_columns(title: str, columns: Sequence[Mapping[str, int]], first: str, l
                 f'width="{max(1.0, wide - 1):.1f}" height="{tall:.1f}"><title>{count} {escape(series)}</title></rect>'
             )
     return (
-        f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}, at most {most}">'
-        f"{_axes('0', str(most), first, last)}{''.join(bars)}</svg>"
+        f'<svg class="chart" viewBox="0 0 {WIDE} {HEIGHT}" role="img" aria-label="{escape(title)}, at most {most}">'
+        f"{_axes('0', str(most), first, last, WIDE)}{''.join(bars)}</svg>"
     )
 
 
-def _axes(low: str, high: str, first: str, last: str) -> str:
+def _axes(low: str, high: str, first: str, last: str, width: int = WIDTH) -> str:
     base = HEIGHT - _BOTTOM
     return (
-        f'<path class="axis" d="M{_LEFT} {_TOP}V{base}H{WIDTH - 4}"/>'
+        f'<path class="axis" d="M{_LEFT} {_TOP}V{base}H{width - 4}"/>'
         f'<text x="{_LEFT - 5}" y="{_TOP + 9}" text-anchor="end">{escape(high)}</text>'
         f'<text x="{_LEFT - 5}" y="{base}" text-anchor="end">{escape(low)}</text>'
         f'<text x="{_LEFT}" y="{HEIGHT - 4}">{escape(first)}</text>'
-        f'<text x="{WIDTH - 4}" y="{HEIGHT - 4}" text-anchor="end">{escape(last)}</text>'
+        f'<text x="{width - 4}" y="{HEIGHT - 4}" text-anchor="end">{escape(last)}</text>'
     )

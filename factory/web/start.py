@@ -32,7 +32,7 @@ def serve(
     administer: Callable[[AdminRequest], AdminReply] | None = None,
     more_routes: Iterable[BaseRoute] = (),
 ) -> Iterator[str]:
-    """Serves the web page of a dataset while the context is open; yields its URL with the token.
+    """Serves the web page of a dataset while the context is open; yields its URL, with the token if it was chosen here.
 
     Args:
         site: location of the dataset.
@@ -57,4 +57,4 @@ def serve(
 
     app = create_app(Workspace(site, ledger), address, access, administer or ask, more_routes)
     with WebServer(app, address, files) as server:
-        yield f"{server.url}/?token={access.token}"
+        yield server.url + ("" if token else f"/?token={access.token}")

@@ -67,6 +67,8 @@ class Interval:
 
     begin: datetime
     """Begin of the interval, UTC."""
+    end: datetime
+    """End of the interval, UTC."""
     archived: int
     """Number of successful attempts."""
     failures: dict[str, int]
@@ -160,6 +162,7 @@ def _history(recent: list[Any] | Any) -> tuple[Interval, ...]:
     return tuple(
         Interval(
             datetime.fromtimestamp(first + place * width, UTC),
+            datetime.fromtimestamp(min(first + (place + 1) * width, last), UTC),
             count[SUCCESS],
             {outcome: number for outcome, number in sorted(count.items()) if outcome != SUCCESS},
         )

@@ -139,7 +139,7 @@ def _state_of(worker: WorkerStatus, progress: Progress) -> str:
 def _chart(reading: FarmReading) -> str:
     if not reading.history:
         return ""
-    first, last = reading.history[0].begin, reading.history[-1].begin
+    first, last = reading.history[0].begin, reading.history[-1].end
     columns = [{"archived": one.archived, **one.failures} for one in reading.history]
     return draw_columns("Attempts that ended, over time", columns, _clock(first), _clock(last))
 
