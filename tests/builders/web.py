@@ -41,7 +41,7 @@ class WebClient:
 
     def ask(self, path: str, method: str = "GET", body: str | None = None, **headers: str) -> WebReply:
         """Sends a request; `sec_fetch_site` is the header `Sec-Fetch-Site`."""
-        connection = http.client.HTTPConnection(self.host, timeout=60)
+        connection = http.client.HTTPConnection(self.host, timeout=600)
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, body, {"Accept": "text/html", **named})
         reply = connection.getresponse()
