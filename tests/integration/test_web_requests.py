@@ -148,7 +148,6 @@ def test_a_damaged_episode_is_named_and_the_others_are_shown(tmp_path):
         assert client.ask("/episodes/ep_000002/frames/0.png").status == 200
 
 
-
 @pytest.fixture
 def coordinator(tmp_path: Path) -> Iterator[Coordinator]:
     settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0)
@@ -220,7 +219,6 @@ def test_tabs_receive_the_page_when_it_has_changed(coordinator, farm):
         while b"The run is paused" not in received:
             received += tab.recv(65536)
     assert b"text/event-stream" in received
-
 
 
 @pytest.mark.parametrize(
