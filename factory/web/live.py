@@ -35,7 +35,7 @@ class LiveFeed:
             await send({"type": "http.response.body", "body": b"too many open tabs\n"})
             return
         self._tabs += 1
-        if self._poller is None:
+        if self._poller is None or self._poller.done():
             self._poller = asyncio.create_task(self._poll())
         sending = asyncio.create_task(self._send_all(send))
         try:

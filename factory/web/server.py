@@ -10,6 +10,7 @@ import ssl
 import threading
 from typing import Any
 
+import h11
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -19,7 +20,7 @@ from schemas.protocol.identity import TlsFiles
 from schemas.support.closing import Closing
 
 _REQUEST_S = 5.0
-"""Timeout for receiving the head of a request, seconds."""
+"""Timeout for receiving a request with its form, seconds."""
 _STALLED_S = 20.0
 """Time after which a client that receives nothing of a waiting reply is disconnected, seconds."""
 _MOST_CONNECTIONS = 512
@@ -72,16 +73,22 @@ class WebServer(Closing):
 
 
 class _PatientProtocol(H11Protocol):
-    """HTTP protocol that closes connections without a request and connections whose client stops reading."""
+    """HTTP protocol with deadlines for receiving a request and for a client that stops reading."""
+
+    _receiving: asyncio.TimerHandle | None = None
+    _stalled: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._patience = self.loop.call_later(_REQUEST_S, self._expire)
-        self._stalled: asyncio.TimerHandle | None = None
+        self._receiving = self.loop.call_later(_REQUEST_S, transport.abort)
 
-    def _expire(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():
-            self.transport.abort()
+    def data_received(self, data: bytes) -> None:
+        if self._receiving is None:
+            self._receiving = self.loop.call_later(_REQUEST_S, self.transport.abort)
+        super().data_received(data)
+        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
+            self._receiving.cancel()
+            self._receiving = None
 
     def pause_writing(self) -> None:
         super().pause_writing()
@@ -93,9 +100,9 @@ class _PatientProtocol(H11Protocol):
             self._stalled.cancel()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._patience.cancel()
-        if self._stalled is not None:
-            self._stalled.cancel()
+        for timer in (self._receiving, self._stalled):
+            if timer is not None:
+                timer.cancel()
         super().connection_lost(exc)
 
 
