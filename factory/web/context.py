@@ -58,12 +58,13 @@ def page(request: Request, template: str, title: str, status: int = 200, **value
         values: further values of the template.
     """
     scope = request.scope
-    path = request.url.path
+    path, place = request.url.path, str(context_of(request).workspace.site)
     here = next((at for at, _ in reversed(NAVIGATION) if path == at or path.startswith(f"{at.rstrip('/')}/")), "")
     text = render(
         f"web/{template}.html",
         title=title,
-        run=str(context_of(request).workspace.site),
+        place=place,
+        run=place.rstrip("/").rpartition("/")[2] or place,
         navigation=NAVIGATION,
         here=here if path != "/" else "/",
         may_change=scope["may_change"],

@@ -42,6 +42,10 @@ async function show(t) {
     clock.value = `step ${t} cannot be shown`;
     return;
   }
+  mark(t);
+}
+
+function mark(t) {
   const [x, y, turn] = poses[t];
   robot.setAttribute("transform", `translate(${x} ${y}) rotate(${turn})`);
   for (const chart of document.querySelectorAll("svg.chart[data-left]")) {
@@ -85,6 +89,7 @@ play.addEventListener("click", toggle);
 document.getElementById("step").addEventListener("click", () => show(Math.min(last, shown + 1)));
 time.addEventListener("input", () => show(Number(time.value)));
 document.querySelector(".player").hidden = false;
+mark(shown);
 
 const canvas = document.createElement("canvas");
 const pen = canvas.getContext("2d", { willReadFrequently: true });
