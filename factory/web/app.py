@@ -24,7 +24,7 @@ from factory.web.access import Access
 from factory.web.context import WebContext, page
 from factory.web.forms import read_form
 from factory.web.frames import FrameStore
-from factory.web.guard import Guard, signed_in
+from factory.web.guard import RequestGuard, signed_in
 from factory.web.pages import episode, episodes, farm, operations, scenes, statistics
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError, UsageError
@@ -62,7 +62,7 @@ def create_app(
         exception_handlers={HTTPException: _say_http, FactoryError: _say_failure, Exception: _say_bug},
     )
     app.state.context = WebContext(workspace, Marks(workspace.site), FrameStore(workspace), administer)
-    return Guard(app, address, access)
+    return RequestGuard(app, address, access)
 
 
 def style(_request: Request) -> Response:

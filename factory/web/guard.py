@@ -37,7 +37,7 @@ _HEADERS = {
 }
 
 
-class Guard:
+class RequestGuard:
     """ASGI middleware with the access rules of one server.
 
     Args:

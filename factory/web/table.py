@@ -187,7 +187,10 @@ def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:
     if not pa.types.is_dictionary(column.type):
         return _as_mask(match(column.cast(pa.string())))
     held = _as_mask(match(column.dictionary.cast(pa.string())))
-    return np.append(held, False)[column.indices.fill_null(len(held)).to_numpy(zero_copy_only=False)]
+    found: NDArray[np.bool_] = np.append(held, False)[
+        column.indices.fill_null(len(held)).to_numpy(zero_copy_only=False)
+    ]
+    return found
 
 
 def _as_mask(found: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:

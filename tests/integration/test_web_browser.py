@@ -62,14 +62,16 @@ def tab(
     """Yields a page that is logged in; any message of the console is an error."""
     viewport = {"width": width, "height": 900}
     context = browser.new_context(viewport=viewport, color_scheme=scheme, java_script_enabled=script)
-    context.set_default_timeout(300_000)
+    context.set_default_timeout(60_000)
     page = context.new_page()
     messages: list[str] = []
     page.on("pageerror", lambda error: messages.append(str(error)))
     page.on("console", lambda line: messages.append(line.text) if "Content Security Policy" in line.text else None)
     page.goto(f"{client.url}/?token={client.token}")
-    yield page
-    context.close()
+    try:
+        yield page
+    finally:
+        context.close()
     assert messages == []
 
 

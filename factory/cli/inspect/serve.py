@@ -41,9 +41,9 @@ _DEFAULT = "127.0.0.1:8080"
 def command(
     site: Site, http: str, http_token: Path | None, tls: Path | None, ledger: str | None, verbose: bool
 ) -> None:
-    """Serve the web page of a dataset and its run, until Ctrl-C.
+    """Serve the web page of a dataset and its run.
 
-    Shows progress, workers, failures, episodes, scenes and statistics of a running or finished dataset. The printed
+    Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished dataset. The printed
     URL contains the token, with which flags, notes and jobs can be changed.
     """
     configure_logs(verbose)

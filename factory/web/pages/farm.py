@@ -27,7 +27,7 @@ _STATES = ("archived", "submitted", "leased", "pending", "failed", "cancelled")
 
 
 @dataclass(frozen=True)
-class CellRow:
+class QuotaRow:
     """Row of the matrix of cells."""
 
     scene: str
@@ -109,9 +109,9 @@ def _tiles(farm: Farm) -> list[tuple[str, str, str]]:
     ]
 
 
-def _cells(reading: FarmReading) -> Iterator[CellRow]:
+def _cells(reading: FarmReading) -> Iterator[QuotaRow]:
     for (scene, tier, split), counts in reading.cells.items():
-        yield CellRow(scene, tier, split, sum(counts.values()), tuple(counts.get(state, 0) for state in _STATES))
+        yield QuotaRow(scene, tier, split, sum(counts.values()), tuple(counts.get(state, 0) for state in _STATES))
 
 
 def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:
