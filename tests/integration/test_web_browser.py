@@ -107,7 +107,8 @@ def test_the_pointer_names_the_object_and_a_note_is_stored(browser, client, data
         page.wait_for_function("document.getElementById('object').textContent.length > 2")
         page.check("input[name=flagged]")
         page.fill("textarea[name=note]", "seen in a browser")
-        page.click("#mark button")
+        with page.expect_navigation():
+            page.click("#mark button")
         page.goto(f"{client.url}/episodes?flagged=1")
         assert "seen in a browser" in page.locator("main").inner_text()
     (data / "marks.json").unlink()

@@ -43,8 +43,8 @@ def command(
 ) -> None:
     """Serve the web page of a dataset and its run.
 
-    Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished dataset. The printed
-    URL contains the token, with which flags, notes and jobs can be changed.
+    Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished
+    dataset. The printed URL contains the token, with which flags, notes and jobs can be changed.
     """
     configure_logs(verbose)
     for package in ("starlette", "uvicorn", "sqlalchemy"):

@@ -89,6 +89,7 @@ play.addEventListener("click", toggle);
 document.getElementById("step").addEventListener("click", () => show(Math.min(last, shown + 1)));
 time.addEventListener("input", () => show(Number(time.value)));
 document.querySelector(".player").hidden = false;
+document.getElementById("steps").hidden = true;
 mark(shown);
 
 const canvas = document.createElement("canvas");
