@@ -17,7 +17,7 @@ from factory.cli.common.admission import open_door
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.http import http_options, status_pages
+from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
@@ -131,7 +131,7 @@ def start(
         )
         with (
             Coordinator(site.home, plan, catalog, options) as coordinator,
-            status_pages(coordinator.health, http, http_token),
+            run_pages(coordinator, site, http, http_token, ledger),
         ):
             write_target_lists(catalog, site.place)
             _say_endpoints(coordinator, plan, site, guard)

@@ -62,6 +62,8 @@ class ExportOrder:
     """Selected splits; empty for all."""
     episodes: tuple[str, ...] = ()
     """Selected ids; empty for all."""
+    excluded: tuple[str, ...] = ()
+    """Ids to leave out."""
     workers: int = 0
     """Number of worker processes; 0 exports in this process."""
     rig: str | Rig | None = None
@@ -151,7 +153,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
                 f"--out {order.out}: the export cannot be inside the dataset, or the dataset inside the export; "
                 "choose another folder"
             )
-    dataset = select(whole, order.splits, order.episodes)
+    dataset = select(whole, order.splits, order.episodes, order.excluded)
     order.options.check(dataset.meta)
     options = order.options.model_dump(mode="json")
     if dataset.rig is not None:
