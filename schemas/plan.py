@@ -34,6 +34,7 @@ from schemas.config import (
     TaskConfig,
 )
 from schemas.instruction.taxonomy import category_of
+from schemas.language.file import LanguageSpec
 from schemas.rig.arrays import rig_faults
 from schemas.terms import (
     BUILTIN_CATEGORIES,
@@ -205,6 +206,8 @@ class Plan(Model):
         default=InstructionConfig(), exclude_if=lambda wanted: wanted == InstructionConfig()
     )
     """Parameters of the instructions; omitted if they are the defaults."""
+    language: LanguageSpec | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Verified instructions, which workers write at the start; null and omitted for the templates."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -249,6 +252,8 @@ class Plan(Model):
         ]
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
+        if self.language is not None:
+            mistakes += _language_faults(self.language, self.instructions)
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if mistakes:
@@ -309,6 +314,18 @@ class Plan(Model):
     def run(self) -> str:
         """Name of the run in keys and records."""
         return f"{self.name}-{self.digest[:8]}"
+
+
+def _language_faults(language: LanguageSpec, others: InstructionConfig) -> list[str]:
+    """Returns the keys of a language block that a plan does not support."""
+    found = []
+    if language.per_episode != 1:
+        found.append("language.per_episode: an episode of a plan has one instruction; `factory relabel` writes several")
+    if language.false_premises:
+        found.append("language.false_premises: a plan has a split for them; set splits.test_false_premise")
+    if others.unique != "off":
+        found.append("instructions.unique is for templates; remove it, because `language` has `fit`")
+    return found
 
 
 def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = None) -> str:

@@ -7,33 +7,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-
-import numpy as np
-import scipy  # loads `scipy.ndimage` at its first use
-from numpy.typing import NDArray
 
 from factory.stats.measures import share_of
 from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Remark, Share
 from factory.stats.rollouts import ALL
-from schemas.config import CameraConfig
 from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.language import says_in_front
-from schemas.instruction.referents import ids_in_view
+from schemas.instruction.seen_objects import SeenObject
 from schemas.instruction.start_view import IN_FRONT_RAD
-
-
-@dataclass(frozen=True)
-class SeenObject:
-    """Object in view of the camera."""
-
-    id: int
-    """Value of its pixels in the id image."""
-    range_m: float
-    """Distance from the camera to the nearest visible point, metres."""
-    bearing_rad: float
-    """Horizontal angle from the optical axis to the mean column of the mask, radians; positive to the right."""
 
 
 @dataclass(frozen=True)
@@ -51,37 +34,6 @@ class EpisodeView:
     """Objects with a category in view in the first frame."""
     is_in_view_at_end: bool
     """Whether the target is in view in the last frame."""
-
-
-def see_objects(
-    ids: NDArray[np.uint16],
-    depth: NDArray[np.float32],
-    objects: Collection[int],
-    camera: CameraConfig,
-    min_pixels: int,
-) -> tuple[SeenObject, ...]:
-    """Returns the given objects that are in view, in the order of their ids.
-
-    Args:
-        ids: (S, S) instance ids.
-        depth: (S, S) metres along the optical axis, 0 where the ray hits nothing.
-        objects: Ids of the objects to find.
-        camera: Camera of the image.
-        min_pixels: Smallest mask of an object in view, pixels.
-    """
-    found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
-    if not found:
-        return ()
-    # tangents of the angles from the optical axis to the centres of the pixels of a row or column
-    half = ids.shape[0] / 2
-    tangents = (np.arange(ids.shape[0]) + 0.5 - half) / half * math.tan(math.radians(camera.fov_deg) / 2)
-    ranges = depth * np.sqrt(1 + tangents[:, None] ** 2 + tangents[None, :] ** 2)
-    nearest = scipy.ndimage.minimum(ranges, ids, found)
-    columns = scipy.ndimage.mean(np.broadcast_to(tangents, ids.shape), ids, found)
-    return tuple(
-        SeenObject(number, float(range_m), math.atan(column))
-        for number, range_m, column in zip(found, nearest, columns, strict=True)
-    )
 
 
 def summarise_language(

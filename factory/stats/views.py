@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping
 
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
-from factory.stats.language import EpisodeView, see_objects, summarise_language
+from factory.stats.language import EpisodeView, summarise_language
 from factory.stats.model import LanguageStatistics
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from schemas.dataset.rows import file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.instruction.referents import referents, referents_of
+from schemas.instruction.seen_objects import see_objects
 from schemas.measure import target_in_view
 from schemas.scene import SceneInfo, read_scene_info
 from schemas.storage.dataset_files import EPISODES, SCENES

@@ -5,17 +5,16 @@ Opens no file; chance is an argument.
 
 from __future__ import annotations
 
+import functools
 from bisect import bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from schemas.base import Count, Line, Model, Name
 from schemas.language.expression import Expression, Family
 from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.facts import SceneFacts, ViewFacts
@@ -27,6 +26,8 @@ from schemas.language.generator.minimal import (
 from schemas.language.generator.search import Search
 from schemas.language.grammar import SentencePattern
 from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.reading import Reader
 from schemas.language.verifier.verify import Verifier
 from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
@@ -37,41 +38,6 @@ _FEW = 4
 """Number of features of a short search."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
 _SYNONYMS = 6
-
-
-class InstructionKind(StrEnum):
-    """Purpose of an instruction."""
-
-    GOAL = "goal"  # names the target of the episode
-    FALSE_PREMISE = "false_premise"  # names an object that does not exist; the robot stops and reports it
-    RECORDED = "recorded"  # instruction of the recording, because no new one fits the target
-
-
-class Instruction(Model):
-    """Verified instruction; a row of `instructions.parquet` without its episode."""
-
-    kind: InstructionKind
-    """Purpose."""
-    text: Line
-    """Sentence."""
-    language: Name
-    """Code of the language."""
-    register_name: Name
-    """Register of the sentence pattern."""
-    template_id: Name
-    """Name of the sentence pattern."""
-    held_out: bool
-    """Whether only the split `test_paraphrase_ood` uses the pattern."""
-    expression: str
-    """Meaning, as the JSON of `Expression`."""
-    features: Line
-    """Features of the expression, separated by commas."""
-    is_minimal: bool
-    """Whether no part of the expression can be dropped."""
-    fits: Count
-    """Number of objects of the scene that the expression fits."""
-    distractors: Count
-    """Number of other objects of the target's category in the scene."""
 
 
 @dataclass
@@ -130,6 +96,15 @@ class Composer:
             if not language.grammar.names(kind)
         ]
 
+    def reader(self, code: str) -> Reader:
+        """Returns the reader of a language."""
+        return self._by_language[code].reader
+
+    def patterns_of(self, code: str, held_out: bool) -> frozenset[str]:
+        """Returns the names of the sentence patterns of a language; empty for another language."""
+        groups = self._patterns.get((code, held_out), {})
+        return frozenset(pattern.template_id for group in groups.values() for pattern in group)
+
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
@@ -159,7 +134,7 @@ class Composer:
             held_out: whether to use the held-out sentence patterns.
             rng: random generator.
         """
-        if scene.distractors(number) < self.spec.same_category:
+        if scene.distractors(number) < self.spec.least_others:
             return []
         found: dict[str, Instruction] = {}
         seen = None if view is None else ViewFacts(scene.facts, view)
@@ -279,6 +254,16 @@ class Composer:
             fits=fits,
             distractors=distractors,
         )
+
+
+@functools.lru_cache(maxsize=4)
+def _composer(text: str) -> Composer:
+    return Composer(LanguageSpec.model_validate_json(text))
+
+
+def composer_of(spec: LanguageSpec) -> Composer:
+    """Returns the writer of instructions of a language file; those of the most recently used files are kept."""
+    return _composer(spec.model_dump_json())
 
 
 def features_of(expression: Expression, kind: str) -> frozenset[Family]:

@@ -24,6 +24,8 @@ from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
 from schemas.instruction.language import TEMPLATES
+from schemas.language.compose import Composer
+from schemas.language.file import LanguageSpec
 from schemas.plan import Plan
 from schemas.terms import Tier
 
@@ -142,9 +144,10 @@ def _content_data(content: PlanSummary) -> dict[str, Any]:
         "categories": [{"category": k, "episodes": n, "share": n / total} for k, n in content.categories.items()],
         "top_three_share": content.top_three_share,
         "templates": [
-            {"template_id": k, "text": TEMPLATES[k], "episodes": n, "share": n / total}
+            {"template_id": k, "text": TEMPLATES.get(k, "written at the start"), "episodes": n, "share": n / total}
             for k, n in content.templates.items()
         ],
+        "distractors": {str(others): count for others, count in content.distractors.items()},
         "ambiguous_share": content.ambiguous / total,
         "shown_alone_share": content.shown_alone / total,
     }
@@ -157,6 +160,9 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
     rows = [(name, count, 100 * count / total) for name, count in content.categories.items()]
     print_table("", ("category", "episodes", "share %"), rows)
     print_text(f"share of the three most frequent categories: {content.top_three_share:.1%}")
+    if plan.language is not None:
+        _print_language(plan.language, content)
+        return
     texts = [(name, TEMPLATES[name], count) for name, count in content.templates.items()]
     print_table("", ("template", "text", "episodes"), texts)
     print_text(
@@ -164,6 +170,18 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
         f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
         f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
     )
+
+
+def _print_language(language: LanguageSpec, content: PlanSummary) -> None:
+    composer = Composer(language)
+    codes = [code for code, share in language.languages.items() if share > 0]
+    rows = [(code, len(composer.patterns_of(code, False)), len(composer.patterns_of(code, True))) for code in codes]
+    print_table("", ("language", "sentence patterns", "held out for test_paraphrase_ood"), rows)
+    fits = "the target only" if language.fit == "one" else "any of several objects"
+    print_text(f"instructions fit {fits}; features: {', '.join(sorted(language.families))}")
+    wanted = f", at least {language.in_view} in view at the start" if language.in_view else ""
+    listed = ", ".join(f"{others} ({count / content.episodes:.0%})" for others, count in content.distractors.items())
+    print_text(f"other objects of the target's category in the scene, and share of the episodes: {listed}{wanted}")
 
 
 def _print_cells(plan: Plan) -> None:
