@@ -252,6 +252,8 @@ class Plan(Model):
         ]
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
+        if self.language is None and any(self.splits_of(scene).get(Split.TEST_FALSE_PREMISE) for scene in self.scenes):
+            mistakes.append("splits.test_false_premise: the templates have no false premises; add a table [language]")
         if self.language is not None:
             mistakes += _language_faults(self.language, self.instructions)
         if self.rig is not None:

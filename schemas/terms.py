@@ -39,6 +39,7 @@ class Split(StrEnum):
     TEST_ID = "test_id"  # the same, held out for testing
     TEST_PARAPHRASE_OOD = "test_paraphrase_ood"  # seen categories, paraphrased templates
     TEST_OOD_OBJ = "test_ood_obj"  # held-out categories, training templates
+    TEST_FALSE_PREMISE = "test_false_premise"  # the named object does not exist; the robot stops (docs/language.md)
 
 
 class ExpertName(StrEnum):

@@ -18,6 +18,7 @@ from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cell
 from coordinator.expansion.level import category_quotas
 from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene, scene_cells
+from schemas.config import DemonstrationConfig
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import InvalidPlan
 from schemas.instruction.language import instruction, says_in_front
@@ -227,7 +228,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         record=plan.record,
         view=_view(plan, entry),
         start_view=_start_view(plan, entry.info, planned),
-        demonstration=plan.demonstration,
+        demonstration=_demonstration(plan, planned.episode),
         language=plan.language,
     )
 
@@ -237,6 +238,12 @@ def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
     if plan.record is not Recording.FRAMES:
         return ViewSettings()
     return plan.view if entry.light is None else plan.view.model_copy(update={"light": entry.light_file})
+
+
+def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
+    """Returns the requirements on a demonstration; one that stops at a false premise has no target to show."""
+    wanted = plan.demonstration
+    return wanted.model_copy(update={"target_in_view": False}) if episode.is_false_premise else wanted
 
 
 def _start_view(plan: Plan, info: SceneInfo, planned: PlannedJob) -> StartView | None:

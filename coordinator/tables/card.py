@@ -19,6 +19,7 @@ _SPLITS = {
     Split.TEST_ID: "the same, held out for testing",
     Split.TEST_PARAPHRASE_OOD: "seen categories, phrases that training lacks",
     Split.TEST_OOD_OBJ: "categories that training lacks, training phrases",
+    Split.TEST_FALSE_PREMISE: "the named object does not exist, and the robot stops at its start",
 }
 
 _CARD = """\

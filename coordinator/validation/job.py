@@ -91,7 +91,7 @@ def _wording_findings(job: Job, said: Instruction) -> list[str]:
     surplus = sorted(set(filter(None, said.features.split(","))) - families)
     if surplus:
         found.append(f"features {', '.join(surplus)} are not planned")
-    if said.kind is not InstructionKind.GOAL:
+    if (said.kind is InstructionKind.FALSE_PREMISE) != job.is_false_premise:
         found.append(f"an instruction of kind {said.kind} in split {job.split}")
     return found
 

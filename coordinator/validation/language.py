@@ -34,7 +34,12 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
         return [f"instruction: pattern {said.template_id!r} does not exist in split {job.split}"]
     number = scene.graph.number_of[job.target_id]
     view = look(scene.graph, start, job.camera)
-    fault = scene.verifier.check(said.text, composer.reader(said.language), view, number)
+    reader = composer.reader(said.language)
+    if job.is_false_premise:
+        is_absent = scene.verifier.is_false_premise(said.text, reader, view)
+        fault = "" if is_absent else "an object of the scene fits, or may fit"
+    else:
+        fault = scene.verifier.check(said.text, reader, view, number)
     found = [f"instruction {said.text!r}: {fault}"] if fault else []
     if said.distractors != scene.distractors(number):
         found.append(f"distractors {said.distractors}, the scene has {scene.distractors(number)}")

@@ -58,6 +58,7 @@ SPLIT_COLOURS = MappingProxyType(
         Split.TEST_ID: "test",
         Split.TEST_PARAPHRASE_OOD: "phrase",
         Split.TEST_OOD_OBJ: "object",
+        Split.TEST_FALSE_PREMISE: "other",
     }
 )
 REASON_COLOURS = MappingProxyType(

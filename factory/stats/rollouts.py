@@ -40,8 +40,10 @@ def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...
 
 
 def by_split(episodes: Episodes) -> tuple[RolloutRow, ...]:
-    """Returns one row for each split, and one for all splits (paper Table VI)."""
-    return _rows(episodes, Split, lambda row: row.split, paper.SPLITS)
+    """Returns one row for each split of the paper or with episodes, and one for all splits (paper Table VI)."""
+    present = {row.split for row in episodes}
+    splits = [split for split in Split if split in paper.SPLITS or split in present]
+    return _rows(episodes, splits, lambda row: row.split, paper.SPLITS)
 
 
 def by_tier(episodes: Episodes) -> tuple[RolloutRow, ...]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 import functools
 from bisect import bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from schemas.language.expression import Expression, Family
+from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
 from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.facts import SceneFacts, ViewFacts
 from schemas.language.generator.minimal import (
@@ -150,7 +150,8 @@ class Composer:
             if one is not None:
                 found.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
-            found |= {one.text: one for one in self._false_premise(scene, view, number, held_out, rng)}
+            wrong = self.write_false_premise(scene, view, number, held_out, rng)
+            found |= {} if wrong is None else {wrong.text: wrong}
         return list(found.values())
 
     def _grouped(
@@ -210,24 +211,45 @@ class Composer:
         choice = dict(zip(_WORD_GROUPS, rng.integers(_SYNONYMS, size=len(_WORD_GROUPS)).tolist(), strict=True))
         return pattern, self._by_language[code].grammar.sentence(pattern, expression, choice)
 
-    def _false_premise(
+    def write_false_premise(
         self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
-    ) -> Iterator[Instruction]:
-        """Yields an instruction that names a kind, or the target's kind in a colour, that does not exist."""
+    ) -> Instruction | None:
+        """Returns an instruction that no object of the scene fits; `None` if none is found.
+
+        It names a category, or the category of an object with a colour or a landmark, that does not exist.
+
+        Args:
+            scene: prepared scene.
+            view: view at the start, or `None`.
+            number: number of the object in the scene graph that a wrong colour or landmark is said of.
+            held_out: whether to use the held-out sentence patterns.
+            rng: random generator.
+        """
         code = _weighted(self.spec.languages, rng)
-        language, each = self._by_language[code], scene.graph.objects[number]
-        is_coloured = each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain
-        absent = [Expression(kind=kind) for kind in CATEGORIES if kind in language.grammar.nouns]
-        absent += [Expression(kind=each.kind, colour=colour) for colour in COLOUR_NAMES if is_coloured]
-        for place in rng.permutation(len(absent))[:_TRIES].tolist():
-            pattern, text = self._say(code, held_out, absent[place], rng)
-            if scene.verifier.is_false_premise(text, language.reader, view):
-                families = features_of(absent[place], absent[place].kind)
-                yield self._instruction(
-                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent[place], families, True, 0,
+        groups = [group for group in self._absent(scene, number, code) if group]
+        for _ in range(_TRIES):
+            group = groups[int(rng.integers(len(groups)))]
+            absent = group[int(rng.integers(len(group)))]
+            pattern, text = self._say(code, held_out, absent, rng)
+            if scene.verifier.is_false_premise(text, self._by_language[code].reader, view):
+                return self._instruction(
+                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent, absent.families, True, 0,
                     scene.distractors(number),
                 )  # fmt: skip
-                return
+        return None
+
+    def _absent(self, scene: SceneLanguage, number: int, code: str) -> list[list[Expression]]:
+        """Returns groups of expressions that may fit no object: other categories, colours and landmarks."""
+        own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
+        kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
+        is_coloured = own.colour != UNKNOWN and scene.graph.kinds.of(own.kind).plain
+        beside = [Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind=k, definite=False),)) for k in kinds]
+        families = self.spec.families
+        return [
+            [Expression(kind=kind) for kind in CATEGORIES if kind in nouns and kind not in kinds],
+            [Expression(kind=own.kind, colour=c) for c in COLOUR_NAMES if is_coloured and Family.COLOUR in families],
+            [Expression(kind=own.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
+        ]
 
     def _instruction(
         self,

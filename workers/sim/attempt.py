@@ -176,7 +176,7 @@ def _drive_and_seal(
         done = replace(done, steps_visible=visible)
         scene = LoadedSurroundings(shown.place, stage.renderer)
         add_measurements(writer, scene, job, done.arrays, tell, shown.change)
-    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
+    reach_m = None if job.is_false_premise else geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)

@@ -28,5 +28,8 @@ def write_instruction(job: Job, place: LoadedScene, start: Pose) -> Instruction 
     scene = place.language
     view = look(scene.graph, (start.x, start.y, start.yaw), job.camera)
     number, held_out = scene.graph.number_of[job.target_id], job.split is Split.TEST_PARAPHRASE_OOD
-    found = composer_of(job.language).write(scene, view, number, held_out, job.language_rng())
+    composer, rng = composer_of(job.language), job.language_rng()
+    if job.is_false_premise:
+        return composer.write_false_premise(scene, view, number, held_out, rng)
+    found = composer.write(scene, view, number, held_out, rng)
     return found[0] if found else None
