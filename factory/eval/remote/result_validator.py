@@ -26,6 +26,7 @@ from schemas.job import Job
 from schemas.measure import Goal, footprint_distances
 from schemas.plan import canonical_json
 from schemas.scene import Target
+from schemas.terms import Split
 
 _CLOCKS = {"act_ms", "seconds"}
 """Fields that are not reproducible."""
