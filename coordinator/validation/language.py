@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
+from coordinator.expansion.sentences import scene_language
 from schemas.episode import EpisodeMeta
 from schemas.job import Job
-from schemas.language.compose import SceneLanguage, composer_of
-from schemas.language.graph import build_graph
+from schemas.language.compose import composer_of
 from schemas.language.instruction import Instruction
 from schemas.language.view import look
-from schemas.scene import decode_scene
-
-_KEPT_SCENES = 4
 
 
 def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, float], package: Path) -> list[str]:
@@ -29,7 +25,7 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
         InvalidBundle: the package is damaged.
     """
     assert job.language is not None
-    scene, composer = _scene_language(package), composer_of(job.language)
+    scene, composer = scene_language(package), composer_of(job.language)
     if said.template_id not in composer.patterns_of(said.language, said.held_out):
         return [f"instruction: pattern {said.template_id!r} does not exist in split {job.split}"]
     number = scene.graph.number_of[job.target_id]
@@ -51,9 +47,3 @@ def said_findings(meta: EpisodeMeta, package: Path | None) -> list[str]:
     if meta.language is None or meta.job.language is None or package is None:
         return []
     return sentence_findings(meta.job, meta.language, meta.rollout.spawn_pose, package)
-
-
-@functools.lru_cache(maxsize=_KEPT_SCENES)
-def _scene_language(package: Path) -> SceneLanguage:
-    with package.open("rb") as file:
-        return SceneLanguage(build_graph(decode_scene(file)))

@@ -15,6 +15,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.nearest import find_nearest
+from coordinator.expansion.sentences import find_unsayable
 from factory.dataset.packages import find_package_file, light_file, package_file, packages_of
 from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
@@ -48,6 +49,9 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
         raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
+    unsayable = find_unsayable(plan, entries)
+    if unsayable:
+        raise InvalidPlan(f"plan {plan.name!r} has a language block that its scenes do not permit", unsayable)
     return entries
 
 

@@ -14,6 +14,7 @@ from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.sentences import find_unsayable
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
@@ -52,6 +53,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     unknown = [scene.name for scene in plan.scenes if scene.name not in found]
     mistakes = None if unknown else find_impossible(plan, found)
     content = summarise(plan, found) if mistakes == [] else None
+    mistakes = find_unsayable(plan, found) if mistakes == [] else mistakes
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
@@ -73,7 +75,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     for line in mistakes or ():
         print_text(f"impossible: {line}")
     nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
-    if mistakes:
+    if mistakes and content is None:
         print_text(f"find the nearest feasible plan with {nearest}")
     elif unknown:
         print_text(

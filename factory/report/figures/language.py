@@ -97,11 +97,11 @@ def _wording_table(found: LanguageStatistics) -> Table:
         )
         for row in found.wording
     )
-    others, chance = number(found.others_in_scene, 1), number(found.rows[-1].chance, 2)
+    others, chance, wrong = number(found.others_in_scene, 1), number(found.rows[-1].chance, 2), found.false_premises
     return Table(
         ("language", "N", "distinct", "vocabulary", "words, mean", "self-BLEU"),
         rows,
-        f"Wording; {interval(found.unique)} of the instructions fit one object of the scene, {found.false_premises} fit "
+        f"Wording; {interval(found.unique)} of the instructions fit one object of the scene, {wrong} fit "
         f"none; {others} other objects of the category in the scene; chance of a random one in view: {chance}",
     )
 
