@@ -242,8 +242,9 @@ class Composer:
         """Returns groups of expressions that may fit no object: other categories, colours and landmarks."""
         own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
         kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
+        others = [kind for kind in kinds if kind != own.kind]
         is_coloured = own.colour != UNKNOWN and scene.graph.kinds.of(own.kind).plain
-        beside = [Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind=k, definite=False),)) for k in kinds]
+        beside = [Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind=k, definite=False),)) for k in others]
         families = self.spec.families
         return [
             [Expression(kind=kind) for kind in CATEGORIES if kind in nouns and kind not in kinds],

@@ -30,8 +30,8 @@ def explain_impossible(scene: SceneLanguage, spec: LanguageSpec, probes: Sequenc
     rivals = max(scene.distractors(number) for number, _ in probes)
     what = ", ".join(possible) or f"nothing with fit = {spec.fit!r}"
     return (
-        f"no instruction with these features fits a target; possible there: {what}; at most {rivals} other objects of a "
-        "target's category"
+        f"no instruction with these features fits a target; possible there: {what}; at most {rivals} other objects of "
+        "a target's category"
     )
 
 
