@@ -44,8 +44,8 @@ class SceneView:
     possible: Bools
     """(N,) objects that may be visible."""
     bearing: Floats
-    """(N,) angle from the heading to the middle of each object as it appears, radians in (-pi, pi], positive to the left;
-    that of a near object differs from the angle to its centre."""
+    """(N,) angle from the heading to the middle of each object as it appears, not to its centre, radians in (-pi, pi],
+    positive to the left."""
     distance: Floats
     """(N,) distance to the centre of each object, metres."""
 
