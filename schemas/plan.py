@@ -253,7 +253,9 @@ class Plan(Model):
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
         if self.language is None and any(self.splits_of(scene).get(Split.TEST_FALSE_PREMISE) for scene in self.scenes):
-            mistakes.append("splits.test_false_premise: the templates have no false premises; add a table [language]")
+            mistakes.append(
+                "splits.test_false_premise: the templates have no false premises, the table [language] has them"
+            )
         if self.language is not None:
             mistakes += _language_faults(self.language, self.instructions)
         if self.rig is not None:
@@ -322,11 +324,11 @@ def _language_faults(language: LanguageSpec, others: InstructionConfig) -> list[
     """Returns the keys of a language block that a plan does not support."""
     found = []
     if language.per_episode != 1:
-        found.append("language.per_episode: an episode of a plan has one instruction; `factory relabel` writes several")
+        found.append("language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several")
     if language.false_premises:
-        found.append("language.false_premises: a plan has a split for them; set splits.test_false_premise")
+        found.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
     if others.unique != "off":
-        found.append("instructions.unique is for templates; remove it, because `language` has `fit`")
+        found.append("instructions.unique is for templates, remove it: `language` has `fit`")
     return found
 
 

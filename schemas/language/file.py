@@ -90,7 +90,7 @@ class LanguageSpec(Model):
     @model_validator(mode="after")
     def _is_possible(self) -> LanguageSpec:
         if self.balanced and not self.in_view:
-            raise ValueError("`balanced` compares objects in view; set `in_view` to 1 or more")
+            raise ValueError("`balanced` compares objects in view: set `in_view` to 1 or more")
         if self.fit == "any" and self.redundant:
             raise ValueError("`redundant` is for instructions that fit one object; set it to 0 or fit to 'one'")
         return self

@@ -83,7 +83,9 @@ def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(st
             if isinstance(outcome, Success) and np.count_nonzero(bundle.ids(0) == RIVAL.instance_id) >= 32:
                 claimed = bundle.meta.job.model_copy(update={"start_view": StartView(rivals=(RIVAL.instance_id,))})
                 assert validate(bundle, bundle.meta.job, TARGET) == []
-                found = start_findings(bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0), bundle.depth(0))
+                found = start_findings(
+                    bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0), bundle.depth(0)
+                )
                 assert found == [
                     f"start: objects [{RIVAL.instance_id}] are in view, which the instruction fits as well"
                 ]

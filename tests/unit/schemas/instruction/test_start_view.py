@@ -40,7 +40,11 @@ def _findings(view: StartView, *shown: int, bearing_deg: float = 0.0, pixels: in
         (StartView(within_rad=IN_FRONT_RAD), (RIVAL,), "the target is not in view"),
         (StartView(), (RIVAL,), ""),
         (StartView(alike=(RIVAL, OTHER), least_alike=1), (TARGET, RIVAL), ""),
-        (StartView(alike=(RIVAL, OTHER), least_alike=2), (TARGET, RIVAL), "1 other objects of the target's category are"),
+        (
+            StartView(alike=(RIVAL, OTHER), least_alike=2),
+            (TARGET, RIVAL),
+            "1 other objects of the target's category",
+        ),
         (StartView(alike=(RIVAL,), least_alike=1), (RIVAL,), "the target is not in view"),
     ],
 )
