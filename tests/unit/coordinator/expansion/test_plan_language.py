@@ -33,7 +33,7 @@ def _plan(seen: tuple[str, ...] = ("chair",), **language: object) -> Plan:
         ({"language": {"balanced": True}}, "set `in_view` to 1 or more"),
         ({"language": {"colours": 1}}, "language.colours: no such key"),
         ({"language": {}, "instructions": {"unique": "view"}}, "instructions.unique is for templates"),
-        ({"splits": {"test_false_premise": 1.0}}, "the templates have no false premises"),
+        ({"splits": {"test_false_premise": 1.0}}, "the templates have no false premises, the table"),
     ],
 )
 def test_a_language_block_that_a_plan_does_not_support_is_named(data, fault):
