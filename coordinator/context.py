@@ -58,7 +58,8 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
         WorldError: another coordinator uses the directory, or the disk cannot be written.
     """
     url = ledger_url_of(root, options.ledger_url)
-    checker = options.checker or Validator(options.settings.pullers)
+    packages = {entry.sha256: entry.path for entry in terms.catalog.values()}
+    checker = options.checker or Validator(options.settings.pullers, packages=packages)
     stack.callback(checker.close)
     archive = stack.enter_context(open_archive(root, options.store))
     replace_unusable_ledger(archive, url, terms.catalog)

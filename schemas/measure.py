@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import TaskConfig
 from schemas.episode import EpisodeMeta
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.scene import Target
 from schemas.support import portable
@@ -26,6 +27,16 @@ from schemas.terms import SuccessMeasure
 _HALVINGS = 36
 """Bisection steps; they divide a line of 100 m into parts below 1e-8 m."""
 _OUTLINE_POINTS = 97
+
+
+STOPPED_RPS = 0.05
+"""Largest commanded yaw rate of a robot that has stopped at a false premise, rad/s."""
+
+
+def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
+    """Returns the stationary steps that make a success: at a false premise those of one second at least, because a
+    robot that starts to drive is stationary for a few steps, too."""
+    return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
 
 
 def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, float]]) -> Floats:

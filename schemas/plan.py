@@ -30,6 +30,7 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
+from schemas.language.file import LanguageSpec
 from schemas.layouts import layout_mistakes, layouts_of
 from schemas.rig.arrays import rig_faults
 from schemas.scene_plan import MAX_EPISODES as MAX_EPISODES
@@ -100,6 +101,8 @@ class Plan(Model):
         default=InstructionConfig(), exclude_if=lambda wanted: wanted == InstructionConfig()
     )
     """Parameters of the instructions; omitted if they are the defaults."""
+    language: LanguageSpec | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Verified instructions, which workers write at the start; null and omitted for the templates."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -149,6 +152,12 @@ class Plan(Model):
             mistakes += [f"scenes[{number}] {scene.name}: {fault}" for fault in faults]
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
+        if self.language is None and any(self.splits_of(scene).get(Split.TEST_FALSE_PREMISE) for scene in self.scenes):
+            mistakes.append(
+                "splits.test_false_premise: the templates have no false premises, the table [language] has them"
+            )
+        if self.language is not None:
+            mistakes += _language_faults(self.language, self.instructions)
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if mistakes:
@@ -231,6 +240,18 @@ class Plan(Model):
     def run(self) -> str:
         """Name of the run in keys and records."""
         return f"{self.name}-{self.digest[:8]}"
+
+
+def _language_faults(language: LanguageSpec, others: InstructionConfig) -> list[str]:
+    """Returns the keys of a language block that a plan does not support."""
+    found = []
+    if language.per_episode != 1:
+        found.append("language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several")
+    if language.false_premises:
+        found.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
+    if others.unique != "off":
+        found.append("instructions.unique is for templates, remove it: `language` has `fit`")
+    return found
 
 
 def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = None) -> str:

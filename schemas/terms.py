@@ -43,6 +43,7 @@ class Split(StrEnum):
     TEST_UNSEEN_SCENE = "test_unseen_scene"  # as test_id, in layouts of the unseen-scene splits only
     TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # the same, paraphrased templates
     TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # the same layouts, held-out categories, training templates
+    TEST_FALSE_PREMISE = "test_false_premise"  # the named object does not exist; the robot stops (docs/language.md)
 
     @property
     def is_unseen_scene(self) -> bool:

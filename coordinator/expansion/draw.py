@@ -19,11 +19,13 @@ from coordinator.expansion.layout_categories import layout_categories
 from coordinator.expansion.level import category_quotas
 from coordinator.expansion.possible import raise_if_impossible
 from coordinator.expansion.scene_cells import SceneCells, each_scene, scene_cells
+from schemas.config import DemonstrationConfig
 from schemas.episode_spec import EpisodeSpec
 from schemas.instruction.language import instruction, says_in_front
 from schemas.instruction.referents import referents, referents_of
 from schemas.instruction.start_view import IN_FRONT_RAD, StartView
 from schemas.job import Job
+from schemas.language.file import LanguageSpec
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan
 from schemas.scene import SceneInfo
@@ -33,7 +35,7 @@ from schemas.view import ViewSettings
 
 Option = TypeVar("Option")
 
-_EXPAND_STREAM, _REDRAW_STREAM = 1, 2
+_EXPAND_STREAM, _REDRAW_STREAM, _RANK_STREAM = 1, 2, 4
 _SAME_CATEGORY_DRAWS = 4
 """Number of redraws that keep the category; later redraws use all targets of the cell."""
 _SHARED_SPECS = 1 << 14
@@ -181,8 +183,9 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         planner=plan.planner,
         record=plan.record,
         view=_view(plan, entry),
-        start_view=_start_view(plan, entry.info, planned.episode),
-        demonstration=plan.demonstration,
+        start_view=_start_view(plan, entry.info, planned),
+        demonstration=_demonstration(plan, planned.episode),
+        language=plan.language,
     )
 
 
@@ -193,8 +196,17 @@ def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
     return plan.view if entry.light is None else plan.view.model_copy(update={"light": entry.light_file})
 
 
-def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView | None:
+def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
+    """Returns the requirements on a demonstration; one that stops at a false premise has no target to show."""
+    wanted = plan.demonstration
+    return wanted.model_copy(update={"target_in_view": False}) if episode.is_false_premise else wanted
+
+
+def _start_view(plan: Plan, info: SceneInfo, planned: PlannedJob) -> StartView | None:
     """Returns the conditions on the start of an episode; `None` if there are none."""
+    episode = planned.episode
+    if plan.language is not None:
+        return _language_view(plan, plan.language, info, planned)
     within_rad = IN_FRONT_RAD if says_in_front(episode.template_id) else None
     if plan.instructions.unique == "off":
         return None if within_rad is None else StartView(within_rad=within_rad)
@@ -203,6 +215,18 @@ def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView 
     is_exempt = episode.category in plan.part(episode.scene).ambiguous
     rivals = frozenset() if is_exempt else referents_of(episode, info) - target
     return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
+
+
+def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned: PlannedJob) -> StartView | None:
+    """Returns the conditions of a language block on the start of an episode; `None` if there are none."""
+    if not language.in_view:
+        return None
+    episode, ranks = planned.episode, None
+    if language.balanced:  # the same in all draws of an episode, so that ranks that are hard to find stay as frequent
+        rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
+        ranks = (float(rng.random()), float(rng.random()))
+    alike = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
+    return StartView(alike=tuple(sorted(alike)), least_alike=language.in_view, ranks=ranks)
 
 
 def _draw(options: Sequence[Option], rng: np.random.Generator) -> Option:

@@ -22,6 +22,7 @@ _SPLITS = {
     Split.TEST_UNSEEN_SCENE: "as `test_id`, in layouts without an episode of the splits above",
     Split.TEST_UNSEEN_SCENE_PARAPHRASE_OOD: "as `test_paraphrase_ood`, in these layouts",
     Split.TEST_UNSEEN_SCENE_OOD_OBJ: "as `test_ood_obj`, in these layouts",
+    Split.TEST_FALSE_PREMISE: "the named object does not exist, and the robot stops at its start",
 }
 
 _CARD = """\

@@ -17,8 +17,9 @@ import stat
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
@@ -28,6 +29,7 @@ from schemas.base import Line, Model
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
+from schemas.language.instruction import Instruction
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
@@ -73,6 +75,8 @@ class Verdict(Model):
 
     summary: EpisodeSummary | None = None
     """Row of the episode; `None` if the bundle is invalid."""
+    language: Instruction | None = None
+    """Verified instruction of the episode, which is then compared with the scene; `None` for a template."""
     findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
     """Violations."""
 
@@ -84,14 +88,20 @@ class Validator(Closing):
         children: number of children.
         limits: resource limits of each child.
         clock: monotonic clock for the rate limit of log lines, seconds.
+        packages: packages of scenes by SHA-256; instructions in other scenes are not compared with the scene.
 
     Raises:
         TransientError: a child cannot be started.
     """
 
     def __init__(
-        self, children: int = 1, limits: ValidatorLimits | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        children: int = 1,
+        limits: ValidatorLimits | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        packages: Mapping[str, Path] = MappingProxyType({}),
     ) -> None:
+        self._packages = packages
         self._limits = limits or ValidatorLimits()
         self._layers: tuple[str, ...] = ()
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
@@ -121,11 +131,26 @@ class Validator(Closing):
             for _ in range(_TRIES):
                 verdict = self._ask(child, task, path)
                 if verdict is not None:
-                    return _summary_or_raise(verdict)
+                    return self._with_sentence(verdict, job)
                 self._limit.write(_log().warning, "validator_died", file=str(path), how=child.last_words)
         raise InvalidBundle(
             "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.last_words})"]
         )
+
+    def _with_sentence(self, verdict: Verdict, job: Job) -> EpisodeSummary:
+        """Returns the row of a valid bundle; the verifier has accepted its instruction, if it has a verified one.
+
+        The children know no scenes, so that this process compares the instruction with the scene.
+        """
+        summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
+        if verdict.language is not None and package is not None:
+            from coordinator.validation.language import sentence_findings  # children start faster without it
+
+            start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
+            found = sentence_findings(job, verdict.language, start, package)
+            if found:
+                raise InvalidBundle("bundle refused", found)
+        return summary
 
     def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
         with _opened(path) as bundle:

@@ -64,6 +64,7 @@ SPLIT_COLOURS = MappingProxyType(
         Split.TEST_UNSEEN_SCENE: "place",
         Split.TEST_UNSEEN_SCENE_PARAPHRASE_OOD: "place_phrase",
         Split.TEST_UNSEEN_SCENE_OOD_OBJ: "place_object",
+        Split.TEST_FALSE_PREMISE: "other",
     }
 )
 REASON_COLOURS = MappingProxyType(

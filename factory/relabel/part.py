@@ -15,9 +15,10 @@ import pyarrow.parquet as pq
 
 from factory.dataset.packages import ScenePackage
 from schemas.config import CameraConfig
-from schemas.language.compose import Composer, Instruction, InstructionKind, SceneLanguage
+from schemas.language.compose import Composer, SceneLanguage
 from schemas.language.file import LanguageSpec
 from schemas.language.graph import build_graph
+from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.view import look
 from schemas.scene import decode_scene
 from schemas.storage.disk import replacing

@@ -15,7 +15,7 @@ from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
-from factory.stats.views import read_view
+from factory.stats.views import read_fits, read_view
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import SceneInfo, decode_scene
@@ -51,6 +51,7 @@ def gather(
     """
     rows = read_rows(root)
     chosen: list[EpisodeSummary] = []
+    fits = read_fits(root)
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
         opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, MOST_OPENED)}
@@ -59,7 +60,7 @@ def gather(
     drives = Drives()
     if chosen:
         for done, row in enumerate(chosen, 1):
-            _read_drive(root, row, row.episode_id in shown, infos, drives, rows)
+            _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
     episodes = by_measure(rows.episodes, rows.meta.plan.task.success)
@@ -67,7 +68,13 @@ def gather(
 
 
 def _read_drive(
-    root: Place, row: EpisodeSummary, is_sample: bool, infos: Mapping[str, SceneInfo], drives: Drives, rows: Rows
+    root: Place,
+    row: EpisodeSummary,
+    is_sample: bool,
+    infos: Mapping[str, SceneInfo],
+    fits: Mapping[str, int],
+    drives: Drives,
+    rows: Rows,
 ) -> None:
     name = file_name_of(row.episode_id)
     with Episode(episode_place(root, row.index), row) as episode:
@@ -79,7 +86,7 @@ def _read_drive(
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
         try:
-            view = read_view(episode, infos)
+            view = read_view(episode, infos, fits)
             samples = [_best_frame(episode)] if is_sample else []
         except ArchiveCorrupt as error:
             rows.add_damage(name, f"skipped in the frames and the instructions: {format_error(error, root)}")

@@ -166,7 +166,9 @@ def _plan_checks(
         target, findings = target_of(row, scenes.get(row.scene))
         report.findings += findings
         name = row.episode_id
-        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name), relabelled)
+        package = None if target is None else scenes[row.scene].path
+        frames = frames_of.get(name)
+        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames, package, relabelled)
 
 
 def _run_checks(checks: Iterator[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:

@@ -14,6 +14,7 @@ from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
+from coordinator.expansion.sentences import find_unsayable
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
@@ -24,6 +25,8 @@ from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
 from schemas.instruction.language import TEMPLATES
+from schemas.language.compose import Composer
+from schemas.language.file import LanguageSpec
 from schemas.layouts import unseen_layouts
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Tier, family_of
@@ -52,6 +55,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     families = [scene for scene in plan.scenes if scene.layouts is not None]
     mistakes = None if unknown else find_impossible(_without_families(plan), found)
     content = summarise(plan, found) if mistakes == [] and not families else None
+    mistakes = find_unsayable(_without_families(plan), found) if mistakes == [] else mistakes
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
@@ -75,7 +79,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     for line in mistakes or ():
         print_text(f"impossible: {line}")
     nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
-    if mistakes:
+    if mistakes and content is None:
         print_text(f"find the nearest feasible plan with {nearest}")
     elif unknown:
         print_text(
@@ -161,9 +165,10 @@ def _content_data(content: PlanSummary) -> dict[str, Any]:
         "categories": [{"category": k, "episodes": n, "share": n / total} for k, n in content.categories.items()],
         "top_three_share": content.top_three_share,
         "templates": [
-            {"template_id": k, "text": TEMPLATES[k], "episodes": n, "share": n / total}
+            {"template_id": k, "text": TEMPLATES.get(k, "written at the start"), "episodes": n, "share": n / total}
             for k, n in content.templates.items()
         ],
+        "distractors": {str(others): count for others, count in content.distractors.items()},
         "ambiguous_share": content.ambiguous / total,
         "shown_alone_share": content.shown_alone / total,
     }
@@ -176,6 +181,9 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
     rows = [(name, count, 100 * count / total) for name, count in content.categories.items()]
     print_table("", ("category", "episodes", "share %"), rows)
     print_text(f"share of the three most frequent categories: {content.top_three_share:.1%}")
+    if plan.language is not None:
+        _print_language(plan.language, content)
+        return
     texts = [(name, TEMPLATES[name], count) for name, count in content.templates.items()]
     print_table("", ("template", "text", "episodes"), texts)
     print_text(
@@ -183,6 +191,18 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
         f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
         f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
     )
+
+
+def _print_language(language: LanguageSpec, content: PlanSummary) -> None:
+    composer = Composer(language)
+    codes = [code for code, share in language.languages.items() if share > 0]
+    rows = [(code, len(composer.patterns_of(code, False)), len(composer.patterns_of(code, True))) for code in codes]
+    print_table("", ("language", "sentence patterns", "held out for test_paraphrase_ood"), rows)
+    fits = "the target only" if language.fit == "one" else "any of several objects"
+    print_text(f"instructions fit {fits}; features: {', '.join(sorted(language.families))}")
+    wanted = f", at least {language.in_view} in view at the start" if language.in_view else ""
+    listed = ", ".join(f"{others} ({count / content.episodes:.0%})" for others, count in content.distractors.items())
+    print_text(f"other objects of the target's category in the scene, and share of the episodes: {listed}{wanted}")
 
 
 def _print_cells(plan: Plan) -> None:

@@ -32,6 +32,7 @@ from workers.geometry.grid import body_centre
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.attempt import is_view_clear
+from workers.sim.language import write_instruction
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import Start, draw_among
 
@@ -133,8 +134,15 @@ def _spec(
                 continue
             if not is_view_clear(job, target, stage.renderer, view.pose):
                 continue
+            said = write_instruction(job, place, view.pose)
+            if said is None and job.language is not None:
+                continue
+            if said is not None:
+                drawn = drawn.model_copy(update={"instruction": said.text, "template_id": said.template_id})
             instances, pixels = place.scene.info.instances, plan.gains.min_mask_px
-            way = geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
+            way = (
+                None if job.is_false_premise else geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
+            )
             return drawn.model_copy(
                 update={
                     "spawn_dist_m": view.distance_m,

@@ -119,14 +119,14 @@ def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m:
             for x, y in _goal_points(meta, poses)
         ],
         "reference_path": [to_habitat(point) for point in track.tolist()],
-        "instruction": {"instruction_text": job.instruction},
+        "instruction": {"instruction_text": meta.instruction},
         "info": {
             "geodesic_distance": meta.route.geodesic_m,
             "minivla_episode_id": meta.episode_id,
             "scene_sha256": job.scene_sha256,
             "split": str(job.split),
             "tier": str(job.tier),
-            "template_id": job.template_id,
+            "template_id": meta.template_id,
             "target_category": job.category,
             "target_id": job.target_id,
             "target_colour": job.colour,
