@@ -1,4 +1,4 @@
-"""`factory render` with sensor noise and appearance after kill -9 of a worker and of the coordinator, and with two workers.
+"""`factory render` with noise and appearance after kill -9 of a worker and of the coordinator, and with two workers.
 
 No episode is lost or rendered twice, and the digest is that of one worker without kills.
 """
