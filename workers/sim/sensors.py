@@ -125,6 +125,6 @@ def _stored_bytes(sensor: Sensor, t: int, track: Trajectory, scene: Surroundings
 def _too_large(rig: Rig, track: Trajectory, limit_bytes: int, estimate: str = "") -> WorldError:
     return WorldError(
         f"{episode_id(track.episode)}: {len(track.poses)} steps of rig {rig.name!r}{estimate} do not fit into a bundle "
-        f"of {limit_bytes / 1e9:.1f} GB: lower rate_hz, width and height, remove outputs or sensors, or keep states and "
-        "render the rig when they are read: Dataset(path, rig=...)"
+        f"of {limit_bytes / 1e9:.1f} GB: lower rate_hz, width and height, remove outputs or sensors, or keep states "
+        "and render the rig when they are read: Dataset(path, rig=...)"
     )
