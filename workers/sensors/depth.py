@@ -19,7 +19,7 @@ from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 _EDGE_PX = 1.0
 """Second difference of the disparity over half a matching window above which the window contains an edge, pixels."""
 _BAND = 64
-"""Rows that are computed at once, so that intermediate values stay in the cache of the processor."""
+"""Rows that are computed at once, a multiple of 4, so that intermediate values stay in the cache of the processor."""
 _LEAST_PX = np.float32(1e-6)
 """Disparity that replaces those at and below 0, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
@@ -41,7 +41,8 @@ def noisy_depth(
     """
     scale = np.float32(focal_px * noise.baseline_m)
     seen = shifted(depth, noise.shift_std_px, key, step)
-    exact, lost = np.empty_like(seen), np.empty(seen.shape, np.bool_)
+    exact = np.empty_like(depth) if seen is depth else seen  # returned memory would be requested again
+    lost = np.empty(seen.shape, np.bool_)
     for rows in _bands(len(seen)):
         np.divide(scale, np.where(seen[rows] > 0, seen[rows], np.float32(np.inf)), out=exact[rows])
         lost[rows] = hidden(exact[rows], noise.second_view)
@@ -53,9 +54,11 @@ def noisy_depth(
         lost.ravel()[near_edges[is_lost]] = True
     if noise.hole_share:
         lost |= holes(seen.shape, noise.hole_share, key, step)
-    drawn = key.bits(Effect.DISPARITY, seen.shape, step)
+    draw = key.stream(Effect.DISPARITY, step)
     for rows in _bands(len(seen)):
-        measured = noisy_disparity(exact[rows], noise.disparity_std_px, noise.disparity_step_px, drawn[rows])
+        measured = noisy_disparity(
+            exact[rows], noise.disparity_std_px, noise.disparity_step_px, draw(exact[rows].shape)
+        )
         kept = ~lost[rows] & (measured > 0)
         np.divide(scale, np.maximum(measured, _LEAST_PX, out=measured), out=exact[rows])
         exact[rows] *= kept
@@ -100,10 +103,10 @@ def shifted(depth: Singles, std_px: float, key: NoiseKey, step: int) -> Singles:
     if not std_px:
         return depth
     offsets, reach = _displacements(std_px, depth.shape[1])
-    drawn, pixels = key.bits(Effect.SHIFT, depth.shape, step), _inner_pixels(depth.shape, reach)
+    draw, pixels = key.stream(Effect.SHIFT, step), _inner_pixels(depth.shape, reach)
     result = np.empty_like(depth)
     for rows in _bands(len(depth)):
-        depth.ravel().take(pixels[rows] + offsets.take(drawn[rows] >> 8), out=result[rows], mode="clip")
+        depth.ravel().take(pixels[rows] + offsets.take(draw(result[rows].shape) >> 8), out=result[rows], mode="clip")
     return result
 
 
