@@ -28,7 +28,12 @@ PLAIN_BYTES = 150 * 3 * 360 * (4 + 2 + 4)
 def scene(casts: list[int]) -> Any:
     """The room of boxes, which counts the scans."""
     rays = SceneRays(box_room())
-    return SimpleNamespace(rays=lambda: casts.append(1) or rays)
+
+    def count() -> SceneRays:
+        casts.append(len(casts))
+        return rays
+
+    return SimpleNamespace(rays=count)
 
 
 def test_a_rig_that_does_not_fit_into_a_bundle_is_refused_after_three_measurements() -> None:
