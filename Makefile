@@ -1,5 +1,6 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
-# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs | quickstart.
+# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs |
+# quickstart.
 # Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
@@ -13,8 +14,8 @@ EPISODES ?= 24
 DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long compare-recordings ledger-accidents scenes-check test-formats test-install test-lerobot
-.PHONY: test-train fuzz audit docs quickstart clean
+.PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
+.PHONY: test-install test-lerobot test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -57,6 +58,10 @@ chaos: $(READY)
 chaos-long: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --record $(RECORD) $(PEERS) --tally build/chaos-$(RECORD).json
+
+# a drive rendered with three rigs and two appearances; each export with sensors opened in the reader of its format
+check-rigs: $(READY) $(JUDGE)/.ready
+	$(VENV)/bin/python -m tests.acceptance.check_rigs --lerobot $(JUDGE)/bin/python
 
 # a plan recorded as states and as frames, and the rendered states: every table, episode and export compared
 compare-recordings: $(READY)
