@@ -25,6 +25,8 @@ from schemas.terms import SuccessMeasure
 
 _HALVINGS = 36
 """Bisection steps; they divide a line of 100 m into parts below 1e-8 m."""
+_LEAST_SHARE = 2.0**-_HALVINGS
+_NEWTON_STEPS = 6
 _OUTLINE_POINTS = 97
 
 
@@ -140,13 +142,38 @@ class Goal:
                 self._centre + away * (limit[..., None] / np.maximum(distance, 1e-9)),
                 start,
             )
-        low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])  # shares of the line, from the centroid
+        low, high = self._brackets(away, limit)
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
+            is_open = high - low > _LEAST_SHARE
+            if not is_open.any():
+                break
             is_near = self.distances(self._centre + away * middle[..., None]) <= limit
-            low, high = np.where(is_near, middle, low), np.where(is_near, high, middle)
+            low, high = np.where(is_open & is_near, middle, low), np.where(is_open & ~is_near, middle, high)
         is_there = (self.distances(start) <= limit)[..., None]
         return np.where(is_there, start, self._centre + away * low[..., None])
+
+    def _brackets(self, away: Floats, limit: Floats) -> tuple[Floats, Floats]:
+        """Returns bounds (...) of the share of each line, from the centroid, within a distance of the footprint.
+
+        The bounds are those of the bisection of 0..1 after its last step, predicted by Newton's method and then tested,
+        so that the result is the same to the last bit. A share that fails the test gets the bounds 0 and 1.
+        """
+        share = np.ones(away.shape[:-1])
+        vertices = np.asarray(self.footprint_m)
+        for _ in range(_NEWTON_STEPS):
+            to_sides, _ = _to_sides(self._centre + away * share[..., None], vertices)
+            nearest = _squares(to_sides).argmin(axis=-1)
+            gap = np.take_along_axis(to_sides, nearest[..., None, None], axis=-2)[..., 0, :]
+            distance = np.sqrt(_squares(gap))
+            slope = -(gap * away).sum(axis=-1) / np.maximum(distance, 1e-12)
+            share = np.clip(share - (distance - limit) / np.where(slope > 0, slope, np.inf), 0.0, 1.0)
+        low = np.minimum(np.floor(share / _LEAST_SHARE) * _LEAST_SHARE, 1 - _LEAST_SHARE)
+        high = low + _LEAST_SHARE
+        edges = self._centre + away[..., None, :] * np.stack((low, high), axis=-1)[..., None]
+        is_near = self.distances(edges) <= limit[..., None]
+        holds = is_near[..., 0] & ~is_near[..., 1]
+        return np.where(holds, low, 0.0), np.where(holds, high, 1.0)
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
         """Returns length (at most 0 inside) and end of the shortest straight way from a point (2,) into the goal."""
