@@ -142,38 +142,39 @@ class Goal:
                 self._centre + away * (limit[..., None] / np.maximum(distance, 1e-9)),
                 start,
             )
-        low, high = self._brackets(away, limit)
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            is_open = high - low > _LEAST_SHARE
-            if not is_open.any():
-                break
-            is_near = self.distances(self._centre + away * middle[..., None]) <= limit
-            low, high = np.where(is_open & is_near, middle, low), np.where(is_open & ~is_near, middle, high)
+        ways, limits = away.reshape(-1, 2), np.broadcast_to(limit, start.shape[:-1]).reshape(-1)
+        share, is_sure = self._predicted_shares(ways, limits)
+        share[~is_sure] = self._bisected_shares(ways[~is_sure], limits[~is_sure])
         is_there = (self.distances(start) <= limit)[..., None]
-        return np.where(is_there, start, self._centre + away * low[..., None])
+        return np.where(is_there, start, self._centre + away * share.reshape(start.shape[:-1])[..., None])
 
-    def _brackets(self, away: Floats, limit: Floats) -> tuple[Floats, Floats]:
-        """Returns bounds (...) of the share of each line, from the centroid, within a distance of the footprint.
+    def _bisected_shares(self, away: Floats, limit: Floats) -> Floats:
+        """Returns the share (N,) of each line (N, 2), from the centroid, that is within a distance (N,)."""
+        low, high = np.zeros(len(away)), np.ones(len(away))
+        for _ in range(_HALVINGS if len(away) else 0):
+            middle = (low + high) / 2
+            is_near = self.distances(self._centre + away * middle[:, None]) <= limit
+            low, high = np.where(is_near, middle, low), np.where(is_near, high, middle)
+        return low
 
-        The bounds are those of the bisection of 0..1 after its last step, predicted by Newton's method and then tested,
-        so that the result is the same to the last bit. A share that fails the test gets the bounds 0 and 1.
+    def _predicted_shares(self, away: Floats, limit: Floats) -> tuple[Floats, Bools]:
+        """Returns the shares that Newton's method finds, and whether each is the result of the bisection to the bit.
+
+        It is if its last step is right: all other steps compare distances that differ more than they can be wrong.
         """
-        share = np.ones(away.shape[:-1])
-        vertices = np.asarray(self.footprint_m)
-        for _ in range(_NEWTON_STEPS):
-            to_sides, _ = _to_sides(self._centre + away * share[..., None], vertices)
-            nearest = _squares(to_sides).argmin(axis=-1)
-            gap = np.take_along_axis(to_sides, nearest[..., None, None], axis=-2)[..., 0, :]
+        share, vertices = np.ones(len(away)), np.asarray(self.footprint_m)
+        for _ in range(_NEWTON_STEPS if len(away) else 0):
+            to_sides, _ = _to_sides(self._centre + away * share[:, None], vertices)
+            gap = to_sides[np.arange(len(away)), _squares(to_sides).argmin(axis=1)]
             distance = np.sqrt(_squares(gap))
-            slope = -(gap * away).sum(axis=-1) / np.maximum(distance, 1e-12)
-            share = np.clip(share - (distance - limit) / np.where(slope > 0, slope, np.inf), 0.0, 1.0)
+            slope = -(gap * away).sum(axis=1) / np.maximum(distance, 1e-12)
+            step = (distance - limit) / np.where(slope > 0, slope, np.inf)
+            share = np.clip(share - step, 0.0, 1.0)
+            if np.abs(step).max() < _LEAST_SHARE / 16:
+                break
         low = np.minimum(np.floor(share / _LEAST_SHARE) * _LEAST_SHARE, 1 - _LEAST_SHARE)
-        high = low + _LEAST_SHARE
-        edges = self._centre + away[..., None, :] * np.stack((low, high), axis=-1)[..., None]
-        is_near = self.distances(edges) <= limit[..., None]
-        holds = is_near[..., 0] & ~is_near[..., 1]
-        return np.where(holds, low, 0.0), np.where(holds, high, 1.0)
+        ends = (self.distances(self._centre + away * end[:, None]) <= limit for end in (low, low + _LEAST_SHARE))
+        return low, next(ends) & ~next(ends)
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
         """Returns length (at most 0 inside) and end of the shortest straight way from a point (2,) into the goal."""

@@ -74,3 +74,25 @@ def test_a_target_without_footprint_has_no_goal_by_surface_and_the_message_says_
     assert Goal.of(target, TaskConfig()).distance(*target.centroid_m[:2]) == 0.0
     with pytest.raises(WorldError, match=r"factory scene build.*task\.success = \"centroid\""):
         Goal.of(target, TaskConfig(success=SuccessMeasure.SURFACE))
+
+
+def bisected(goal: Goal, start: np.ndarray, limit_m: float) -> np.ndarray:
+    """Returns the point of a line to the centroid that 36 bisection steps find."""
+    centre, low, high = np.array(goal.centre_m), 0.0, 1.0
+    for _ in range(36):
+        middle = (low + high) / 2
+        is_near = bool(goal.distances(centre + (start - centre) * middle) <= limit_m)
+        low, high = (middle, high) if is_near else (low, middle)
+    return np.asarray(centre + (start - centre) * low)
+
+
+@pytest.mark.parametrize("corners", [4, 7, 64])
+def test_approach_is_the_bisection_to_the_last_bit(corners: int) -> None:
+    """Recorded episodes depend on these bits."""
+    angle = 2 * np.pi * np.arange(corners) / corners + 0.3
+    outline = np.round(np.stack([4.1 + 0.8 * np.cos(angle), -7.3 + 0.3 * np.sin(angle)], axis=1), 4)
+    goal = Goal((4.1, -7.3), 1.0, tuple(map(tuple, outline.tolist())))
+    starts = np.random.default_rng(corners).uniform(-5.0, 5.0, (12, 2)) + goal.centre_m
+    starts = np.concatenate([starts, np.array(goal.centre_m) + [[4.0, 0.0], [0.0, 2.0], [-1.5, 0.0]]])
+    far = starts[goal.distances(starts) > 0.97]
+    assert np.array_equal(goal.approach(far, 0.97), np.stack([bisected(goal, start, 0.97) for start in far]))
