@@ -45,7 +45,9 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
         pieces += [] if pieces else _pieces(placement.model.pieces)
         _place(scene, path, pieces, _to_world(placement))
     seed = plan.seed if plan.texture_seed is None else plan.texture_seed
-    images = {name: encode_texture(name, seed) for name in sorted({part.surface.texture for part in scene.parts} - {""})}
+    images = {
+        name: encode_texture(name, seed) for name in sorted({part.surface.texture for part in scene.parts} - {""})
+    }
     return scene.extraction(1.0, {name: hashlib.sha256(made_from.encode()).hexdigest()}, images)
 
 
