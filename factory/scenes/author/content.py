@@ -41,9 +41,9 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
         path = f"/World/Props/{placement.name}"
         scene.models.add(path)
         scene.components.add(path)
-        pieces = known.setdefault(placement.model.name, [])
-        pieces += [] if pieces else _pieces(placement.model.pieces)
-        _place(scene, path, pieces, _to_world(placement))
+        if placement.model.name not in known:
+            known[placement.model.name] = _pieces(placement.model.pieces)
+        _place(scene, path, known[placement.model.name], _to_world(placement))
     seed = plan.seed if plan.texture_seed is None else plan.texture_seed
     images = {
         name: encode_texture(name, seed) for name in sorted({part.surface.texture for part in scene.parts} - {""})

@@ -72,8 +72,8 @@ def divide_floor(
 
     Args:
         rng: random generator.
-        floor: outer rectangle, between the centre lines of the outer walls; if no division of it is found, others of the
-            same area and centre are tried.
+        floor: outer rectangle, between the centre lines of the outer walls; if no division of it is found, others
+            of the same area and centre are tried.
         specs: rooms of the building.
         doors: widths of the openings.
         hall_m: width of a straight hall across the floor, or `None` for none; the hall is the last room.
@@ -101,9 +101,8 @@ def divide_floor(
         openings = _open(rng, order, areas, doors)
         if openings is not None:
             return Division(order, tuple(areas), tuple(openings))
-    raise WorldError(
-        f"no division of {outline.width:.1f} x {outline.depth:.1f} m into {len(specs)} rooms was found; use another seed"
-    )
+    size = f"{outline.width:.1f} x {outline.depth:.1f} m"
+    raise WorldError(f"no division of {size} into {len(specs)} rooms was found; use another seed")
 
 
 def _suits(area: Rectangle, spec: RoomSpec) -> bool:

@@ -93,6 +93,6 @@ def test_approach_is_the_bisection_to_the_last_bit(corners: int) -> None:
     outline = np.round(np.stack([4.1 + 0.8 * np.cos(angle), -7.3 + 0.3 * np.sin(angle)], axis=1), 4)
     goal = Goal((4.1, -7.3), 1.0, tuple(map(tuple, outline.tolist())))
     starts = np.random.default_rng(corners).uniform(-5.0, 5.0, (12, 2)) + goal.centre_m
-    starts = np.concatenate([starts, np.array(goal.centre_m) + [[4.0, 0.0], [0.0, 2.0], [-1.5, 0.0]]])
+    starts = np.concatenate([starts, np.add(goal.centre_m, [[4.0, 0.0], [0.0, 2.0], [-1.5, 0.0]])])
     far = starts[goal.distances(starts) > 0.97]
     assert np.array_equal(goal.approach(far, 0.97), np.stack([bisected(goal, start, 0.97) for start in far]))
