@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 import click
@@ -11,6 +12,8 @@ from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     out_option,
     plan_argument,
@@ -20,13 +23,14 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_building, say_duration
+from factory.cli.common.output import json_option, print_result, say_building
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
 from factory.runs.local import LocalRun, run_locally
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
+from factory.support.text import say_duration
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
 from schemas.support.extras import require_package
@@ -42,6 +46,7 @@ from workers.experts import require_expert
 @renderer_option
 @gate_option("auto")
 @shrink_options
+@http_options
 @json_option
 @verbose_option
 def command(
@@ -50,6 +55,8 @@ def command(
     workers: int | None,
     renderer: RendererKind,
     gate_mode: GateMode,
+    http: str | None,
+    http_token: Path | None,
     as_json: bool,
     verbose: bool,
     **changes: Any,
@@ -67,14 +74,21 @@ def command(
     warn_of_empty_splits(plan)
     processes = workers or os.cpu_count() or 1
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), say_building)
+        with building_layouts(processes, stop) as builds:
+            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds)
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
         run = LocalRun(plan, catalog, site.home, processes, renderer, verbose, gate, site.store)
         with RunBar(plan) as bar:
-            progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
+            progress = run_locally(
+                run,
+                CoordinatorSettings(),
+                stop,
+                bar.tell,
+                lambda coordinator: run_pages(coordinator, site, http, http_token),
+            )
     if not progress.finished:
         click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
