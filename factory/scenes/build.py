@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene
+from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_content, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
@@ -20,7 +20,7 @@ from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import LayoutError, UsageError, WorldError
-from schemas.scene import SCENE_FORMAT, encode_scene
+from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
@@ -28,6 +28,8 @@ from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 if TYPE_CHECKING:
     from factory.scenes.importer import Extraction
 
+PAPER_SEED = 0
+"""Seed of the four layouts of the paper."""
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
@@ -87,20 +89,26 @@ def build_scene(
     path = package_path(name, seed, cache, rules, targets, called)
     if not path.is_file():
         _require_usd()
-        from factory.scenes.compile.compiler import compile_stage  # only now: most runs find their scenes in the cache
-
         tell()
-        source = f"built-in {name}, seed {seed}"
-        with tempfile.TemporaryDirectory(prefix="scene-") as directory:
-            try:
-                root = author_scene(name, seed, Path(directory))
-                scene = compile_stage(root, called or name, source, rules or rules_of(name), targets)
-            except WorldError as error:
-                raise LayoutError(f"{name}, seed {seed}: {error}") from error
+        try:
+            scene = _compile_builtin(name, seed, called or name, rules or rules_of(name), targets)
+        except WorldError as error:
+            raise LayoutError(f"{name}, seed {seed}: {error}") from error
         if rules is None and targets is None:
             _require_categories(name, seed, {target.category for target in scene.info.targets})
         write_whole(path, encode_scene(scene))
     return path
+
+
+def _compile_builtin(name: str, seed: int, called: str, rules: RuleBook, targets: TargetList | None) -> CompiledScene:
+    """Compiles a layout; the paper's four from USD files, whose digests their packages record."""
+    from factory.scenes.compile.compiler import compile_extraction, compile_stage  # only now: most scenes are cached
+
+    source = f"built-in {name}, seed {seed}"
+    if name not in PAPER_SCENES or seed != PAPER_SEED:
+        return compile_extraction(name, author_content(name, seed), called, source, rules, targets)
+    with tempfile.TemporaryDirectory(prefix="scene-") as directory:
+        return compile_stage(author_scene(name, seed, Path(directory)), called, source, rules, targets)
 
 
 def rules_of(name: str) -> RuleBook:
