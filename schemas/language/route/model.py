@@ -19,6 +19,7 @@ class StepKind(StrEnum):
     """Kind of a step of a route."""
 
     TURN = "turn"  # change of heading
+    CORNER = "corner"  # change of heading in a doorway into the next room
     FORWARD = "forward"  # straight for a distance
     TOWARDS = "towards"  # straight towards an object
     PASS = "pass"  # straight past an object on the left or right
@@ -73,6 +74,7 @@ _ARGUMENTS = ("side", "size", "named", "room", "metres")
 ARGUMENTS = MappingProxyType(
     {
         StepKind.TURN: (frozenset({"side", "size"}), frozenset()),
+        StepKind.CORNER: (frozenset({"side"}), frozenset({"room"})),
         StepKind.FORWARD: (frozenset({"metres"}), frozenset()),
         StepKind.TOWARDS: (frozenset({"named"}), frozenset()),
         StepKind.PASS: (frozenset({"side", "named"}), frozenset()),

@@ -91,11 +91,10 @@ class RouteSearch:
         for number, part in enumerate(parts):
             own = [change for change in changes if part.start <= change.frame < part.end]
             if part.turn_rad:
-                size = turn_size(part.turn_rad)
-                if size is None or own:
+                turn = self._turn(part.turn_rad, own)
+                if turn is None:
                     return []
-                side = None if size is TurnSize.AROUND else Side.LEFT if part.turn_rad > 0 else Side.RIGHT
-                found.append(SpannedStep(RouteStep(kind=StepKind.TURN, size=size, side=side), begun, part.end))
+                found.append(SpannedStep(turn, begun, part.end))
             else:
                 is_last = number == len(parts) - 1
                 run = self._run(part._replace(start=begun), own, is_last)
@@ -104,6 +103,19 @@ class RouteSearch:
                 found += run
             begun = found[-1].end if found else 0
         return found
+
+    def _turn(self, turned_rad: float, changes: list[RoomChange]) -> RouteStep | None:
+        """Returns the step of a turn, perhaps in a doorway; `None` if it has no clear description."""
+        side = Side.LEFT if turned_rad > 0 else Side.RIGHT
+        doors = [each for each in changes if doorway_of(self._place.doorways, each, self._path.xy[each.frame])]
+        if len(doors) == 1:
+            is_corner = limit.CORNER_RAD[0] <= abs(turned_rad) < limit.CORNER_RAD[1]
+            kind = self._graph.types[doors[0].after - 1]
+            return RouteStep(kind=StepKind.CORNER, side=side, room=kind) if is_corner else None
+        size = None if doors else turn_size(turned_rad)
+        if size is None:
+            return None
+        return RouteStep(kind=StepKind.TURN, size=size, side=None if size is TurnSize.AROUND else side)
 
     def _cut(self, part: PathPart) -> list[PathPart]:
         """Returns a last turn in two parts: until the heading of the end is reached, and the rest."""
@@ -160,7 +172,7 @@ class RouteSearch:
         own, angle = offset(doorway)
         rivals = [offset(each) for each in self._place.doorways if room in each.rooms and each != doorway]
         ahead = [far for far, aside in rivals if aside < limit.DOOR_AHEAD_RAD]
-        return angle < limit.DOOR_AHEAD_RAD and all(far > own + limit.AMBIGUOUS_M for far in ahead)
+        return angle < math.pi / 3 and all(far > own + limit.NEXT_DOOR_M for far in ahead)
 
     def _passes(self, start: int, end: int) -> list[SpannedStep]:
         """Returns the objects that the robot passes between two frames, at some distance from each other."""
@@ -169,7 +181,7 @@ class RouteSearch:
         found: list[SpannedStep] = []
         for done, side, number in self._passed(start, end):
             begun = found[-1].end if found else start
-            if found and self._path.along[done] - self._path.along[begun] < _APART_M:
+            if found and self._path.along[done - 1] - self._path.along[begun] < _APART_M:
                 continue
             named = self._named(number, begun, done)
             if named is not None and self._view(begun).sure[number] and self._is_before(number, begun):

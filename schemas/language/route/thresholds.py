@@ -21,6 +21,8 @@ TURN_RAD = MappingProxyType(
     }
 )
 """Smallest and largest change of heading of each size of turn."""
+CORNER_RAD = (math.radians(30), math.radians(150))
+"""Smallest and largest change of heading of a turn in a doorway."""
 STRAIGHT_RAD = math.radians(25)
 """Largest range of headings of a straight run; a larger change of heading is a turn."""
 UNSAID_RAD = math.radians(60)
@@ -47,8 +49,10 @@ TOWARDS_SHARE = 0.35
 """Smallest share of its distance by which the robot gets closer to it."""
 DOORWAY_M = Band(2.2, 3.0)
 """Width of a passage that is called a doorway, metres."""
-DOOR_AHEAD_RAD = math.radians(60)
+DOOR_AHEAD_RAD = math.radians(45)
 """Sector around the heading at the start of the step in which another doorway makes it ambiguous."""
+NEXT_DOOR_M = 2.5
+"""Distance behind the doorway from which another one does not make it ambiguous, metres."""
 STOP_M = Band(1.3, 2.0)
 """Gap between the robot at the end and the footprint of the target, metres."""
 AMBIGUOUS_M = 7.0

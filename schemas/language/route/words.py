@@ -123,7 +123,7 @@ def clause_of(step: RouteStep) -> str:
     """Returns the key of the patterns of a step."""
     if step.kind is StepKind.TURN:
         return f"turn_{step.size}"
-    return "door_into" if step.room is not None else str(step.kind)
+    return str(step.kind) if step.room is None else f"{step.kind}_into"
 
 
 @cache
