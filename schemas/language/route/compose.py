@@ -19,6 +19,7 @@ from schemas.language.route.words import RouteWords, route_words
 
 
 _TRIES = 3
+_MOST_CHARACTERS = 500
 
 
 class _Spoken:
@@ -71,6 +72,9 @@ class RouteComposer:
                 self.rejected["no clear description"] += 1
                 break
             one = self._say(spoken, steps, held_out, rng)
+            if one is None:
+                self.rejected["too long"] += 1
+                continue
             fault = verifier.check(one, spoken.reader, poses, number)
             if fault:
                 self.rejected[fault] += 1
@@ -80,8 +84,8 @@ class RouteComposer:
 
     def _say(
         self, spoken: _Spoken, steps: Sequence[SpannedStep], held_out: bool, rng: np.random.Generator
-    ) -> RouteText:
-        """Draws a register and words for the steps."""
+    ) -> RouteText | None:
+        """Draws a register and words for the steps; returns `None` if the text is too long for an instruction."""
         words = spoken.words
         steps = [each._replace(step=_nameable(each, words)) for each in steps]
         shares = {name: share for name, share in self._spec.registers.items() if share > 0}
@@ -94,8 +98,11 @@ class RouteComposer:
             joints = own.last if place == len(said) - 1 else own.joiners
             text += joints[int(rng.integers(len(joints)))] + clause
         finished = spoken.nouns.finished
+        whole = finished(frame.before + text + frame.after)
+        if len(whole) > _MOST_CHARACTERS:
+            return None
         return RouteText(
-            text=finished(frame.before + text + frame.after),
+            text=whole,
             language=words.code,
             register_name=register,
             template_id=frame.template_id,
