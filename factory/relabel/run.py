@@ -29,7 +29,7 @@ from schemas.errors import InvalidLanguage, UsageError, WorldError
 from schemas.language.compose import Composer, Instruction, InstructionKind
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec, TextKind
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTIONS_FILE, RELABEL_FILE, STEPS_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500
 _PROBES = 12
@@ -228,7 +228,9 @@ def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: O
     for job in jobs:
         for first in range(0, len(job.starts), _PART_EPISODES):
             starts = job.starts[first : first + _PART_EPISODES]
-            yield PartTask(dataset.root, job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number))
+            yield PartTask(
+                dataset.root, job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number)
+            )
             number += 1
 
 
@@ -237,13 +239,11 @@ def _part_file(output: Output, number: int) -> Path:
 
 
 def _other_tables(tasks: Sequence[PartTask], spec: LanguageSpec) -> dict[str, pa.Table]:
-    """Returns the tables of steps and questions by file name, for the kinds of text in the language file."""
-    names = {TextKind.ROUTE: STEPS_FILE, TextKind.QUESTIONS: QUESTIONS_FILE}
-    return {
-        name: pa.concat_tables([pq.read_table(task.beside(name)) for task in tasks]).sort_by("index")
-        for kind, name in names.items()
-        if kind in spec.kinds
-    }
+    """Returns the table of steps by its file name if the language file has routes."""
+    if TextKind.ROUTE not in spec.kinds:
+        return {}
+    order = [(name, "ascending") for name in ("index", "number", "step")]
+    return {STEPS_FILE: pa.concat_tables([pq.read_table(task.beside(STEPS_FILE)) for task in tasks]).sort_by(order)}
 
 
 def _write_parts(tasks: Sequence[PartTask], workers: int, on_progress: Progress, stop: threading.Event) -> Counter[str]:

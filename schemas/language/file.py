@@ -39,7 +39,6 @@ class TextKind(StrEnum):
 
     GOAL = "goal"  # instructions that name the target
     ROUTE = "route"  # instructions that describe the driven path, with sub-instructions
-    QUESTIONS = "questions"  # questions about frames, with computed answers
 
 
 class LanguageSpec(Model):
@@ -52,9 +51,7 @@ class LanguageSpec(Model):
     features: Weights = Field(default_factory=dict)
     """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
     kinds: Annotated[tuple[TextKind, ...], Field(min_length=1)] = (TextKind.GOAL,)
-    """Kinds of text: `goal`, `route`, `questions`."""
-    questions: Annotated[int, Field(ge=1, le=64)] = 4
-    """Number of questions for each episode, if `kinds` has them."""
+    """Kinds of text: `goal`, `route`."""
     per_episode: Annotated[int, Field(ge=1, le=16)] = 1
     """Number of instructions for each episode."""
     redundant: Fraction = 0.0

@@ -17,7 +17,6 @@ from schemas.language.route.steps import RouteSearch, SceneRoutes, SpannedStep
 from schemas.language.route.verify import RouteVerifier
 from schemas.language.route.words import RouteWords, route_words
 
-
 _TRIES = 3
 _MOST_CHARACTERS = 500
 

@@ -61,7 +61,9 @@ def find_doorways(graph: SceneGraph) -> tuple[Doorway, ...]:
         touched = labels[grown][scipy.ndimage.binary_dilation(cells, iterations=2)]
         rooms = frozenset(int(room) for room in np.unique(touched) if room)
         if len(rooms) == 2:
-            row, column = (float(places.mean()) + side.start for places, side in zip(np.nonzero(cells), grown, strict=True))
+            row, column = (
+                float(places.mean()) + side.start for places, side in zip(np.nonzero(cells), grown, strict=True)
+            )
             middle = origin + (np.array((column, row)) + 0.5) * resolution
             width = max(side.stop - side.start for side in part) * resolution + 2 * _MARGIN_M
             found.append(Doorway((float(middle[0]), float(middle[1])), rooms, width))

@@ -35,9 +35,7 @@ class Replay:
         self.graph, self._camera = graph, camera
         self._points = [complex(x, y) for x, y in poses[:, :2].tolist()]
         # the forward axis of the body frame in the world frame
-        self._ways = [
-            complex(1 - 2 * (y * y + z * z), 2 * (x * y + w * z)) for w, x, y, z in poses[:, 3:].tolist()
-        ]
+        self._ways = [complex(1 - 2 * (y * y + z * z), 2 * (x * y + w * z)) for w, x, y, z in poses[:, 3:].tolist()]
         self._increments = [cmath.phase(two / one) for one, two in zip(self._ways[:-1], self._ways[1:], strict=True)]
 
         moved = [abs(two - one) for one, two in zip(self._points[:-1], self._points[1:], strict=True)]
@@ -110,7 +108,10 @@ class Replay:
             line = corner - eye
             if abs(line) < 0.2:
                 return True
-            if abs(cmath.phase(line / way)) <= half and self._free(eye, line / abs(line), abs(line)) >= abs(line) - 0.25:
+            if (
+                abs(cmath.phase(line / way)) <= half
+                and self._free(eye, line / abs(line), abs(line)) >= abs(line) - 0.25
+            ):
                 return True
         return False
 

@@ -90,7 +90,9 @@ class RouteVerifier:
                 allowed = limit.METRES.good * driven + limit.METRES_FREE
                 return "" if abs(driven - step.metres) <= allowed else "the distance is wrong"
             case StepKind.CORNER:
-                return _corner_fault(step, replay.headings(start, end)) or self._entered_fault(step, replay, start, end)[0]
+                return (
+                    _corner_fault(step, replay.headings(start, end)) or self._entered_fault(step, replay, start, end)[0]
+                )
             case StepKind.DOOR:
                 return self._door_fault(step, replay, start, end)
             case _:
