@@ -185,7 +185,7 @@ def instructions_of(
 def rows_of(
     start: LanguageStart, found: list[Instruction], routes: Sequence[dict[str, Any]] = ()
 ) -> list[dict[str, Any]]:
-    """Returns the rows of an episode: goals, then routes, then others; the recorded instruction if it has no goal or route.
+    """Returns the rows of an episode: goals, routes, and others; the recorded instruction if it has no goal or route.
 
     Args:
         start: values of the episode.

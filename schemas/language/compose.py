@@ -299,5 +299,6 @@ def _index(weights: Sequence[float], rng: np.random.Generator) -> int:
 
 
 def draw_weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
+    """Returns a name drawn by its share."""
     names = list(shares)
     return names[_index([shares[name] for name in names], rng)]

@@ -45,8 +45,8 @@ _CARD = """
   "surface"`, points every 0.25 m or less along the edge of the target's footprint, the one nearest to the end first.
   `reference_path` is the driven track, a point every 0.25 m. `info.geodesic_distance` goes to the success region, along
   the floor (null where it is unknown).
-- `info.sub_instructions` of a dataset with routes has the text of each step and its span `start` to `end` (exclusive) of
-  `locations`.
+- `info.sub_instructions` of a dataset with routes has the text of each step and its span of `locations`, from `start`
+  to before `end`.
 - `instruction_tokens` are indices into `instruction_vocab.word_list`, padded with 0 to {length}; one vocabulary for all
   splits. Models with their own vocabulary use `instruction_text`.
 - `scene_id` is `minivla/<scene>/<scene>.glb` below Habitat's folder of scenes: `scene_datasets/` here. The
@@ -61,7 +61,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
-    version = 2
+    version = 3
     requires = ("trimesh",)
     assembles = True
     options = Options

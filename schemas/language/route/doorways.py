@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -61,10 +62,8 @@ def find_doorways(graph: SceneGraph) -> tuple[Doorway, ...]:
         touched = labels[grown][scipy.ndimage.binary_dilation(cells, iterations=2)]
         rooms = frozenset(int(room) for room in np.unique(touched) if room)
         if len(rooms) == 2:
-            row, column = (
-                float(places.mean()) + side.start for places, side in zip(np.nonzero(cells), grown, strict=True)
-            )
-            middle = origin + (np.array((column, row)) + 0.5) * resolution
+            corner = np.array([side.start for side in grown])
+            middle = origin + (np.argwhere(cells).mean(axis=0) + corner + 0.5)[::-1] * resolution
             width = max(side.stop - side.start for side in part) * resolution + 2 * _MARGIN_M
             found.append(Doorway((float(middle[0]), float(middle[1])), rooms, width))
     return tuple(found)
@@ -80,7 +79,7 @@ def room_changes(graph: SceneGraph, path: DrivenPath) -> list[RoomChange]:
         is_meant = path.along[last] - path.along[first] >= _MEANT_M or first == int(frames[0])
         if is_meant and (not stays or stays[-1][1] != labels[first]):
             stays.append((first, int(labels[first])))
-    return [RoomChange(frame, before, after) for (_, before), (frame, after) in zip(stays[:-1], stays[1:], strict=True)]
+    return [RoomChange(frame, before, after) for (_, before), (frame, after) in pairwise(stays)]
 
 
 def doorway_of(doorways: tuple[Doorway, ...], change: RoomChange, place: Floats) -> Doorway | None:

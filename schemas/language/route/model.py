@@ -22,7 +22,7 @@ class StepKind(StrEnum):
     CORNER = "corner"  # change of heading in a doorway into the next room
     FORWARD = "forward"  # straight for a distance
     TOWARDS = "towards"  # straight towards an object
-    PASS = "pass"  # straight past an object on the left or right
+    PAST = "past"  # straight past an object on the left or right
     DOOR = "door"  # through a doorway into the next room
     STOP = "stop"  # to the target, and stop
 
@@ -77,7 +77,7 @@ ARGUMENTS = MappingProxyType(
         StepKind.CORNER: (frozenset({"side"}), frozenset({"room"})),
         StepKind.FORWARD: (frozenset({"metres"}), frozenset()),
         StepKind.TOWARDS: (frozenset({"named"}), frozenset()),
-        StepKind.PASS: (frozenset({"side", "named"}), frozenset()),
+        StepKind.PAST: (frozenset({"side", "named"}), frozenset()),
         StepKind.DOOR: (frozenset(), frozenset({"room"})),
         StepKind.STOP: (frozenset({"named"}), frozenset()),
     }

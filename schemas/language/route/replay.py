@@ -19,6 +19,7 @@ from schemas.measure import footprint_distances
 _EVERY = 4
 _RAY_M = 0.03
 _WALL = 2
+_BEFORE_M = 0.25
 _PASSAGE_M, _DIRECTIONS = 0.7, 8
 
 
@@ -58,7 +59,7 @@ class Replay:
         return self._driven[max(end - 1, start)] - self._driven[start]
 
     def relative(self, number: int, t: int) -> complex:
-        """Returns the middle of an object as seen from the robot: real part ahead, imaginary part to the left, metres."""
+        """Returns the middle of an object relative to the robot, metres: real part ahead, imaginary part left."""
         outline = self.graph.objects[number]
         low, high = outline.low_m, outline.high_m
         middle = complex((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
@@ -96,7 +97,7 @@ class Replay:
         return float(steps[hit[0]]) if len(hit) else most_m
 
     def may_see(self, number: int, t: int, most_m: float) -> bool:
-        """Returns whether an object within a distance may be in the image at a frame: a wall does not hide all of it."""
+        """Returns whether an object within a distance may be in the image at a frame; only walls hide it."""
         if self.gap(number, t) > most_m:
             return False
         way = self._ways[t] / abs(self._ways[t])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +77,7 @@ def _joined(path: DrivenPath, spans: list[tuple[int, int]]) -> list[PathPart]:
     settled = [_settled(path, start, end) for start, end in spans]
     edges = [0, *(edge for span in settled for edge in span), len(path) - 1]
     parts: list[PathPart] = []
-    for number, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for number, (start, end) in enumerate(pairwise(edges)):
         turned = float(path.yaw[end] - path.yaw[start]) if number % 2 == 0 else 0.0
         is_turn = abs(turned) >= smallest
         if is_turn or not parts or parts[-1].turn_rad:

@@ -185,7 +185,7 @@ class RouteSearch:
                 continue
             named = self._named(number, begun, done)
             if named is not None and self._view(begun).sure[number] and self._is_before(number, begun):
-                found.append(SpannedStep(RouteStep(kind=StepKind.PASS, side=side, named=named), begun, done))
+                found.append(SpannedStep(RouteStep(kind=StepKind.PAST, side=side, named=named), begun, done))
         return found
 
     def _is_before(self, number: int, t: int) -> bool:

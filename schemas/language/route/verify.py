@@ -156,7 +156,7 @@ class RouteVerifier:
             return "no object fits the words" if not fitting else "several objects fit the words"
         (number,) = fitting
         match step.kind:
-            case StepKind.PASS:
+            case StepKind.PAST:
                 return _pass_fault(step, replay, number, start, end)
             case StepKind.TOWARDS:
                 first, last = replay.relative(number, start), replay.relative(number, end - 1)
