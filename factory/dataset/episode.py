@@ -9,6 +9,7 @@ import os
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
@@ -17,12 +18,14 @@ from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.packages import ScenePackage
+from factory.dataset.steps import read_steps
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.language.route.model import SubInstruction
 from schemas.rig import Imu, Rig, Sensor, WheelOdometry
 from schemas.scene import Instance
 from schemas.storage.place import FilePlace
@@ -101,6 +104,14 @@ class Episode(Closing):
         """Compiled scene of the episode."""
         with self._reading() as bundle:
             return bundle.package
+
+    @cached_property
+    def steps(self) -> tuple[SubInstruction, ...]:
+        """Sub-instructions of the first route, whose spans cover all frames; empty if the dataset has no route of it.
+
+        `factory relabel` writes routes (docs/language.md#routes).
+        """
+        return read_steps(self.path.parents[1], self.episode_id)
 
     @property
     def actions(self) -> NDArray[np.float32]:

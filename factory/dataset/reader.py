@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from factory.dataset.columns import NAMES, Columns
 from factory.dataset.episode import Episode, Frame
+from factory.dataset.steps import has_routes, read_text_table
 from factory.dataset.vocabulary import require_known
 from schemas.appearance import Appearance
 from schemas.appearance.file import find_appearance
@@ -29,10 +29,9 @@ from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE
-from schemas.storage.place import Place, place_of, table_of
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, STEPS_FILE
+from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
-from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
 from schemas.terms import Recording, family_of
 
@@ -127,11 +126,23 @@ class Dataset:
         """
         if self.meta.relabelling is None:
             raise UsageError(f"{self.root} has its recorded instructions only: `factory relabel` writes new ones")
-        path = self.root / INSTRUCTIONS_FILE
-        try:
-            table = pq.read_table(table_of(path))
-        except (pa.ArrowException, *PARSER_ERRORS) as error:
-            raise ArchiveCorrupt(f"{path} is damaged ({error}): run `factory relabel` again") from error
+        return self._own_rows(read_text_table(self.root / INSTRUCTIONS_FILE))
+
+    @cached_property
+    def steps(self) -> pa.Table:
+        """Table with one row for each sub-instruction of the routes of these episodes (docs/language.md#routes).
+
+        `start` is its first frame, and `end` the frame after its last one.
+
+        Raises:
+            UsageError: The dataset has no routes.
+            ArchiveCorrupt: The table is damaged.
+        """
+        if not has_routes(self.root):
+            raise UsageError(f'{self.root} has no routes: `factory relabel` with kinds = ["route"] writes them')
+        return self._own_rows(read_text_table(self.root / STEPS_FILE))
+
+    def _own_rows(self, table: pa.Table) -> pa.Table:
         return table.filter(pc.is_in(table["episode_id"], self.column("episode_id").cast(pa.string())))
 
     @property

@@ -5,6 +5,7 @@ Does not write instructions. Every file is complete; `dataset_meta.json` is the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -35,15 +36,20 @@ from schemas.storage.dataset_files import (
     SPLITS_FOLDER,
 )
 
+_GROUP_ROWS = 20_000
+"""Rows of a group; a reader of one episode reads one group."""
 _NEW_COLUMNS = ("instruction", "template_id")
 
 
-def assemble(dataset: Dataset, instructions: pa.Table, spec: LanguageSpec, output: Output) -> None:
+def assemble(
+    dataset: Dataset, instructions: pa.Table, others: Mapping[str, pa.Table], spec: LanguageSpec, output: Output
+) -> None:
     """Writes all files of the relabelled dataset.
 
     Args:
         dataset: source, in a directory.
         instructions: rows of `instructions.parquet`, ordered by episode and number.
+        others: further tables by their file name, ordered by episode.
         spec: content of the language file.
         output: opened output directory.
 
@@ -59,8 +65,9 @@ def assemble(dataset: Dataset, instructions: pa.Table, spec: LanguageSpec, outpu
     for name in (ATTEMPTS_FILE, SHARDS_FILE):
         if (source / name).is_file():
             output.link(source / name, name)
-    with output.replacing(INSTRUCTIONS_FILE) as part:
-        pq.write_table(instructions, part, compression="zstd", write_page_checksum=True)
+    for name, table in {INSTRUCTIONS_FILE: instructions, **others}.items():
+        with output.replacing(name) as part:
+            pq.write_table(table, part, compression="zstd", write_page_checksum=True, row_group_size=_GROUP_ROWS)
     _write_metadata(source, instructions, output)
     _write_description(dataset, instructions, spec, output)
     with open_archive(output.root) as archive:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,19 +15,26 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from factory.dataset.packages import ScenePackage
+from factory.dataset.reader import Dataset
+from factory.relabel.route import STEPS_SCHEMA, route_row, step_rows
 from schemas.config import CameraConfig
 from schemas.language.compose import Composer, SceneLanguage
-from schemas.language.file import LanguageSpec
+from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.graph import build_graph
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.route.compose import RouteComposer
+from schemas.language.route.model import RouteText
+from schemas.language.route.steps import SceneRoutes
 from schemas.language.view import look
 from schemas.scene import decode_scene
+from schemas.storage.dataset_files import STEPS_FILE
 from schemas.storage.disk import replacing
+from schemas.storage.place import Place
 from schemas.terms import Split
 
 _KEPT_SCENES = 2
-_STREAM = 23
-"""Spawn key of the random stream of instructions."""
+_STREAM, _ROUTE_STREAM = 23, 24
+"""Spawn keys of the random streams of instructions and of routes."""
 SCHEMA = pa.schema(
     [
         ("episode_id", pa.string()),
@@ -65,12 +73,18 @@ class LanguageStart:
 class PartTask(NamedTuple):
     """Picklable task: some episodes of one scene."""
 
+    root: Place
+    """Location of the source."""
     package: ScenePackage
     camera: CameraConfig
     spec: LanguageSpec
     starts: tuple[LanguageStart, ...]
     file: Path
-    """Part file, which is written as a whole."""
+    """Part file of instructions, which is written last."""
+
+    def beside(self, name: str) -> Path:
+        """Returns the part file of another table of the dataset."""
+        return self.file.with_name(f"{self.file.stem}-{name}")
 
 
 class PartResult(NamedTuple):
@@ -88,14 +102,64 @@ def make_part(task: PartTask) -> PartResult:
         ArchiveCorrupt: the scene package is missing or damaged.
         WorldError: the disk is full or not available.
     """
-    scene, composer = prepared_scene(task.package), Composer(task.spec)
+    scene, writer = prepared_scene(task.package), PartWriter(task)
     scene.rejected.clear()
-    rows = [
-        row for start in task.starts for row in rows_of(start, instructions_of(start, scene, composer, task.camera))
-    ]
-    with replacing(task.file, durable=True) as part:
-        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), part, compression="zstd", write_page_checksum=True)
-    return PartResult(len(task.starts), Counter(scene.rejected))
+    for start in task.starts:
+        writer.add(start)
+    for name, (rows, schema) in writer.tables.items():
+        _write(task.beside(name), rows, schema)
+    _write(task.file, writer.rows, SCHEMA)
+    return PartResult(len(task.starts), scene.rejected + writer.routes.rejected)
+
+
+def _write(file: Path, rows: list[dict[str, Any]], schema: pa.Schema) -> None:
+    with replacing(file, durable=True) as part:
+        pq.write_table(pa.Table.from_pylist(rows, schema=schema), part, compression="zstd", write_page_checksum=True)
+
+
+class PartWriter:
+    """Writer of the rows of a part.
+
+    Args:
+        task: episodes and language file.
+    """
+
+    def __init__(self, task: PartTask) -> None:
+        self._task = task
+        self._scene, self._composer = prepared_scene(task.package), Composer(task.spec)
+        self.routes = RouteComposer(task.spec)
+        self._place = SceneRoutes(self._scene, task.camera)
+        self._dataset = None if task.spec.kinds == (TextKind.GOAL,) else Dataset(task.root)
+        self.rows: list[dict[str, Any]] = []
+        """Rows of `instructions.parquet`."""
+        self.tables: dict[str, tuple[list[dict[str, Any]], pa.Schema]] = {}
+        """Rows and schema of the other tables by file name."""
+        if TextKind.ROUTE in task.spec.kinds:
+            self.tables[STEPS_FILE] = ([], STEPS_SCHEMA)
+
+    def add(self, start: LanguageStart) -> None:
+        """Adds the rows of an episode."""
+        kinds, found = self._task.spec.kinds, []
+        if TextKind.GOAL in kinds:
+            found = instructions_of(start, self._scene, self._composer, self._task.camera)
+        routes = self._routes(start) if TextKind.ROUTE in kinds else []
+        number = self._scene.graph.number_of[start.target_id]
+        said = [route_row(start.episode_id, start.index, each, self._scene.distractors(number)) for each in routes]
+        rows = rows_of(start, found, said)
+        self.rows += rows
+        by_text = {each.text: each for each in routes}
+        for row in rows:
+            if row["kind"] == InstructionKind.ROUTE:
+                self.tables[STEPS_FILE][0].extend(step_rows(row, by_text[row["instruction"]]))
+
+    def _routes(self, start: LanguageStart) -> list[RouteText]:
+        assert self._dataset is not None
+        seed = np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(_ROUTE_STREAM,))
+        with self._dataset[start.episode_id] as episode:
+            poses = episode.poses
+        held_out = Split(start.split).is_paraphrased
+        number = self._scene.graph.number_of[start.target_id]
+        return self.routes.write(self._place, poses, number, held_out, np.random.default_rng(seed))
 
 
 @functools.lru_cache(maxsize=_KEPT_SCENES)
@@ -119,12 +183,20 @@ def instructions_of(
     return composer.write(scene, view, number, held_out, np.random.default_rng(seed))
 
 
-def rows_of(start: LanguageStart, found: list[Instruction]) -> list[dict[str, Any]]:
-    """Returns the rows of an episode: goals first, or the recorded instruction if the episode has no goal."""
-    goals = [each for each in found if each.kind is InstructionKind.GOAL]
-    others = [each for each in found if each.kind is not InstructionKind.GOAL]
-    rows = [_row(start, each) for each in goals] or [_recorded(start)]
-    return [{**row, "number": number} for number, row in enumerate([*rows, *(_row(start, each) for each in others)], 1)]
+def rows_of(
+    start: LanguageStart, found: list[Instruction], routes: Sequence[dict[str, Any]] = ()
+) -> list[dict[str, Any]]:
+    """Returns the rows of an episode: goals, routes, and others; the recorded instruction if it has no goal or route.
+
+    Args:
+        start: values of the episode.
+        found: new instructions.
+        routes: rows of routes without their number.
+    """
+    goals = [_row(start, each) for each in found if each.kind is InstructionKind.GOAL]
+    others = [_row(start, each) for each in found if each.kind is not InstructionKind.GOAL]
+    rows = [*([*goals, *routes] or [_recorded(start)]), *others]
+    return [{**row, "number": number} for number, row in enumerate(rows, 1)]
 
 
 def _row(start: LanguageStart, one: Instruction) -> dict[str, Any]:

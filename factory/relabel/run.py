@@ -27,11 +27,11 @@ from schemas.base import Model, Sha256
 from schemas.dataset.meta import software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError
 from schemas.language.compose import composer_of
-from schemas.language.file import LanguageSpec
+from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.instruction import InstructionKind
 from schemas.language.possible import explain_impossible
 from schemas.language.view import look
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500
 _PROBES = 12
@@ -66,6 +66,8 @@ class RelabelReport(Model):
     """Number of episodes processed."""
     instructions: int = 0
     """Number of new instructions that name the target."""
+    routes: int = 0
+    """Number of instructions that describe the driven path."""
     false_premises: int = 0
     """Number of instructions that name an object that does not exist."""
     recorded: int = 0
@@ -91,6 +93,7 @@ class _Job(NamedTuple):
     starts: tuple[LanguageStart, ...]
 
 
+_SAID = (InstructionKind.GOAL, InstructionKind.ROUTE)
 Progress = Callable[[int, int], None]
 
 
@@ -139,7 +142,7 @@ def relabel(
         table = pa.concat_tables([pq.read_table(file) for file in files]).sort_by(
             [("index", "ascending"), ("number", "ascending")]
         )
-        assemble(dataset, table, spec, output)
+        assemble(dataset, table, _other_tables(tasks, spec), spec, output)
         output.drop_work()
     return _report(out, len(dataset), table, rejected)
 
@@ -197,7 +200,7 @@ def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec
     """Raises `InvalidLanguage` if a language lacks a noun, or no target of a scene gets an instruction."""
     camera = dataset.meta.plan.camera
     faults = composer_of(spec).missing_nouns([start.category for job in jobs for start in job.starts])
-    for job in [] if faults else jobs:
+    for job in [] if faults or TextKind.GOAL not in spec.kinds else jobs:
         scene = prepared_scene(job.package)
         starts = job.starts[:: max(1, len(job.starts) // _PROBES)]
         number_of = scene.graph.number_of
@@ -213,12 +216,22 @@ def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: O
     for job in jobs:
         for first in range(0, len(job.starts), _PART_EPISODES):
             starts = job.starts[first : first + _PART_EPISODES]
-            yield PartTask(job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number))
+            yield PartTask(
+                dataset.root, job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number)
+            )
             number += 1
 
 
 def _part_file(output: Output, number: int) -> Path:
     return output.piece_folder(f"part-{number:06d}.parquet")
+
+
+def _other_tables(tasks: Sequence[PartTask], spec: LanguageSpec) -> dict[str, pa.Table]:
+    """Returns the table of steps by its file name if the language file has routes."""
+    if TextKind.ROUTE not in spec.kinds:
+        return {}
+    order = [(name, "ascending") for name in ("index", "number", "step")]
+    return {STEPS_FILE: pa.concat_tables([pq.read_table(task.beside(STEPS_FILE)) for task in tasks]).sort_by(order)}
 
 
 def _write_parts(tasks: Sequence[PartTask], workers: int, on_progress: Progress, stop: threading.Event) -> Counter[str]:
@@ -242,12 +255,13 @@ def _report(out: Path, episodes: int, table: pa.Table, rejected: Counter[str]) -
         finished=True,
         episodes=episodes,
         instructions=len(goals),
+        routes=sum(row["kind"] == InstructionKind.ROUTE for row in rows),
         false_premises=sum(row["kind"] == InstructionKind.FALSE_PREMISE for row in rows),
         recorded=sum(row["kind"] == InstructionKind.RECORDED for row in rows),
         distinct=len(pc.unique(table["instruction"])),
         patterns=len(pc.unique(table["template_id"])),
         minimal=sum(row["is_minimal"] for row in goals),
-        languages=dict(sorted(Counter(row["language"] for row in goals).items())),
+        languages=dict(sorted(Counter(row["language"] for row in rows if row["kind"] in _SAID).items())),
         features=dict(sorted(Counter(name for row in goals for name in row["features"].split(",") if name).items())),
         rejected=dict(sorted(rejected.items())),
     )

@@ -119,7 +119,7 @@ class Composer:
         shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
         drawn: set[Family] = set()
         while len(drawn) < _FEW:
-            drawn.add(_weighted(shares, rng))
+            drawn.add(draw_weighted(shares, rng))
         return frozenset(drawn)
 
     def write(
@@ -142,7 +142,7 @@ class Composer:
         for turn in range(_TRIES + self.spec.per_episode):
             if len(found) == self.spec.per_episode:
                 break
-            code, families = _weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
+            code, families = draw_weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
             if (code, families) not in options:
                 search = self._search(scene, seen, number, code, families)
                 options[code, families] = _Options(search, self._grouped(search, number, rng))
@@ -205,7 +205,7 @@ class Composer:
         """Draws a pattern and words, and returns the pattern and the sentence."""
         registers = self._patterns[code, held_out]
         shares = {name: self.spec.registers[name] for name in registers}
-        patterns = registers[_weighted(shares, rng)]
+        patterns = registers[draw_weighted(shares, rng)]
         usable = [each for each in patterns if each.case != "bare"] if not expression.definite else patterns
         pattern = (usable or patterns)[int(rng.integers(len(usable or patterns)))]
         choice = dict(zip(_WORD_GROUPS, rng.integers(_SYNONYMS, size=len(_WORD_GROUPS)).tolist(), strict=True))
@@ -225,7 +225,7 @@ class Composer:
             held_out: whether to use the held-out sentence patterns.
             rng: random generator.
         """
-        code = _weighted(self.spec.languages, rng)
+        code = draw_weighted(self.spec.languages, rng)
         groups = [group for group in self._absent(scene, number, code) if group]
         for _ in range(_TRIES):
             group = groups[int(rng.integers(len(groups)))]
@@ -305,6 +305,7 @@ def _index(weights: Sequence[float], rng: np.random.Generator) -> int:
     return min(bisect_right(edges, rng.random() * edges[-1]), len(weights) - 1)
 
 
-def _weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
+def draw_weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
+    """Returns a name drawn by its share."""
     names = list(shares)
     return names[_index([shares[name] for name in names], rng)]

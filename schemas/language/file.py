@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,6 +34,13 @@ Shares = Annotated[Weights, BeforeValidator(_equal_shares)]
 """Weights by name; a list of names gives equal shares."""
 
 
+class TextKind(StrEnum):
+    """Kind of text that a relabelling writes."""
+
+    GOAL = "goal"  # instructions that name the target
+    ROUTE = "route"  # instructions that describe the driven path, with sub-instructions
+
+
 class LanguageSpec(Model):
     """Content of a language file; every key is optional."""
 
@@ -42,6 +50,8 @@ class LanguageSpec(Model):
     """Share of each register: imperative, polite, question, terse, spoken."""
     features: Weights = Field(default_factory=dict)
     """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
+    kinds: Annotated[tuple[TextKind, ...], Field(min_length=1)] = (TextKind.GOAL,)
+    """Kinds of text: `goal`, `route`."""
     per_episode: Annotated[int, Field(ge=1, le=16)] = 1
     """Number of instructions for each episode."""
     redundant: Fraction = 0.0

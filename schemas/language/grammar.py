@@ -134,7 +134,10 @@ class Grammar(Model):
         Raises:
             KeyError: the language has no word for a part of the expression.
         """
-        text = pattern.before + self.phrase(expression, pattern.case, choice or {}) + pattern.after
+        return self.finished(pattern.before + self.phrase(expression, pattern.case, choice or {}) + pattern.after)
+
+    def finished(self, text: str) -> str:
+        """Returns a sentence with contracted words and a capital letter."""
         for wanted, given in self.say:
             text = re.sub(wanted, given, text)
         text = unicodedata.normalize("NFC", text)

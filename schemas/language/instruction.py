@@ -11,6 +11,7 @@ class InstructionKind(StrEnum):
     """Purpose of an instruction."""
 
     GOAL = "goal"  # names the target of the episode
+    ROUTE = "route"  # describes the driven path to the target
     FALSE_PREMISE = "false_premise"  # names an object that does not exist; the robot stops and reports it
     RECORDED = "recorded"  # instruction of the recording, because no new one fits the target
 

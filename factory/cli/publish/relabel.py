@@ -56,6 +56,7 @@ def _print(report: RelabelReport) -> None:
         ("distinct sentences", report.distinct),
         ("sentence patterns", report.patterns),
         ("minimal expressions", report.minimal),
+        ("routes", report.routes),
         ("false premises", report.false_premises),
         ("rejected by the verifier", sum(report.rejected.values())),
     )

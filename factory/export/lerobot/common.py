@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from coordinator.tables.card_configs import Configs
 from factory.dataset.episode import Episode
+from factory.dataset.steps import has_routes
 from factory.export.base import Decimated, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.features import features_of
@@ -97,6 +99,8 @@ class LeRobotExport:
     fps: int
     """Frames per second of the export."""
     numbering: Numbering
+    has_routes: bool
+    """Whether the source has sub-instructions."""
 
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
@@ -107,8 +111,14 @@ class LeRobotExport:
         """Writes the statistics of all episodes."""
         self._write_json("meta/stats.json", stats)
 
-    def write_info(self, version: str, **values: Any) -> None:
-        """Writes `info.json`, the last file; `values` are inserted between version and features."""
+    def write_info(self, version: str, features: Mapping[str, Any] | None = None, **values: Any) -> None:
+        """Writes `info.json`, the last file; `values` are inserted between version and features.
+
+        Args:
+            version: version of the format.
+            features: further features.
+            values: further values.
+        """
         known = {
             "total_episodes": len(self.numbering),
             "total_frames": self.numbering.frames,
@@ -118,7 +128,7 @@ class LeRobotExport:
             "splits": self.numbering.splits,
             "robot_type": ROBOT,
             "fps": self.fps,
-            "features": features_of(self.layout, self.fps),
+            "features": features_of(self.layout, self.fps) | dict(features or {}),
         }
         if self.rig is not None:
             self.out.write_text(_RIG_FILE, rig_json(self.rig, self.fps * self.stride))
@@ -140,6 +150,7 @@ def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
         stride=stride,
         fps=plan.task.control_hz // stride,
         numbering=number_pieces(export.pieces, stride),
+        has_routes=has_routes(export.dataset.root),
     )
 
 

@@ -16,6 +16,7 @@ from coordinator.tables.write import parquet_schema
 from factory.export.base import Finish
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import data_schema
+from factory.export.lerobot.language import COLUMN, FEATURE, TYPE, subtask_rows, with_subtasks
 from factory.export.lerobot.layout import ImageFeature, Layout, LeRobotOptions
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
@@ -72,6 +73,7 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     )
     dataset.write_info(
         VERSION,
+        {COLUMN: FEATURE} if dataset.has_routes else {},
         chunks_size=limits.chunk_files,
         data_files_size_in_mb=limits.data_mib,
         video_files_size_in_mb=limits.video_mib,
@@ -120,6 +122,8 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
     """Writes the data files with one row group per episode and returns the position of each episode."""
     places: Places = {}
     schema = data_schema(dataset.layout)
+    if dataset.has_routes:
+        schema = schema.append(pa.field(COLUMN, TYPE)).remove_metadata()  # readers take the features from info.json
     for number, group in enumerate(_grouped(dataset.numbering, FRAMES_FILE, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
@@ -131,7 +135,11 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for numbered in group:
-                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout))
+                table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout)
+                if dataset.has_routes:
+                    rows = subtask_rows(numbered.piece.episode.steps, dataset.fps * dataset.stride, dataset.stride)
+                    table = with_subtasks(table, rows).cast(schema)
+                writer.write_table(table)
     return places
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.episode import EpisodeMeta
+from schemas.language.route.model import SubInstruction
 from schemas.measure import yaw_of
 from schemas.terms import SuccessMeasure
 
@@ -24,6 +25,18 @@ _SPACING_M = 0.25
 """Distance between points of the reference path, metres; equal to the step of VLN-CE agents."""
 _GOAL_SPACING_M = 0.25
 """Largest distance between goals along the edge of a footprint, metres."""
+
+
+class EpisodeText(NamedTuple):
+    """Instruction of an episode."""
+
+    instruction: str
+    """Text, perhaps of a relabelled dataset."""
+    template_id: str
+    """Sentence pattern of the text."""
+    steps: tuple[SubInstruction, ...] = ()
+    """Sub-instructions of a route."""
+
 
 Vector = tuple[float, float, float]
 
@@ -98,13 +111,16 @@ def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[tuple[fl
     return sorted(points, key=lambda point: math.dist(point, last))
 
 
-def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float) -> dict[str, Any]:
+def vlnce_episode(
+    meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float, said: EpisodeText
+) -> dict[str, Any]:
     """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
     Args:
         meta: metadata of the episode.
         poses: (T, 7) poses of base_link in the REP 103 world frame.
         floor_height_m: height of the floor, metres; goals are on the floor, because a navigation mesh covers only it.
+        said: instruction and its sub-instructions.
     """
     job, rollout = meta.job, meta.rollout
     track = thin_track(poses[:, :3])
@@ -119,19 +135,25 @@ def vlnce_episode(meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m:
             for x, y in _goal_points(meta, poses)
         ],
         "reference_path": [to_habitat(point) for point in track.tolist()],
-        "instruction": {"instruction_text": meta.instruction},
+        "instruction": {"instruction_text": said.instruction},
         "info": {
             "geodesic_distance": meta.route.geodesic_m,
             "minivla_episode_id": meta.episode_id,
             "scene_sha256": job.scene_sha256,
             "split": str(job.split),
             "tier": str(job.tier),
-            "template_id": meta.template_id,
+            "template_id": said.template_id,
             "target_category": job.category,
             "target_id": job.target_id,
             "target_colour": job.colour,
             "target_centroid": to_habitat(meta.target_centroid_m),
             "expert_trajectory_length_m": rollout.trajectory_length_m,
             "expert_final_ne_m": rollout.final_ne_m,
+            **({"sub_instructions": [_sub_instruction(each) for each in said.steps]} if said.steps else {}),
         },
     }
+
+
+def _sub_instruction(each: SubInstruction) -> dict[str, Any]:
+    """Returns a sub-instruction with its span of `locations` of the file of paths."""
+    return {"text": each.text, "start": each.start, "end": each.end}

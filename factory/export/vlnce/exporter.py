@@ -21,7 +21,15 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from factory.export.output import Output
-from factory.export.vlnce.episode import scene_file, to_habitat, tokens_of_text, vlnce_episode, vocabulary_of, words_of
+from factory.export.vlnce.episode import (
+    EpisodeText,
+    scene_file,
+    to_habitat,
+    tokens_of_text,
+    vlnce_episode,
+    vocabulary_of,
+    words_of,
+)
 from factory.runs.catalog import find_package
 from schemas.scene import CompiledScene, SceneInfo, decode_scene
 from schemas.storage.place import Place
@@ -37,6 +45,8 @@ _CARD = """
   "surface"`, points every 0.25 m or less along the edge of the target's footprint, the one nearest to the end first.
   `reference_path` is the driven track, a point every 0.25 m. `info.geodesic_distance` goes to the success region, along
   the floor (null where it is unknown).
+- `info.sub_instructions` of a dataset with routes has the text of each step and its span of `locations`, from `start`
+  to before `end`.
 - `instruction_tokens` are indices into `instruction_vocab.word_list`, padded with 0 to {length}; one vocabulary for all
   splits. Models with their own vocabulary use `instruction_text`.
 - `scene_id` is `minivla/<scene>/<scene>.glb` below Habitat's folder of scenes: `scene_datasets/` here. The
@@ -51,7 +61,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
-    version = 2
+    version = 3
     requires = ("trimesh",)
     assembles = True
     options = Options
@@ -61,7 +71,8 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
         """Writes the entry and the path of one episode."""
         job = episode.meta.job
         info = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
-        entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m)
+        said = EpisodeText(episode.instruction, episode.summary.template_id, episode.steps)
+        entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m, said)
         locations = [to_habitat(point) for point in episode.poses[:, :3].tolist()]
         (folder / PIECE_FILE).write_text(json.dumps({"entry": entry, "locations": locations}), encoding="utf-8")
         return EpisodeFacts(frames=len(episode))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from factory.export.vlnce.episode import (
+    EpisodeText,
     from_habitat,
     rotation_of,
     thin_track,
@@ -24,6 +25,8 @@ from factory.export.vlnce.episode import (
 from schemas.measure import footprint_distances
 from schemas.terms import SuccessMeasure
 from tests.builders.bundle import GOAL_M, RADIUS_M, parts_for, short_task
+
+SAID = EpisodeText("Go to the chair.", "train_01")
 
 COORDINATES = st.floats(-1e3, 1e3, allow_nan=False).map(lambda value: value + 0.0)
 
@@ -78,11 +81,11 @@ def test_words_are_encoded_and_decoded():
 
 def test_an_entry_has_the_fields_that_habitat_requires():
     parts = parts_for()
-    entry = json.loads(json.dumps(vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0)))
+    entry = json.loads(json.dumps(vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0, SAID)))
     assert entry["goals"] == [{"position": [GOAL_M[0], 0.0, 0.0], "radius": RADIUS_M}]
     assert entry["start_position"] == [0.0, 0.0, 0.0]
     assert entry["scene_id"] == "minivla/office/office.glb"
-    assert entry["instruction"]["instruction_text"] == parts.meta.job.instruction
+    assert entry["instruction"]["instruction_text"] == SAID.instruction
     assert {"episode_id", "trajectory_id", "start_rotation", "reference_path", "info"} <= entry.keys()
     end = [float(value) for value in parts.arrays.poses[-1, :3]]
     assert from_habitat(entry["reference_path"][-1]) == pytest.approx(end)
@@ -92,7 +95,7 @@ def test_goals_by_surface_are_points_of_the_footprint_with_the_nearest_first():
     square = ((1.0, -0.5), (2.0, -0.5), (2.0, 0.5), (1.0, 0.5))
     task = short_task().model_copy(update={"success": SuccessMeasure.SURFACE})
     parts = parts_for().with_meta(target_footprint_m=square).with_job(task=task)
-    goals = vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0)["goals"]
+    goals = vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0, SAID)["goals"]
     points = np.array([from_habitat(goal["position"])[:2] for goal in goals])
     assert len(points) == 16
     assert points[0].tolist() == [1.0, 0.0]

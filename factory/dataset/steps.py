@@ -1,0 +1,57 @@
+"""Reads the sub-instructions of routes from a relabelled dataset. Writes nothing."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from schemas.errors import ArchiveCorrupt
+from schemas.language.route.model import RouteStep, SubInstruction
+from schemas.storage.dataset_files import STEPS_FILE
+from schemas.storage.place import Place, table_of
+from schemas.support.foreign import PARSER_ERRORS
+
+
+def has_routes(root: Place) -> bool:
+    """Returns whether a dataset has a table of sub-instructions."""
+    return (root / STEPS_FILE).is_file()
+
+
+def read_text_table(path: Place, episode_id: str | None = None) -> pa.Table:
+    """Returns a table of `factory relabel`.
+
+    Args:
+        path: location of the Parquet file.
+        episode_id: episode whose rows are read; by default all.
+
+    Raises:
+        ArchiveCorrupt: the table is damaged.
+    """
+    wanted = None if episode_id is None else [("episode_id", "==", episode_id)]
+    try:
+        return pq.read_table(table_of(path), filters=wanted)
+    except (pa.ArrowException, *PARSER_ERRORS) as error:
+        raise ArchiveCorrupt(f"{path} is damaged ({error}): run `factory relabel` again") from error
+
+
+def read_steps(root: Place, episode_id: str) -> tuple[SubInstruction, ...]:
+    """Returns the sub-instructions of the first route of an episode; empty if it has none.
+
+    Raises:
+        ArchiveCorrupt: the table is damaged.
+    """
+    if not has_routes(root):
+        return ()
+    rows = read_text_table(root / STEPS_FILE, episode_id).to_pylist()
+    first = min((row["number"] for row in rows), default=0)
+    return tuple(
+        SubInstruction(
+            number=row["step"],
+            text=row["instruction"],
+            step=RouteStep.model_validate_json(row["meaning"]),
+            start=row["start"],
+            end=row["end"],
+        )
+        for row in rows
+        if row["number"] == first
+    )

@@ -1,0 +1,129 @@
+"""Measures a driven path against a scene graph for the verifier of routes: angles, sides, lines of sight, widths.
+
+Written without the search that finds steps; works on polygons and single rays.
+"""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import CameraConfig
+from schemas.language.graph import SceneGraph
+from schemas.measure import footprint_distances
+
+_EVERY = 4
+_RAY_M = 0.03
+_WALL = 2
+_BEFORE_M = 0.25
+_PASSAGE_M, _DIRECTIONS = 0.7, 8
+
+
+class Replay:
+    """Recorded poses on the map of a scene.
+
+    Args:
+        graph: scene graph.
+        poses: (T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z.
+        camera: camera of the robot.
+    """
+
+    def __init__(self, graph: SceneGraph, poses: NDArray[np.float64], camera: CameraConfig) -> None:
+        self.graph, self._camera = graph, camera
+        self._points = [complex(x, y) for x, y in poses[:, :2].tolist()]
+        # the forward axis of the body frame in the world frame
+        self._ways = [complex(1 - 2 * (y * y + z * z), 2 * (x * y + w * z)) for w, x, y, z in poses[:, 3:].tolist()]
+        self._increments = [cmath.phase(two / one) for one, two in zip(self._ways[:-1], self._ways[1:], strict=True)]
+
+        moved = [abs(two - one) for one, two in zip(self._points[:-1], self._points[1:], strict=True)]
+        self._driven = [0.0, *itertools.accumulate(moved)]
+        self._rooms: list[int] = graph.room_grid.at(poses[:, :2]).tolist()
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def headings(self, start: int, end: int) -> list[float]:
+        """Returns the headings of frames relative to the first one, radians, continuous."""
+        total, found = 0.0, [0.0]
+        for increment in self._increments[start : end - 1]:
+            total += increment
+            found.append(total)
+        return found
+
+    def driven(self, start: int, end: int) -> float:
+        """Returns the driven distance, metres."""
+        return self._driven[max(end - 1, start)] - self._driven[start]
+
+    def relative(self, number: int, t: int) -> complex:
+        """Returns the middle of an object relative to the robot, metres: real part ahead, imaginary part left."""
+        outline = self.graph.objects[number]
+        low, high = outline.low_m, outline.high_m
+        middle = complex((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
+        way = self._ways[t] / abs(self._ways[t])
+        return (middle - self._points[t]) / way
+
+    def gap(self, number: int, t: int) -> float:
+        """Returns the gap between the robot's centre and the footprint of an object, metres."""
+        point = self._points[t]
+        return float(footprint_distances((point.real, point.imag), self.graph.objects[number].outline_m))
+
+    def frames(self, start: int, end: int) -> list[int]:
+        """Returns some frames of a span, with the last one."""
+        return [*range(start, end - 1, _EVERY), end - 1]
+
+    def room(self, t: int) -> int:
+        """Returns the room at a frame, or 0."""
+        return self._rooms[t]
+
+    def passage_width(self, t: int) -> float:
+        """Returns the smallest width of the free space in any direction within 0.7 m of a frame, metres."""
+        near = [k for k in range(len(self)) if abs(self._points[k] - self._points[t]) < _PASSAGE_M]
+        ways = [cmath.rect(1.0, angle * math.pi / _DIRECTIONS) for angle in range(_DIRECTIONS)]
+        return min(
+            self._free(self._points[k], way, blocked=1) + self._free(self._points[k], -way, blocked=1)
+            for k in near[:: max(1, len(near) // 12)]
+            for way in ways
+        )
+
+    def _free(self, point: complex, way: complex, most_m: float = 3.0, blocked: int = _WALL) -> float:
+        """Returns the distance to the next cell with at least a value, metres."""
+        steps = np.arange(0.0, most_m, _RAY_M)
+        places = np.column_stack((point.real + way.real * steps, point.imag + way.imag * steps))
+        hit = np.flatnonzero(self.graph.sight_grid.at(places).astype(np.int64) >= blocked)
+        return float(steps[hit[0]]) if len(hit) else most_m
+
+    def may_see(self, number: int, t: int, most_m: float) -> bool:
+        """Returns whether an object within a distance may be in the image at a frame; only walls hide it."""
+        if self.gap(number, t) > most_m:
+            return False
+        way = self._ways[t] / abs(self._ways[t])
+        eye = self._points[t] + way * complex(self._camera.x_m, self._camera.y_m)
+        half = math.radians(self._camera.fov_deg) / 2
+        each = self.graph.objects[number]
+        corners = [complex(x, y) for x, y in each.outline_m]
+        for corner in (sum(corners) / len(corners), *corners):
+            line = corner - eye
+            if abs(line) < 0.2:
+                return True
+            if (
+                abs(cmath.phase(line / way)) <= half
+                and self._free(eye, line / abs(line), abs(line)) >= abs(line) - 0.25
+            ):
+                return True
+        return False
+
+    def position(self, t: int) -> tuple[float, float]:
+        """Returns x, y of the robot, metres."""
+        return self._points[t].real, self._points[t].imag
+
+    def yaw(self, t: int) -> float:
+        """Returns the heading of the robot, radians."""
+        return cmath.phase(self._ways[t])
+
+    def bearing(self, point: tuple[float, float], t: int) -> float:
+        """Returns the angle from the heading to a point, radians, positive to the left."""
+        return cmath.phase((complex(*point) - self._points[t]) / self._ways[t])

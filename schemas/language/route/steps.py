@@ -1,0 +1,279 @@
+"""Describes a driven path in steps: turns, doorways, objects passed, and the target at the end. Writes no words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import CameraConfig
+from schemas.language.compose import SceneLanguage
+from schemas.language.expression import Expression, Family
+from schemas.language.generator.facts import ViewFacts
+from schemas.language.generator.minimal import minimal_expressions
+from schemas.language.generator.search import Search
+from schemas.language.graph import UNKNOWN
+from schemas.language.route import thresholds as limit
+from schemas.language.route.doorways import Doorway, RoomChange, doorway_of, find_doorways, room_changes
+from schemas.language.route.model import DrivenPath, RouteStep, Side, StepKind, TurnSize
+from schemas.language.route.segment import PathPart, divide_path
+from schemas.language.view import SceneView, look
+from schemas.support.numpy_types import Bools, Floats
+
+_LATER = frozenset(Family) - {Family.VIEW}
+"""Features of a target that is reached after other steps: "as seen from here" would mean the start of the route."""
+_SHORT_M = 0.8
+"""Length up to which a straight run belongs to the turn after it, metres."""
+_BEYOND_M = 0.3
+"""Distance that a step continues after a doorway or an object, metres."""
+_APART_M = 2.0
+"""Smallest distance between two objects passed, metres."""
+_NEAR_M = 3.0
+_EVERY = 6
+
+
+class SpannedStep(NamedTuple):
+    """Step with its frames."""
+
+    step: RouteStep
+    start: int
+    end: int
+
+
+@dataclass(frozen=True)
+class SceneRoutes:
+    """Scene prepared for routes.
+
+    Args:
+        scene: prepared scene.
+        camera: camera of the robot.
+    """
+
+    scene: SceneLanguage
+    camera: CameraConfig
+
+    @cached_property
+    def doorways(self) -> tuple[Doorway, ...]:
+        """Passages between rooms."""
+        return find_doorways(self.scene.graph)
+
+
+class RouteSearch:
+    """Finds the steps of one path; chance chooses between steps that are equally true.
+
+    Args:
+        place: scene of the path.
+        path: driven path.
+        number: number of the target in the scene graph.
+        nouns: kinds that the language can name.
+        rng: random generator.
+    """
+
+    def __init__(
+        self, place: SceneRoutes, path: DrivenPath, number: int, nouns: Collection[str], rng: np.random.Generator
+    ) -> None:
+        self._place, self._path, self._target, self._nouns, self._rng = place, path, number, nouns, rng
+        self._graph, self._facts = place.scene.graph, place.scene.facts
+        self._views: dict[int, SceneView] = {}
+
+    def steps(self) -> list[SpannedStep]:
+        """Returns the steps, whose spans cover the path; empty if a part of it has no clear description."""
+        parts = divide_path(self._path)
+        if parts[-1].turn_rad:  # the robot stops at the end of a turn
+            parts[-1:] = self._cut(parts[-1])
+        changes = room_changes(self._graph, self._path)
+        found: list[SpannedStep] = []
+        begun = 0
+        for number, part in enumerate(parts):
+            own = [change for change in changes if part.start <= change.frame < part.end]
+            if part.turn_rad:
+                turn = self._turn(part.turn_rad, own)
+                if turn is None:
+                    return []
+                found.append(SpannedStep(turn, begun, part.end))
+            else:
+                is_last = number == len(parts) - 1
+                run = self._run(part._replace(start=begun), own, is_last)
+                if run is None:
+                    return []
+                found += run
+            begun = found[-1].end if found else 0
+        return found
+
+    def _turn(self, turned_rad: float, changes: list[RoomChange]) -> RouteStep | None:
+        """Returns the step of a turn, perhaps in a doorway; `None` if it has no clear description."""
+        side = Side.LEFT if turned_rad > 0 else Side.RIGHT
+        doors = [each for each in changes if doorway_of(self._place.doorways, each, self._path.xy[each.frame])]
+        if len(doors) == 1:
+            is_corner = limit.CORNER_RAD[0] <= abs(turned_rad) < limit.CORNER_RAD[1]
+            kind = self._graph.types[doors[0].after - 1]
+            return RouteStep(kind=StepKind.CORNER, side=side, room=kind) if is_corner else None
+        size = None if doors else turn_size(turned_rad)
+        if size is None:
+            return None
+        return RouteStep(kind=StepKind.TURN, size=size, side=None if size is TurnSize.AROUND else side)
+
+    def _cut(self, part: PathPart) -> list[PathPart]:
+        """Returns a last turn in two parts: until the heading of the end is reached, and the rest."""
+        left = np.abs(self._path.yaw[part.start : part.end] - self._path.yaw[part.end - 1])
+        settled = part.start + int(np.flatnonzero(left > math.radians(4))[-1]) + 1
+        settled = min(settled, part.end - 1)
+        return [part._replace(end=settled), PathPart(settled, part.end, 0.0)]
+
+    def _run(self, part: PathPart, changes: list[RoomChange], is_last: bool) -> list[SpannedStep] | None:
+        """Returns the steps of a straight run; `None` if one of them has no clear description."""
+        found: list[SpannedStep] = []
+        begun = part.start
+        for change in changes:
+            doorway = doorway_of(self._place.doorways, change, self._path.xy[change.frame])
+            if doorway is None:
+                continue
+            found += self._passes(begun, change.frame)
+            begun = found[-1].end if found else begun
+            if not self._is_clear(doorway, begun):
+                return None
+            done = min(self._frame_at(self._path.along[change.frame] + _BEYOND_M), part.end - int(is_last))
+            kind = self._graph.types[change.after - 1]
+            found.append(SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), begun, max(done, change.frame + 1)))
+            begun = found[-1].end
+        found += self._passes(begun, part.end)
+        begun = found[-1].end if found else begun
+        left = float(self._path.along[part.end - 1] - self._path.along[min(begun, part.end - 1)])
+        if is_last:
+            stop = self._stop(min(begun, part.end - 1), part.end)
+            return None if stop is None else [*found, stop]
+        if left > _SHORT_M:
+            return [*found, self._onward(begun, part.end, left)]
+        if found:
+            found[-1] = found[-1]._replace(end=part.end)
+        return found
+
+    def _frame_at(self, along_m: float) -> int:
+        return int(np.searchsorted(self._path.along, along_m)) + 1
+
+    def _view(self, t: int) -> SceneView:
+        if t not in self._views:
+            self._views[t] = look(self._graph, self._path.pose(t), self._place.camera)
+        return self._views[t]
+
+    def _is_clear(self, doorway: Doorway, start: int) -> bool:
+        """Returns whether no other doorway of the room is ahead at the start of the step."""
+        x, y, yaw = self._path.pose(start)
+        (room,) = {self._graph.room_at(x, y)} & doorway.rooms or {0}
+
+        def offset(each: Doorway) -> tuple[float, float]:
+            dx, dy = each.middle[0] - x, each.middle[1] - y
+            return math.hypot(dx, dy), abs(math.remainder(math.atan2(dy, dx) - yaw, math.tau))
+
+        own, angle = offset(doorway)
+        rivals = [offset(each) for each in self._place.doorways if room in each.rooms and each != doorway]
+        ahead = [far for far, aside in rivals if aside < limit.DOOR_AHEAD_RAD]
+        return angle < math.pi / 3 and all(far > own + limit.NEXT_DOOR_M for far in ahead)
+
+    def _passes(self, start: int, end: int) -> list[SpannedStep]:
+        """Returns the objects that the robot passes between two frames, at some distance from each other."""
+        if end - start < 2 or self._path.along[end - 1] - self._path.along[start] < limit.RUN_M:
+            return []
+        found: list[SpannedStep] = []
+        for done, side, number in self._passed(start, end):
+            begun = found[-1].end if found else start
+            if found and self._path.along[done - 1] - self._path.along[begun] < _APART_M:
+                continue
+            named = self._named(number, begun, done)
+            if named is not None and self._view(begun).sure[number] and self._is_before(number, begun):
+                found.append(SpannedStep(RouteStep(kind=StepKind.PAST, side=side, named=named), begun, done))
+        return found
+
+    def _is_before(self, number: int, t: int) -> bool:
+        ahead, _ = self._offsets(np.array([t]))
+        return bool(ahead[0, number] >= limit.BEFORE_M.good)
+
+    def _offsets(self, frames: NDArray[np.integer[Any]]) -> tuple[Floats, Floats]:
+        """Returns (K, N) distances of the objects' middles ahead and to the left of the robot, metres."""
+        offset = self._facts.centre[None] - self._path.xy[frames][:, None]
+        cos, sin = np.cos(self._path.yaw[frames])[:, None], np.sin(self._path.yaw[frames])[:, None]
+        return offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
+
+    def _gaps(self, frames: NDArray[np.integer[Any]]) -> Floats:
+        """Returns (K, N) gaps between the robot's centre and the objects' bounding rectangles, metres."""
+        points = self._path.xy[frames][:, None]
+        beyond = np.maximum(self._graph.low[None, :, :2] - points, points - self._graph.high[None, :, :2])
+        return np.asarray(np.hypot(*np.moveaxis(beyond.clip(0.0), -1, 0)))
+
+    def _passed(self, start: int, end: int) -> Iterator[tuple[int, Side, int]]:
+        """Yields the frame after which an object is behind the robot, its side, and its number, in this order."""
+        frames = np.arange(start, end, _EVERY)
+        ahead, left = self._offsets(frames)
+        gaps = self._gaps(frames)
+        nearest = gaps.argmin(axis=0)
+        columns = np.arange(gaps.shape[1])
+        behind = (ahead[-1] < -limit.BEHIND_M.good - 0.1) & (ahead[0] > limit.BEFORE_M.good)
+        close = gaps[nearest, columns] <= limit.PASS_M.good
+        aside = (np.sign(left) == np.sign(left[nearest, columns])).all(axis=0)
+        own = self._graph.room_of
+        rooms = {self._graph.room_at(*self._path.xy[t].tolist()) for t in (start, end - 1)}
+        same = (own == 0) | np.isin(own, list(rooms))
+        found = np.flatnonzero(behind & close & aside & same)
+        done = [frames[int(np.argmax(ahead[:, each] < -limit.BEHIND_M.good - 0.1))] for each in found]
+        for place in np.argsort(done, kind="stable").tolist():
+            number = int(found[place])
+            if number != self._target and min(int(done[place]) + _EVERY, end) > start:
+                side = Side.LEFT if left[nearest[number], number] > 0 else Side.RIGHT
+                yield min(int(done[place]) + _EVERY, end), side, number
+
+    def _named(self, number: int, start: int, end: int) -> Expression | None:
+        """Returns the shortest description of an object that fits no other object near the step, or `None`."""
+        each = self._graph.objects[number]
+        if each.kind not in self._nouns:
+            return None
+        has_colour = each.colour != UNKNOWN and self._graph.kinds.of(each.kind).plain
+        rivals = self._rivals(start, end)
+        for colour in (None, each.colour) if has_colour else (None,):
+            possible = self._facts.described(each.kind, colour).possible & rivals
+            if not (possible & (np.arange(len(possible)) != number)).any():
+                return Expression(kind=each.kind, colour=colour)
+        return None
+
+    def _rivals(self, start: int, end: int) -> Bools:
+        """Returns (N,) objects that may be seen from the step, or are near it."""
+        frames = np.unique(np.append(np.arange(start, end, _EVERY * 5), end - 1))
+        views = [self._view(t) for t in {start, (start + end) // 2, end - 1}]
+        seen = [view.possible & (view.distance <= limit.AMBIGUOUS_M + 1.0) for view in views]
+        return np.asarray(np.logical_or.reduce([(self._gaps(frames) <= _NEAR_M).any(axis=0), *seen]))
+
+    def _onward(self, start: int, end: int, length_m: float) -> SpannedStep:
+        """Returns a step straight on: towards an object ahead, or for a distance."""
+        view = self._view(start)
+        ahead = np.abs(view.bearing) <= limit.TOWARDS_RAD.good
+        nearer = np.hypot(*(self._facts.centre - self._path.xy[end - 1]).T) <= view.distance * (1 - limit.TOWARDS_SHARE)
+        fitting = np.flatnonzero(view.sure & ahead & nearer).tolist()
+        for number in self._rng.permutation(fitting).tolist() if self._rng.random() < 0.7 else ():
+            named = self._named(int(number), start, end)
+            if named is not None:
+                return SpannedStep(RouteStep(kind=StepKind.TOWARDS, named=named), start, end)
+        return SpannedStep(RouteStep(kind=StepKind.FORWARD, metres=max(1, round(length_m))), start, end)
+
+    def _stop(self, start: int, end: int) -> SpannedStep | None:
+        """Returns the last step; `None` if no words fit the target only."""
+        named = self._named(self._target, start, end)
+        if named is None:
+            seen = ViewFacts(self._facts, self._view(start))
+            search = Search(self._facts, seen, self._target, _LATER if start else frozenset(Family), self._nouns, ())
+            fitting = minimal_expressions(search, self._rng)
+            if not fitting:
+                return None
+            named = fitting[int(self._rng.integers(len(fitting)))]
+        return SpannedStep(RouteStep(kind=StepKind.STOP, named=named), start, end)
+
+
+def turn_size(turned_rad: float) -> TurnSize | None:
+    """Returns the size of a turn; `None` for more than a turn around, or less than a slight one."""
+    for size, (least, most) in limit.TURN_RAD.items():
+        if least <= abs(turned_rad) < most:
+            return size
+    return None
