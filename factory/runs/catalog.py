@@ -7,7 +7,7 @@ nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from factory.scenes.build import build_scene, find_import, import_scene, load_ed
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
-from schemas.errors import InvalidPlan
+from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
 from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
@@ -33,14 +33,16 @@ MessageCallback = Callable[[str], None]
 _PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
-def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
+def open_catalog(
+    plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None, packages: Place | None = None
+) -> Catalog:
     """Returns the scenes of a plan after checking that they can fulfil it; see `collect_scenes`.
 
     Raises:
         InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
             been written to `root`.
     """
-    entries = collect_scenes(plan, root, cache, tell)
+    entries = collect_scenes(plan, root, cache, tell, packages)
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
@@ -51,7 +53,9 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
     return entries
 
 
-def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
+def collect_scenes(
+    plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None, packages: Place | None = None
+) -> Catalog:
     """Returns the scenes of a plan without checking that they can fulfil it.
 
     Args:
@@ -59,18 +63,35 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback =
         root: Location of the dataset; packages in its `scenes/` folder are used unchanged.
         cache: Folder in which new packages are built.
         tell: Called with the name of each scene before it is built or compiled.
+        packages: Folder that contains the package of every scene, so that none is built; `None` uses `root`.
 
     Raises:
+        UsageError: `packages` lacks a scene, or has several packages of one.
         InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene.
     """
     entries: dict[str, SceneEntry] = {}
-    held = {scene.name: packages_of(root / SCENES, scene.name) for scene in plan.scenes}
+    folder = root / SCENES if packages is None else packages
+    held = {scene.name: packages_of(folder, scene.name) for scene in plan.scenes}
+    if packages is not None:
+        _require_one_each(packages, held)
     require_files(plan, [name for name, packages in held.items() if packages])
     for scene in plan.scenes:
         kept = held[scene.name]
         package = package_file(kept[0]) if kept else _make(scene, cache, partial(tell, scene.name))
         entries[scene.name] = read_entry(package)
     return with_light(plan, entries)
+
+
+def _require_one_each(folder: Place, held: Mapping[str, Sequence[Place]]) -> None:
+    lacking = [name for name, packages in held.items() if not packages]
+    if lacking:
+        raise UsageError(
+            f"{folder} has no package of {', '.join(lacking)}: give the folder `scenes` of a dataset of the plan, or "
+            "copy the packages that `factory scene build` or `factory scene import` prints"
+        )
+    several = [f"{name} ({', '.join(place.name for place in packages)})" for name, packages in held.items() if packages[1:]]
+    if several:
+        raise UsageError(f"{folder} has several packages of {', '.join(several)}: keep one of each scene")
 
 
 def with_light(plan: Plan, catalog: Catalog) -> Catalog:
