@@ -25,6 +25,8 @@ class CoordinatorOptions:
 
     listen: Sequence[str] = DEFAULT_LISTEN
     """Zenoh endpoints; port 0 selects a free port."""
+    hosts: Sequence[str] = ()
+    """Names or addresses of this host for workers, which replace wildcards in endpoints; by default the host's name."""
     ledger_url: str | None = None
     """URL of the ledger; by default `ledger.db` in the directory."""
     settings: CoordinatorSettings = field(default_factory=CoordinatorSettings)

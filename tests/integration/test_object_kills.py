@@ -18,7 +18,7 @@ from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.address_file import read_address
+from schemas.protocol.address_file import read_address
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.split_faults import find_faults

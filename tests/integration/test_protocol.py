@@ -11,7 +11,7 @@ import pytest
 
 from coordinator.admin import administer
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.address_file import read_address
+from schemas.protocol.address_file import read_address
 from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings

@@ -13,7 +13,7 @@ from coordinator.protocol.protocol import simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.cli.common.admission import open_door
+from factory.cli.common.admission import find_hosts, open_door
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
 from factory.cli.common.groups import CommandGroup
@@ -119,6 +119,7 @@ def start(
             return 130
         options = CoordinatorOptions(
             listen=listen,
+            hosts=() if guard is None else find_hosts(guard),
             ledger_url=ledger,
             settings=settings,
             guard=guard,
@@ -150,5 +151,6 @@ def _say_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guar
     """Prints where the coordinator listens, and the command that starts a worker."""
     where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
-    for endpoint in coordinator.endpoints:
-        click.echo(f"factory worker --cores 2 --connect {endpoint}")
+    tls = "" if guard is None else " --tls DIR"
+    for endpoint in coordinator.reachable:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}{tls}")
