@@ -19,7 +19,6 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
 from coordinator.options import CoordinatorOptions
 from coordinator.periodic_tasks import PeriodicTasks
-from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import Terms
 from coordinator.protocol.request_handler import RequestHandler
@@ -31,6 +30,7 @@ from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
+from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 

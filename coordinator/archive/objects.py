@@ -217,7 +217,6 @@ class ObjectArchive(PackingArchive, Closing):
             "coordinators could overwrite each other's files: use a store that supports conditional writes"
         )
 
-
     def close(self) -> None:
         """Releases the dataset, so that a run with another local directory can open it."""
         try:

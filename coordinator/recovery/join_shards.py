@@ -223,7 +223,10 @@ def _copy_episodes(
     with engine.connect() as connection:
         known = set(connection.execute(select(episodes.c.idx)).scalars())
         classifier = StrayClassifier(
-            PlannedDraws(target.plan, target.catalog, connection), checker, connection, validated_files(place, target.plan)
+            PlannedDraws(target.plan, target.catalog, connection),
+            checker,
+            connection,
+            validated_files(place, target.plan),
         )
         for index, path in list_episodes(place).episodes.items():
             if index in known or index not in numbers:

@@ -89,7 +89,9 @@ def _require_one_each(folder: Place, held: Mapping[str, Sequence[Place]]) -> Non
             f"{folder} has no package of {', '.join(lacking)}: give the folder `scenes` of a dataset of the plan, or "
             "copy the packages that `factory scene build` or `factory scene import` prints"
         )
-    several = [f"{name} ({', '.join(place.name for place in packages)})" for name, packages in held.items() if packages[1:]]
+    several = [
+        f"{name} ({', '.join(place.name for place in packages)})" for name, packages in held.items() if packages[1:]
+    ]
     if several:
         raise UsageError(f"{folder} has several packages of {', '.join(several)}: keep one of each scene")
 

@@ -86,7 +86,11 @@ class LocalRun:
         rig = "" if self.rig is None else f" --rig {self.rig}"
         rig += "" if self.appearance is None else f" --appearance {self.appearance}"
         shard = "" if self.shard is None else f" --shard {self.shard}"
-        return f"factory run{shard} --out {site}" if self.states is None else f"factory render {self.states}{rig} -o {site}"
+        return (
+            f"factory run{shard} --out {site}"
+            if self.states is None
+            else f"factory render {self.states}{rig} -o {site}"
+        )
 
 
 def run_locally(

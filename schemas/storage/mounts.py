@@ -8,7 +8,22 @@ from typing import NamedTuple
 
 MOUNTS = Path("/proc/self/mountinfo")
 _NETWORK = frozenset(
-    {"nfs", "nfs4", "cifs", "smb3", "smbfs", "lustre", "gpfs", "beegfs", "ceph", "afs", "panfs", "pvfs2", "gfs2", "ocfs2"}
+    {
+        "nfs",
+        "nfs4",
+        "cifs",
+        "smb3",
+        "smbfs",
+        "lustre",
+        "gpfs",
+        "beegfs",
+        "ceph",
+        "afs",
+        "panfs",
+        "pvfs2",
+        "gfs2",
+        "ocfs2",
+    }
 )
 _LOCAL_FUSE = frozenset({"fuse.fuse-overlayfs", "fuse.overlayfs", "fuse.mergerfs", "fuse.bindfs", "fuse.lxcfs"})
 _ESCAPED = re.compile(r"\\([0-7]{3})")

@@ -15,9 +15,10 @@ def test_shards_with_a_kill_give_the_digest_of_the_run_without_shards(factory, p
     wait_for(lambda: (shards / "a" / "run_shard.json").is_file())
     kill_group(killed)
     factory(*command, "--shard", "2/2", "--out", shards / "b")
-    assert "1 of 2 shards are not finished: 1/2" in factory(
-        "gather", plan, shards, "--out", tmp_path / "joined", expect=2
-    ).stderr
+    assert (
+        "1 of 2 shards are not finished: 1/2"
+        in factory("gather", plan, shards, "--out", tmp_path / "joined", expect=2).stderr
+    )
     factory("run", "--out", shards / "a", "--workers", 1)
     joined = factory.json("gather", plan, shards, "--out", tmp_path / "joined")
     assert joined["digest"] == factory.json("verify", reference)["digest"]

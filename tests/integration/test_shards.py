@@ -190,7 +190,9 @@ def test_more_shards_than_episodes_are_refused(tmp_path):
         choose_shard(site_of(tmp_path / "new"), parse_shard("1/13"), PLAN, is_new=True)
 
 
-def test_a_shard_in_a_bucket_is_taken_over_only_if_its_state_does_not_change(tmp_path, bucket_url, checker, monkeypatch):
+def test_a_shard_in_a_bucket_is_taken_over_only_if_its_state_does_not_change(
+    tmp_path, bucket_url, checker, monkeypatch
+):
     url, shard = f"{bucket_url()}/1", RunShard(number=1, count=COUNT)
     monkeypatch.setenv("MINIVLA_STATE", str(tmp_path / "node-1"))
     first = site_of(url)

@@ -24,6 +24,7 @@ from factory.cli.common.options import (
     number_option,
     out_option,
     plan_argument,
+    pullers_option,
     shrink_options,
     tls_option,
     verbose_option,
@@ -64,6 +65,7 @@ def command() -> None:
     "lease_ttl_s",
     least=1.0,
 )
+@pullers_option()
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
 @http_options
@@ -82,6 +84,7 @@ def start(
     listen: tuple[str, ...],
     ledger: str | None,
     lease_ttl_s: float,
+    pullers: int,
     stay: bool,
     tls: Path | None,
     http: str | None,
@@ -107,7 +110,7 @@ def start(
         else prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     )
     plan, is_new = begin(plan_name, site, changes)
-    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = (

@@ -27,11 +27,16 @@ def draw_shards(shards: Shards) -> Group:
     """Returns the state of each shard as a table; unfinished shards come first."""
     states = [state for _, state in shards]
     found, count = _sums(states), max(state.shard.count for state in states)
-    rows = [_row(place, state) for place, state in sorted(shards, key=lambda one: (one[1].finished, one[1].shard.number))]
+    rows = [
+        _row(place, state) for place, state in sorted(shards, key=lambda one: (one[1].finished, one[1].shard.number))
+    ]
     head = f"{states[0].run}: {found['archived']} of {found['planned']} episodes archived, "
     head += f"{found['finished_shards']} of {count} shards finished"
     columns = ("shard", "archived", "planned", "failed", "failed attempts", "state", "place")
-    notes = [Text(note) for note in _notes(len(rows), sorted(set(range(1, count + 1)) - {one.shard.number for one in states}))]
+    notes = [
+        Text(note)
+        for note in _notes(len(rows), sorted(set(range(1, count + 1)) - {one.shard.number for one in states}))
+    ]
     return Group(Text(head, style="bold"), FittedTable("", columns, rows[:_LISTED]), *notes)
 
 

@@ -20,7 +20,6 @@ from schemas.terms import Recording
 from tests.builders.bundle import bundle_bytes, job_for, parts_for
 from tests.builders.dataset import chair
 
-
 _TRIES = 50
 
 
