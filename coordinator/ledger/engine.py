@@ -107,8 +107,8 @@ def _require_local_disk(file: Path, mounts: Path) -> None:
     mount = mount_of(file, mounts)
     if mount is not None and mount.is_network:
         raise WorldError(
-            f"the ledger {file} is on a network file system ({mount.kind} at {mount.folder}), which can damage an SQLite "
-            "database: choose an --out on a local disk or in object storage, or give --ledger, either "
+            f"the ledger {file} is on a network file system ({mount.kind} at {mount.folder}), which can damage "
+            "an SQLite database: choose an --out on a local disk or in object storage, or give --ledger, either "
             "sqlite:////LOCAL/ledger.db on a local disk or postgresql+psycopg://USER@HOST/DATABASE"
         )
 

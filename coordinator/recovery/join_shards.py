@@ -101,8 +101,8 @@ def require_joinable(shards: Sequence[tuple[Place, ShardState]], plan: Plan, *, 
         partial: whether shards may be missing or unfinished.
 
     Raises:
-        UsageError: a shard is missing, unfinished or given twice, or the shards differ in plan, number of shards, scenes
-            or version.
+        UsageError: a shard is missing, unfinished or given twice, or the shards differ in plan, number of shards,
+            scenes or version.
     """
     if not shards:
         raise UsageError("no shard was found: give the --out of each `factory run --shard`, or a folder of them")

@@ -30,7 +30,7 @@ drain() {
 trap 'requeue=yes; drain' USR1  # before the time limit: --signal of this script
 trap drain TERM INT             # scancel, or a preemption, after which Slurm queues the task again
 
-# run_task UNFINISHED COMMAND...: runs a command, and queues the task again if SIGUSR1 ended the command with that status
+# run_task UNFINISHED COMMAND...: runs a command; queues the task again if SIGUSR1 ended the command with that status
 run_task() {
     unfinished=$1
     shift
@@ -79,7 +79,7 @@ class SlurmJob:
     factory: tuple[str, ...] = ("factory",)
     """Command that starts the command line."""
     has_local_ledgers: bool = False
-    """Whether ledgers are stored on the local disks of the nodes, because SQLite cannot use the file system of `run`."""
+    """Whether ledgers are stored on the local disks of the nodes, because SQLite cannot use that of `run`."""
 
     @property
     def plan(self) -> Path:
@@ -126,7 +126,8 @@ def workers_script(job: SlurmJob) -> str:
     """Returns the script of an array of workers, which find the coordinator through the folder of the run."""
     options = ("--connect", f"@{job.dataset}", "--tls", job.run / "pki" / "worker")
     more = ("--cores", job.cpus, "--connect-timeout", 3600)
-    command = f'run_task 0 {_command(job, "worker", *options, *more)} --spool "${{MINIVLA_CACHE}}/spool-${{SLURM_ARRAY_TASK_ID}}"'
+    spool = '--spool "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID}"'
+    command = f"run_task 0 {_command(job, 'worker', *options, *more)} {spool}"
     return _script(job, "workers", command, array=job.tasks, cpus=job.cpus)
 
 

@@ -60,13 +60,13 @@ def _tls_cause(connection: socket.socket, host: str, tls: TlsFiles) -> str:
     except ssl.SSLCertVerificationError as error:
         if "match" in error.verify_message:
             return (
-                f"its certificate is for another name ({error.verify_message}); connect to a name of the certificate, or "
-                f"create it again with `factory keys host DIR NAME --address {host}`"
+                f"its certificate is for another name ({error.verify_message}); connect to a name of the certificate, "
+                f"or create it again with `factory keys host DIR NAME --address {host}`"
             )
         if "valid" in error.verify_message or "expired" in error.verify_message:
             return (
-                f"its certificate is not valid now ({error.verify_message}); compare the clocks of the hosts, or renew it "
-                "with `factory keys host DIR NAME --renew`"
+                f"its certificate is not valid now ({error.verify_message}); compare the clocks of the hosts, or renew "
+                "it with `factory keys host DIR NAME --renew`"
             )
         return f"its certificate is not accepted ({error.verify_message}); use TLS folders of one authority"
     except (ssl.SSLError, OSError) as error:

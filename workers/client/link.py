@@ -56,8 +56,8 @@ class Link(Closing):
     """Zenoh session that can be reopened; a context manager.
 
     Args:
-        endpoints: endpoints of one coordinator or of its gateways, or `@FILE`, which is read at each opening. One connection is enough; each opening tries them in
-            random order, so that many workers are distributed over them.
+        endpoints: endpoints of one coordinator or of its gateways, or `@FILE`, which is read at each opening. One
+            connection is enough; each opening tries them in random order, which distributes many workers over them.
         host: name of this machine, which is part of the key of every request.
         tls: TLS files of this machine, or `None` for plain TCP.
     """

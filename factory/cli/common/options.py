@@ -199,8 +199,8 @@ def pullers_option() -> Callable[[Command], Command]:
         type=click.IntRange(1, MAX_PULLERS),
         default=lambda: pullers_for(os.cpu_count() or 1),
         metavar="N",
-        help="Number of bundles that are transferred and validated at a time, each in a process. Default: one per core, "
-        "at least 2.",
+        help="Number of bundles that are transferred and validated at a time, each in a process. Default: one per "
+        "core, at least 2.",
     )
 
 

@@ -54,8 +54,8 @@ def command() -> None:
     type=click.Choice(["shards", "workers"]),
     default="shards",
     show_default=True,
-    help="shards: each task generates a part of the plan, and a last job joins them; workers: a coordinator and an array "
-    "of workers, which balances the load.",
+    help="shards: each task generates a part of the plan, and a last job joins them; workers: a coordinator and an "
+    "array of workers, which balances the load.",
 )
 @click.option(
     "--setup",
@@ -83,7 +83,8 @@ def slurm(
     """Submit a run to Slurm.
 
     PLAN is a built-in plan or a TOML file. Compiles the scenes, writes the scripts to DIR/slurm and submits them. Tasks
-    that reach their time limit drain and queue themselves again; `scancel` drains and cancels. The dataset is DIR/dataset.
+    that reach their time limit drain and queue themselves again; `scancel` drains and cancels. The dataset is
+    DIR/dataset.
     """
     configure_logs()
     if _TIME.fullmatch(time) is None:
