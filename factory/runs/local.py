@@ -64,12 +64,6 @@ class LocalRun:
     """Results of the acceptance gate before the run."""
     store: ObjectPath | None = None
     """Location of the dataset in object storage; `None` for a dataset in `root`."""
-    ledger_url: str | None = None
-    """URL of the ledger; by default `ledger.db` in `root`."""
-    shard: RunShard | None = None
-    """Shard of the run to generate; `None` for the whole run."""
-    take_over: bool = False
-    """Whether to take `store` over from another home, whose coordinator must have ended."""
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
     states: Place | None = None
@@ -78,6 +72,12 @@ class LocalRun:
     """Value of `--rig` of a run that renders."""
     appearance: str | None = None
     """Value of `--appearance` of a run that renders."""
+    ledger_url: str | None = None
+    """URL of the ledger; by default `ledger.db` in `root`."""
+    shard: RunShard | None = None
+    """Shard of the run to generate; `None` for the whole run."""
+    take_over: bool = False
+    """Whether to take `store` over from another home, whose coordinator must have ended."""
 
     @property
     def command(self) -> str:

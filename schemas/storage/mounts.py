@@ -29,11 +29,11 @@ _LOCAL_FUSE = frozenset({"fuse.fuse-overlayfs", "fuse.overlayfs", "fuse.mergerfs
 _ESCAPED = re.compile(r"\\([0-7]{3})")
 
 
-class Mount(NamedTuple):
+class MountPoint(NamedTuple):
     """Entry of the list of mounts."""
 
     folder: Path
-    """Mount point."""
+    """MountPoint point."""
     kind: str
     """Type of the file system, e.g. `ext4` or `nfs4`."""
 
@@ -44,7 +44,7 @@ class Mount(NamedTuple):
         return self.kind in _NETWORK or is_fuse
 
 
-def mount_of(path: Path, mounts: Path = MOUNTS) -> Mount | None:
+def mount_of(path: Path, mounts: Path = MOUNTS) -> MountPoint | None:
     """Returns the mount that contains a path, which need not exist; `None` if the kernel does not list its mounts.
 
     Args:
@@ -55,11 +55,11 @@ def mount_of(path: Path, mounts: Path = MOUNTS) -> Mount | None:
         lines = mounts.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
         return None
-    found: Mount | None = None
+    found: MountPoint | None = None
     resolved = path.resolve()
     for line in lines:
         before, _, after = line.partition(" - ")
         folder = Path(_ESCAPED.sub(lambda code: chr(int(code[1], 8)), before.split()[4]))
         if resolved.is_relative_to(folder) and (found is None or len(folder.parts) >= len(found.folder.parts)):
-            found = Mount(folder, after.split()[0])
+            found = MountPoint(folder, after.split()[0])
     return found
