@@ -33,7 +33,7 @@ class MountPoint(NamedTuple):
     """Entry of the list of mounts."""
 
     folder: Path
-    """MountPoint point."""
+    """Mount point."""
     kind: str
     """Type of the file system, e.g. `ext4` or `nfs4`."""
 
