@@ -31,6 +31,7 @@ $(READY): requirements.txt pyproject.toml
 
 run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
+	@echo "next: $(VENV)/bin/factory serve dataset (progress, episodes, scenes and statistics in a browser)"
 
 # JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process.
 # Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time

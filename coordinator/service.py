@@ -17,6 +17,7 @@ import structlog
 from coordinator.context import RunContext, open_context
 from coordinator.expansion.catalog import Catalog
 from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
+from coordinator.ledger.requests import execute
 from coordinator.options import CoordinatorOptions
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.dispatch import Dispatch
@@ -31,10 +32,13 @@ from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
 from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 
 _WAIT_S = 0.5
+_ADMIN_S = 30.0
+"""Timeout of an admin request of this process, seconds."""
 _DEPARTURE_S = 3.0
 """Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 
@@ -137,6 +141,18 @@ class Coordinator(Closing):
         while (now := time.monotonic()) < most and (now < least or self._router.present):
             if stop.wait(_WAIT_S):
                 return
+
+    def administer(self, request: AdminRequest) -> AdminReply:
+        """Executes an admin request of this process.
+
+        Raises:
+            WorldError: the ledger is damaged or does not commit.
+        """
+        now = self._run.clock()
+        reply = self._run.ledger.writer.submit(lambda connection: execute(connection, request, now)).result(_ADMIN_S)
+        if request.action is AdminAction.DRAIN:
+            self.drain()
+        return reply
 
     def drain(self) -> None:
         """Stops leasing jobs; workers stop after their current jobs."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.plan import Budget, Plan, ScenePlan
+from schemas.plan import PAPER_SPLITS, Budget, Plan, ScenePlan
 from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
 
 _BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
@@ -44,7 +44,7 @@ def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
     numbers = dict.fromkeys((Split.VAL_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD), seen)
     numbers |= {Split.TRAIN_ID: 6 * seen, Split.TEST_OOD_OBJ: held_out}
     episodes = sum(numbers.values())
-    shares = {split: numbers[split] / episodes for split in Split}
+    shares = {split: numbers[split] / episodes for split in PAPER_SPLITS}
     return ScenePlan(name=name, episodes=episodes, splits=shares, ambiguous=_AMBIGUOUS.get(name, ()))
 
 

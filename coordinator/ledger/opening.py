@@ -19,7 +19,7 @@ from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import PlannedJob, expand
+from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
@@ -71,7 +71,7 @@ def open_run(
     catalog: Catalog,
     lease_ttl_s: float,
     now: datetime,
-    planned: Sequence[PlannedJob] | None = None,
+    planned: Iterable[PlannedJob] | None = None,
     shard: RunShard | None = None,
 ) -> bool:
     """Creates the run in an empty database, or checks that the database contains this run.
@@ -103,19 +103,19 @@ def open_run(
             facts = {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)}
             if connection.execute(select(info).where(info.c.key == PLANNED)).first() is None:
                 facts[PLANNED] = planned_digest(connection)
-            _write_info(connection, facts)
+            write_info(connection, facts)
             return False
-        planned = expand(plan, catalog) if planned is None else planned
+        planned = expand_each(plan, catalog) if planned is None else planned
         if shard is not None:
             numbers = shard.numbers(plan.episodes)
-            planned = [job for job in planned if job.index in numbers]
+            planned = (job for job in planned if job.index in numbers)
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
         install_tallies(connection)
-        _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
+        write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
         if shard is not None:
-            _write_info(connection, {_SHARD: str(shard)})
-        _write_info(connection, {PLANNED: planned_digest(connection)})
+            write_info(connection, {_SHARD: str(shard)})
+        write_info(connection, {PLANNED: planned_digest(connection)})
         return True
 
 
@@ -168,7 +168,7 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
 
 def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:
     """Records the active sandbox layers of the validating processes."""
-    _write_info(connection, {_SANDBOX: " ".join(layers)})
+    write_info(connection, {_SANDBOX: " ".join(layers)})
 
 
 def planned_digest(connection: Connection) -> str:
@@ -217,7 +217,8 @@ def _facts(plan: Plan, catalog: Catalog, lease_ttl_s: float, now: datetime) -> d
     }
 
 
-def _write_info(connection: Connection, facts: Mapping[str, str]) -> None:
+def write_info(connection: Connection, facts: Mapping[str, str]) -> None:
+    """Writes values of the table `info`; replaces earlier ones."""
     for key, value in facts.items():
         if connection.execute(info.update().where(info.c.key == key).values(value=value)).rowcount == 0:
             connection.execute(info.insert().values(key=key, value=value))

@@ -59,6 +59,7 @@ VERBS = MappingProxyType(
         "stats": CommandEntry("inspect.stats", _INSPECT, "Print the statistics of a dataset."),
         "report": CommandEntry("inspect.report", _INSPECT, "Write an HTML report with figures of a dataset."),
         "show": CommandEntry("inspect.show", _INSPECT, "Write one episode as a contact sheet or a video."),
+        "serve": CommandEntry("inspect.serve", _INSPECT, "Serve the web page of a dataset and its run."),
         "view": CommandEntry("inspect.view", _INSPECT, "Open one episode in the Rerun viewer."),
         "export": CommandEntry("publish.export", _USE, "Convert a dataset to another format."),
         "relabel": CommandEntry("publish.relabel", _USE, "Write new verified instructions for a dataset."),

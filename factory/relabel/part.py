@@ -113,7 +113,7 @@ def instructions_of(
     """Returns the new instructions of an episode; they depend on its index and the language file only."""
     seed = np.random.SeedSequence((composer.spec.seed, start.index), spawn_key=(_STREAM,))
     view = look(scene.graph, start.pose, camera)
-    held_out = start.split == Split.TEST_PARAPHRASE_OOD
+    held_out = Split(start.split).is_paraphrased
     number = scene.graph.number_of[start.target_id]
     return composer.write(scene, view, number, held_out, np.random.default_rng(seed))
 

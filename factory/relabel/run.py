@@ -19,10 +19,10 @@ from pydantic import Field, ValidationError
 
 from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
-from factory.export.execution.pool import run_tasks
 from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.assemble import assemble
 from factory.relabel.part import LanguageStart, PartTask, instructions_of, make_part, prepared_scene
+from factory.support.task_pool import run_tasks
 from schemas.base import Model, Sha256
 from schemas.dataset.meta import software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
+from factory.report.data import Drives, FloorMap, FrameSample, ReportInput, mapped_scenes
 from factory.report.floor_map import map_of
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
@@ -50,12 +50,14 @@ def gather(
         ArchiveCorrupt: the metadata or the table of episodes cannot be read.
     """
     rows = read_rows(root)
-    maps, infos = _read_scenes(root, rows)
-    drives = Drives()
+    chosen: list[EpisodeSummary] = []
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
         opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, MOST_OPENED)}
         chosen = [row for row in rows.episodes if row.episode_id in opened]
+    maps, infos = _read_scenes(root, rows, {row.scene for row in chosen})
+    drives = Drives()
+    if chosen:
         for done, row in enumerate(chosen, 1):
             _read_drive(root, row, row.episode_id in shown, infos, drives, rows)
             on_progress(done, len(chosen))
@@ -101,11 +103,15 @@ def _best_frame(episode: Episode) -> FrameSample:
     return FrameSample(episode.summary, t, episode.rgb(t), masks[t])
 
 
-def _read_scenes(root: Place, rows: Rows) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
-    """Returns the map of each scene by its name, and its metadata by the SHA-256 of its package."""
+def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
+    """Returns the maps of the report by scene, and the metadata of these and the opened scenes by SHA-256 of the
+    package."""
+    mapped = set(mapped_scenes(rows.meta.plan))
     maps: dict[str, FloorMap] = {}
     infos: dict[str, SceneInfo] = {}
     for name, sha256 in rows.meta.scenes.items():
+        if name not in mapped | opened:
+            continue
         try:
             with find_package(root, name, sha256).path.open("rb") as file:
                 scene = decode_scene(file)
@@ -113,7 +119,9 @@ def _read_scenes(root: Place, rows: Rows) -> tuple[dict[str, FloorMap], dict[str
             text = f"the map of {name} is missing, and its episodes in the instructions: {format_error(error, root)}"
             rows.add_damage(SCENES, text)
         else:
-            maps[name], infos[sha256] = map_of(scene), scene.info
+            infos[sha256] = scene.info
+            if name in mapped:
+                maps[name] = map_of(scene)
     return maps, infos
 
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,7 +95,11 @@ class LocalRun:
 
 
 def run_locally(
-    run: LocalRun, settings: CoordinatorSettings, stop: threading.Event, tell: Callable[[Progress], None]
+    run: LocalRun,
+    settings: CoordinatorSettings,
+    stop: threading.Event,
+    tell: Callable[[Progress], None],
+    pages: Callable[[Coordinator], AbstractContextManager[object]] = nullcontext,
 ) -> Progress:
     """Generates or resumes the dataset; returns when the run is finished or `stop` is set.
 
@@ -103,6 +108,7 @@ def run_locally(
         settings: Settings of the coordinator.
         stop: Event that stops the run gracefully.
         tell: Progress callback, called a few times per second.
+        pages: Serves pages of the coordinator while the context is open.
 
     Raises:
         WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
@@ -113,22 +119,25 @@ def run_locally(
     require_sensor_packages(run.plan.rig)
     require_room(run.root, settings.reserve_bytes)
     spool = folder_of(run.root / _SPOOL, run.plan.run)
-    with Coordinator(
-        run.root,
-        run.plan,
-        run.catalog,
-        CoordinatorOptions(
-            listen=_LISTEN,
-            ledger_url=run.ledger_url,
-            settings=settings,
-            gate=run.gate,
-            store=run.store,
-            take_over=run.take_over,
-            shard=run.shard,
-            find_states=run.find_states,
-            nearby=lambda lease: find_bundle(spool, lease),
-        ),
-    ) as coordinator:
+    with (
+        Coordinator(
+            run.root,
+            run.plan,
+            run.catalog,
+            CoordinatorOptions(
+                listen=_LISTEN,
+                ledger_url=run.ledger_url,
+                settings=settings,
+                gate=run.gate,
+                store=run.store,
+                take_over=run.take_over,
+                shard=run.shard,
+                find_states=run.find_states,
+                nearby=lambda lease: find_bundle(spool, lease),
+            ),
+        ) as coordinator,
+        pages(coordinator),
+    ):
         write_target_lists(run.catalog, run.store or run.root)
         progress = coordinator.progress()
         tell(progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
@@ -33,8 +33,8 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
         ArchiveCorrupt: `dataset_meta.json` or the table of episodes cannot be read.
     """
     rows = read_rows(root)
-    infos = _read_infos(root, rows)
     chosen = spread_evenly(rows.episodes, MOST_OPENED) if (root / EPISODES).is_dir() else []
+    infos = _read_infos(root, rows, {row.scene for row in chosen})
     views = []
     for done, row in enumerate(chosen, 1):
         name = file_name_of(row.episode_id)
@@ -75,9 +75,11 @@ def read_view(episode: Episode, infos: Mapping[str, SceneInfo]) -> EpisodeView |
     )
 
 
-def _read_infos(root: Place, rows: Rows) -> dict[str, SceneInfo]:
+def _read_infos(root: Place, rows: Rows, opened: Set[str]) -> dict[str, SceneInfo]:
     found = {}
     for name, sha256 in rows.meta.scenes.items():
+        if name not in opened:
+            continue
         try:
             with find_package_file(root, name, sha256).open("rb") as file:
                 found[sha256] = read_scene_info(file)

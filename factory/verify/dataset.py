@@ -271,7 +271,7 @@ def _check_quotas(meta: DatasetMeta, rows: RowCheck, report: VerifyReport) -> No
     found = rows.cells
     wanted = {
         (scene.name, split, tier): count
-        for scene in meta.plan.scenes
+        for scene in meta.plan.parts
         for (split, tier), count in cells(meta.plan, scene).items()
     }
     for key in sorted(found.keys() | wanted.keys()):

@@ -65,7 +65,7 @@ def templates_for(split: Split, colour: str) -> tuple[str, ...]:
         split: split of the episode, which selects training or paraphrased templates.
         colour: a colour word, or `unknown`, which excludes the templates with a colour slot.
     """
-    pool = OOD_TEMPLATES if split is Split.TEST_PARAPHRASE_OOD else TRAIN_TEMPLATES
+    pool = OOD_TEMPLATES if split.is_paraphrased else TRAIN_TEMPLATES
     return tuple(key for key in pool if colour != "unknown" or not needs_colour(key))
 
 

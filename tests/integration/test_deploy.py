@@ -23,7 +23,8 @@ from coordinator.expansion.file import load_plan
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.status.server import HttpAddress, StatusServer
+from coordinator.status.address import HttpAddress
+from coordinator.status.server import StatusServer
 from factory.cli.main import cli
 from tests.builders.ledger import room_catalog, room_plan
 from tests.integration.test_status_pages import ask

@@ -17,7 +17,8 @@ from factory.cli.common.admission import find_hosts, open_door
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.http import http_options, status_pages
+from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
     listen_option,
@@ -113,9 +114,11 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = (
-            open_catalog(plan, site.place, scene_cache(), say_building) if rendering is None else rendering.catalog
-        )
+        if rendering is None:
+            with building_layouts(os.cpu_count() or 1, stop) as builds:
+                catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds)
+        else:
+            catalog = rendering.catalog
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -132,7 +135,7 @@ def start(
         )
         with (
             Coordinator(site.home, plan, catalog, options) as coordinator,
-            status_pages(coordinator.health, http, http_token),
+            run_pages(coordinator, site, http, http_token, ledger),
         ):
             write_target_lists(catalog, site.place)
             _say_endpoints(coordinator, plan, site, guard)

@@ -97,7 +97,7 @@ def _join(
     found = [one for source in sources for one in find_shards(source)]
     require_joinable(found, plan, partial=is_partial)
     require_outside_datasets(site)
-    catalog = open_catalog(plan, site.place, scene_cache(), say_building, found[0][0] / SCENES)
+    catalog = open_catalog(plan, site.place, scene_cache(), say_building, packages=found[0][0] / SCENES)
     target = JoinTarget(site.place, site.home, ledger_url_of(site.home, ledger), plan, catalog)
     shards = [(place, state.shard) for place, state in found]
     with one_bar("gathering shards") as tell, Validator() as checker:

@@ -14,12 +14,13 @@ from rich.text import Text
 from coordinator.protocol.tls import read_credentials
 from coordinator.validation.sandbox import SECCOMP
 from factory.cli.common.options import connect_option, ledger_option, tls_option
-from factory.cli.common.output import FittedTable, json_option, print_json, say_duration, stdout
+from factory.cli.common.output import FittedTable, json_option, print_json, stdout
 from factory.cli.common.places import SITE
 from factory.cli.inspect.shard_status import draw_shards, shards_as_json
 from factory.dataset.site import Site
 from factory.runs.ledger import progress_of
 from factory.support.listen import require_endpoints
+from factory.support.text import say_duration
 from schemas.dataset.run_shard import find_shards
 from schemas.errors import TransientError, UsageError
 from schemas.protocol.status import HostStatus, Progress, WorkerStatus

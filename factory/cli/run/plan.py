@@ -10,10 +10,10 @@ from typing import Any
 import click
 
 from coordinator.expansion.cells import cells
-from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
@@ -24,8 +24,9 @@ from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
 from schemas.instruction.language import TEMPLATES
-from schemas.plan import Plan
-from schemas.terms import Tier
+from schemas.layouts import unseen_layouts
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Tier, family_of
 
 
 @click.group("plan", cls=CommandGroup)
@@ -47,9 +48,10 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
     found = find_built(plan, scene_cache())
-    unknown = [scene.name for scene in plan.scenes if scene.name not in found]
-    mistakes = None if unknown else find_impossible(plan, found)
-    content = summarise(plan, found) if mistakes == [] else None
+    unknown = [scene.name for scene in plan.scenes if scene.layouts is None and scene.name not in found]
+    families = [scene for scene in plan.scenes if scene.layouts is not None]
+    mistakes = None if unknown else find_impossible(_without_families(plan), found)
+    content = summarise(plan, found) if mistakes == [] and not families else None
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
@@ -61,6 +63,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     for scene in plan.scenes:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")
+        if scene.layouts is not None:
+            print_text(f"    {_say_layouts(plan, scene)}")
     _print_cells(plan)
     if content is not None:
         _print_content(plan, content)
@@ -96,12 +100,13 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
     """Find the nearest plan that the scenes support.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Scenes that are not in the cache are
-    built or imported.
+    built or imported. Layouts are not checked: their seeds are chosen so that they fulfil the plan.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
+    fixed = _without_families(plan)
     with tempfile.TemporaryDirectory(prefix="plan-") as folder:
-        catalog = collect_scenes(plan, Path(folder), scene_cache(), say_building)
-    mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
+        catalog = collect_scenes(fixed, Path(folder), scene_cache(), say_building)
+    mistakes, found = find_impossible(fixed, catalog), find_nearest(plan, catalog)
     if found.plan is None:
         raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)
     if out is not None:
@@ -125,6 +130,20 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
         _print_cells(found.plan)
     if out is not None:
         print_text(f"plan written to {out}; generate the dataset with: factory run {out} --out DIR")
+
+
+def _without_families(plan: Plan) -> Plan:
+    return plan.model_copy(update={"scenes": tuple(scene for scene in plan.scenes if scene.layouts is None)})
+
+
+def _say_layouts(plan: Plan, scene: ScenePlan) -> str:
+    """Returns the layouts of a family in one line, such as `6 layouts home_00000 to home_00005, 4 episodes each`."""
+    parts = [part for part in plan.parts if family_of(part.name) == scene.name]
+    counts = sorted({part.episodes for part in parts})
+    each = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+    unseen = unseen_layouts(scene, plan.splits_of(scene))
+    kept = f"; the last {unseen} only for test_unseen_scene*" if unseen else ""
+    return f"{len(parts)} layouts {parts[0].name} to {parts[-1].name}, {each} episodes each{kept}"
 
 
 def _write(path: Path, text: str) -> None:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
 import click
 
+from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
     out_option,
@@ -22,7 +28,7 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_building, say_duration
+from factory.cli.common.output import json_option, print_result, say_building
 from factory.cli.common.places import PLACE, SHARD
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
@@ -31,6 +37,7 @@ from factory.runs.local import LocalRun, run_locally
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
+from factory.support.text import say_duration
 from schemas.dataset.run_shard import RunShard
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
@@ -64,6 +71,7 @@ from workers.experts import require_expert
 )
 @ledger_option
 @shrink_options
+@http_options
 @json_option
 @verbose_option
 def command(
@@ -75,6 +83,8 @@ def command(
     shard: RunShard | None,
     packages: Place | None,
     ledger: str | None,
+    http: str | None,
+    http_token: Path | None,
     as_json: bool,
     verbose: bool,
     **changes: Any,
@@ -94,7 +104,8 @@ def command(
     processes = workers or os.cpu_count() or 1
     has_gate = is_new and not (shard is not None and gate_mode == "auto")
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), say_building, packages)
+        with building_layouts(processes, stop) as builds:
+            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages)
         gate = hold_gate(plan, catalog, gate_mode if has_gate else "skip", renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -112,7 +123,7 @@ def command(
             shard=shard,
             take_over=shard is not None and may_take_over(site, stop),
         )
-        progress = _run(run, site, stop)
+        progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token))
     if not progress.finished:
         click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
@@ -122,7 +133,12 @@ def command(
     return 1 if progress.missing else 0
 
 
-def _run(run: LocalRun, site: Site, stop: threading.Event) -> Progress:
+def _run(
+    run: LocalRun,
+    site: Site,
+    stop: threading.Event,
+    pages: Callable[[Coordinator], AbstractContextManager[object]],
+) -> Progress:
     recorder = None if run.shard is None else ShardRecorder(site, run.shard, run.plan, run.catalog)
     with RunBar(run.plan) as bar:
 
@@ -131,7 +147,7 @@ def _run(run: LocalRun, site: Site, stop: threading.Event) -> Progress:
             if recorder is not None:
                 recorder.record(progress)
 
-        progress = run_locally(run, CoordinatorSettings(), stop, tell)
+        progress = run_locally(run, CoordinatorSettings(), stop, tell, pages)
     if recorder is not None:
         recorder.finish(progress)
     return progress

@@ -17,7 +17,7 @@ from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256
 from schemas.instruction.language import TEMPLATES
-from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier
+from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier, family_of
 from schemas.view import ViewSettings
 
 GROUPS: Mapping[str, str] = MappingProxyType(
@@ -146,7 +146,7 @@ class Evaluation(Model):
 _KEYS: Mapping[str, tuple[Callable[[EpisodeResult], str], Sequence[str]]] = MappingProxyType(
     {
         "split": (lambda row: str(row.split), [str(split) for split in Split]),
-        "scene": (lambda row: row.scene, ()),
+        "scene": (lambda row: family_of(row.scene), ()),
         "tier": (lambda row: str(row.tier), [str(tier) for tier in Tier]),
         "category": (lambda row: row.category, CATEGORIES),
         "template": (lambda row: row.template_id, tuple(TEMPLATES)),

@@ -23,6 +23,7 @@ from factory.runs.catalog import find_package
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
+from schemas.layouts import LayoutPlan
 from schemas.measure import Goal, target_in_view
 from schemas.plan import Plan
 from schemas.scene import Target
@@ -88,13 +89,22 @@ def unfiltered_specs(
 def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Plan:
     """Returns the plan with these splits only, which draws from all reachable targets, not only those of the expert."""
     scenes = []
-    for scene in plan.scenes:
-        possible = [split for split in splits if split is not Split.TEST_OOD_OBJ or scene.categories.held_out]
+    for scene in plan.parts:
+        is_unseen = isinstance(scene, LayoutPlan) and scene.is_unseen
+        possible = [
+            split
+            for split in splits
+            if split.is_unseen_scene is is_unseen and (scene.categories.held_out or not split.is_held_out)
+        ]
         if possible:
             shares = _shares(plan.splits_of(scene), possible)
-            scenes.append(scene.model_copy(update={"splits": shares}))
+            fixed = scene.as_scene() if isinstance(scene, LayoutPlan) else scene
+            scenes.append(fixed.model_copy(update={"splits": shares}))
     if not scenes:
-        raise UsageError(f"no scene of {plan.run} has held-out categories, so test_ood_obj has no episodes")
+        asked = ", ".join(splits)
+        raise UsageError(
+            f"no scene of {plan.run} has held-out categories or unseen layouts, so {asked} has no episodes"
+        )
     splits_in_force = scenes[0].splits
     changed = plan.model_copy(update={"scenes": tuple(scenes), "splits": splits_in_force, "expert": ExpertName.PLANNER})
     return shrink(changed, episodes=episodes, seed=seed)

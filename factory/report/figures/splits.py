@@ -35,6 +35,8 @@ def _paint(axes: Axes, material: ReportInput) -> None:
     places, left = np.arange(len(totals)), np.zeros(len(totals))
     for split in Split:
         counts = [sum(row.split is split for row in material.of(scene)) for scene in material.scenes]
+        if split.is_unseen_scene and not any(counts):
+            continue
         widths = 100 * np.array(counts) / totals
         axes.barh(places, widths, 0.62, left, color=colour(SPLIT_COLOURS[split]), edgecolor=colour("card"), label=split)
         for place, (n, width) in enumerate(zip(counts, widths, strict=True)):
