@@ -1,5 +1,6 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
-# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs |
+# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-slurm | test-train | fuzz |
+# audit | docs |
 # quickstart.
 # Everything is in .venv.
 VENV   := .venv
@@ -15,7 +16,7 @@ DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: test-install test-lerobot test-train fuzz audit docs quickstart clean
+.PHONY: test-install test-lerobot test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -123,6 +124,11 @@ $(JUDGE)-readers/.ready: requirements.txt
 # the extra `sim`, and an installation beside factory_boy; takes minutes and installs packages
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
+
+# a Slurm of Debian's packages slurm-wlm and munge with three nodes on loopback: arrays, cancel, requeue, preemption, time limit,
+# a failed node, and a dataset by shards and by workers; needs root and half an hour
+test-slurm: $(READY)
+	$(VENV)/bin/python -m pytest tests/slurm --slurm
 
 # training, recipes and their tests, in a separate environment, because PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build

@@ -14,9 +14,9 @@ from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
 from coordinator.ledger.requests import execute
-from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
+from schemas.protocol.address_file import read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
 

@@ -5,6 +5,7 @@ The module connects the parts. It does not implement verbs or state transitions 
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from contextlib import ExitStack
@@ -19,7 +20,6 @@ from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
 from coordinator.ledger.requests import execute
 from coordinator.options import CoordinatorOptions
 from coordinator.periodic_tasks import PeriodicTasks
-from coordinator.protocol.address_file import remove_address, write_address
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import Terms
 from coordinator.protocol.request_handler import RequestHandler
@@ -31,6 +31,7 @@ from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
+from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
@@ -82,7 +83,9 @@ class Coordinator(Closing):
             stack.enter_context(PeriodicTasks(tables))
             self.health = self._measured(run)
             """Health and metrics of the coordinator."""
-            write_address(root, plan.run, self.endpoints)
+            self.reachable = usable_endpoints(self.endpoints, options.hosts or (socket.gethostname(),))
+            """Endpoints with the names of this host instead of wildcard addresses."""
+            write_address(root, plan.run, self.reachable)
             stack.callback(remove_address, root)
             self._stack = stack.pop_all()
         log.info("coordinator_started", run=plan.run, endpoints=self.endpoints, directory=str(options.store or root))

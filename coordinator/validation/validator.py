@@ -33,7 +33,7 @@ from schemas.language.instruction import Instruction
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
-from schemas.support.jsonl_process import JsonlProcess
+from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess
 from schemas.support.log_limit import LogLimit
 
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
@@ -124,7 +124,8 @@ class Validator(Closing):
 
         Raises:
             InvalidBundle: the bundle has violations, or two children terminated while they validated it.
-            TransientError: no child can be started on this machine now, or the file cannot be opened now.
+            TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
+                cannot be opened now.
         """
         task = ValidationTask(job=job, target=target, sampled=sampled)
         with self._child() as child:
@@ -133,6 +134,8 @@ class Validator(Closing):
                 if verdict is not None:
                     return self._with_sentence(verdict, job)
                 self._limit.write(_log().warning, "validator_died", file=str(path), how=child.last_words)
+                if child.was_ended:
+                    raise TransientError(f"a signal from outside ended the validating process ({child.last_words})")
         raise InvalidBundle(
             "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.last_words})"]
         )
@@ -188,6 +191,8 @@ class _Child:
         self._orders: socket.socket | None = None
         self._ended = False
         self.last_words = ""
+        self.was_ended = False
+        """Whether a signal from outside, e.g. of a batch system, ended the last process."""
         self.layers: tuple[str, ...] = ()
         """Active sandbox layers; empty before the start."""
 
@@ -237,6 +242,7 @@ class _Child:
         if self._orders is not None:
             self._orders.close()
         self._orders = None
+        self.was_ended = code in ENDED_FROM_OUTSIDE
         self.last_words = (
             f"exit status {code}; limits {self._limits.memory_bytes >> 20} MiB, {self._limits.cpu_s} s CPU"
         )

@@ -23,7 +23,7 @@ from factory.scenes.build import build_scene, find_import, import_scene, load_ed
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
-from schemas.errors import InvalidPlan
+from schemas.errors import InvalidPlan, UsageError
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.storage.dataset_files import SCENES, STAGING
@@ -37,7 +37,12 @@ _PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
 def open_catalog(
-    plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None, builds: LayoutBuilds | None = None
+    plan: Plan,
+    root: Place,
+    cache: Path,
+    tell: MessageCallback = lambda _: None,
+    builds: LayoutBuilds | None = None,
+    packages: Place | None = None,
 ) -> Catalog:
     """Returns the scenes of a plan after checking that they can fulfil it; see `collect_scenes`.
 
@@ -45,7 +50,7 @@ def open_catalog(
         InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
             been written to `root`.
     """
-    entries = collect_scenes(plan, root, cache, tell, builds)
+    entries = collect_scenes(plan, root, cache, tell, builds, packages=packages)
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
@@ -66,6 +71,7 @@ def collect_scenes(
     tell: MessageCallback = lambda _: None,
     builds: LayoutBuilds | None = None,
     only: Collection[str] | None = None,
+    packages: Place | None = None,
 ) -> Catalog:
     """Returns the scenes of a plan without checking that the fixed ones can fulfil it.
 
@@ -76,13 +82,21 @@ def collect_scenes(
         tell: Called with the name of each scene before it is built or compiled.
         builds: Settings of the builds of layouts; `None` builds them in this process.
         only: Names of the scenes to return; `None` returns all.
+        packages: Folder with the package of every scene, so that none is built; `None` uses `root`.
 
     Raises:
+        UsageError: `packages` lacks a scene.
         InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene, or a layout
             cannot fulfil the plan with any of its seeds.
         KeyboardInterrupt: The builds were stopped.
     """
-    held = packages_by_scene(root / SCENES)
+    held = packages_by_scene(root / SCENES if packages is None else packages)
+    lacking = [part.name for part in plan.parts if part.name not in held] if packages is not None else []
+    if lacking:
+        raise UsageError(
+            f"{packages} has no package of {', '.join(lacking)}: give the folder `scenes` of a dataset of the plan, or "
+            "copy the packages that `factory scene build` or `factory scene import` prints"
+        )
     require_files(plan, held)
     found: dict[str, Path] = {}
     missing: list[str] = []

@@ -172,7 +172,7 @@ class _TrialProcess:
             self._order(waiting.popleft())
         heard = self._simulation.receive(self._poll_s)
         if isinstance(heard, Death):
-            return self._handle_death(heard)
+            return self._handle_death(heard, waiting)
         return None if heard is None else self._handle_report(heard)
 
     def _order(self, job: Job) -> None:
@@ -192,8 +192,11 @@ class _TrialProcess:
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)
 
-    def _handle_death(self, death: Death) -> Trial | None:
+    def _handle_death(self, death: Death, waiting: deque[Job]) -> Trial | None:
         job, self._job = self._job, None
+        if job is not None and death.reason is FailReason.RELEASED:
+            waiting.appendleft(job)
+            return None
         if job is not None:
             return Trial(job, death.reason, death.detail)
         self._starts += 1

@@ -25,6 +25,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
 from schemas.dataset.meta import GateOutcome
+from schemas.dataset.run_shard import RunShard
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
@@ -72,6 +73,12 @@ class LocalRun:
     """Value of `--rig` of a run that renders."""
     appearance: str | None = None
     """Value of `--appearance` of a run that renders."""
+    ledger_url: str | None = None
+    """URL of the ledger; by default `ledger.db` in `root`."""
+    shard: RunShard | None = None
+    """Shard of the run to generate; `None` for the whole run."""
+    take_over: bool = False
+    """Whether to take `store` over from another home, whose coordinator must have ended."""
 
     @property
     def command(self) -> str:
@@ -79,7 +86,12 @@ class LocalRun:
         site = self.store or self.root
         rig = "" if self.rig is None else f" --rig {self.rig}"
         rig += "" if self.appearance is None else f" --appearance {self.appearance}"
-        return f"factory run --out {site}" if self.states is None else f"factory render {self.states}{rig} -o {site}"
+        shard = "" if self.shard is None else f" --shard {self.shard}"
+        return (
+            f"factory run{shard} --out {site}"
+            if self.states is None
+            else f"factory render {self.states}{rig} -o {site}"
+        )
 
 
 def run_locally(
@@ -114,9 +126,12 @@ def run_locally(
             run.catalog,
             CoordinatorOptions(
                 listen=_LISTEN,
+                ledger_url=run.ledger_url,
                 settings=settings,
                 gate=run.gate,
                 store=run.store,
+                take_over=run.take_over,
+                shard=run.shard,
                 find_states=run.find_states,
                 nearby=lambda lease: find_bundle(spool, lease),
             ),

@@ -15,7 +15,9 @@ from coordinator.ledger.reading.reader import open_ledger
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.recovery.stray_files import count_plans
 from factory.dataset.packages import package_file
+from factory.dataset.site import Site
 from factory.runs.catalog import collect_scenes, open_catalog
+from factory.runs.ledger import shard_of
 from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
@@ -63,7 +65,7 @@ def inspect_dataset(
             "with --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
-    return RepairInput(root, home, ledger, record.plan, catalog, troubles, stranger)
+    return RepairInput(root, home, ledger, record.plan, catalog, troubles, shard_of(Site(root, home), url), stranger)
 
 
 def _settle_plan(

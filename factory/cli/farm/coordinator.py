@@ -13,7 +13,7 @@ from coordinator.protocol.protocol import simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.cli.common.admission import open_door
+from factory.cli.common.admission import find_hosts, open_door
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
 from factory.cli.common.groups import CommandGroup
@@ -25,6 +25,7 @@ from factory.cli.common.options import (
     number_option,
     out_option,
     plan_argument,
+    pullers_option,
     shrink_options,
     tls_option,
     verbose_option,
@@ -65,6 +66,7 @@ def command() -> None:
     "lease_ttl_s",
     least=1.0,
 )
+@pullers_option()
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
 @http_options
@@ -83,6 +85,7 @@ def start(
     listen: tuple[str, ...],
     ledger: str | None,
     lease_ttl_s: float,
+    pullers: int,
     stay: bool,
     tls: Path | None,
     http: str | None,
@@ -108,7 +111,7 @@ def start(
         else prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     )
     plan, is_new = begin(plan_name, site, changes)
-    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         if rendering is None:
@@ -122,6 +125,7 @@ def start(
             return 130
         options = CoordinatorOptions(
             listen=listen,
+            hosts=() if guard is None else find_hosts(guard),
             ledger_url=ledger,
             settings=settings,
             guard=guard,
@@ -153,5 +157,6 @@ def _say_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guar
     """Prints where the coordinator listens, and the command that starts a worker."""
     where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
-    for endpoint in coordinator.endpoints:
-        click.echo(f"factory worker --cores 2 --connect {endpoint}")
+    tls = "" if guard is None else " --tls DIR"
+    for endpoint in coordinator.reachable:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}{tls}")
