@@ -1,7 +1,6 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
 # check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-slurm | test-train | fuzz |
-# audit | docs |
-# quickstart.
+# audit | docs | quickstart.
 # Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
