@@ -21,7 +21,7 @@ _OWN_M = 1.5
 """Largest distance between the middle of a doorway and the path through it, metres."""
 
 
-class Doorway(NamedTuple):
+class RoomPassage(NamedTuple):
     """Passage between two rooms."""
 
     middle: tuple[float, float]
@@ -43,7 +43,7 @@ class RoomChange(NamedTuple):
     """Number of the new room."""
 
 
-def find_doorways(graph: SceneGraph) -> tuple[Doorway, ...]:
+def find_doorways(graph: SceneGraph) -> tuple[RoomPassage, ...]:
     """Returns the passages between two rooms: closed openings, and borders of rooms that touch."""
     labels = np.asarray(graph.room_grid.values, np.int64)
     resolution, origin = graph.room_grid.resolution_m, np.asarray(graph.room_grid.origin_m)
@@ -65,7 +65,7 @@ def find_doorways(graph: SceneGraph) -> tuple[Doorway, ...]:
             corner = np.array([side.start for side in grown])
             middle = origin + (np.argwhere(cells).mean(axis=0) + corner + 0.5)[::-1] * resolution
             width = max(side.stop - side.start for side in part) * resolution + 2 * _MARGIN_M
-            found.append(Doorway((float(middle[0]), float(middle[1])), rooms, width))
+            found.append(RoomPassage((float(middle[0]), float(middle[1])), rooms, width))
     return tuple(found)
 
 
@@ -82,7 +82,7 @@ def room_changes(graph: SceneGraph, path: DrivenPath) -> list[RoomChange]:
     return [RoomChange(frame, before, after) for (_, before), (frame, after) in pairwise(stays)]
 
 
-def doorway_of(doorways: tuple[Doorway, ...], change: RoomChange, place: Floats) -> Doorway | None:
+def doorway_of(doorways: tuple[RoomPassage, ...], change: RoomChange, place: Floats) -> RoomPassage | None:
     """Returns the doorway of a change of rooms at a point x, y; `None` if the passage is wide or unknown."""
     own = [each for each in doorways if each.rooms == {change.before, change.after}]
     nearest = min(own, key=lambda each: float(np.hypot(*(place - each.middle))), default=None)

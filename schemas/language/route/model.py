@@ -27,8 +27,8 @@ class StepKind(StrEnum):
     STOP = "stop"  # to the target, and stop
 
 
-class Side(StrEnum):
-    """Side of the robot."""
+class RobotSide(StrEnum):
+    """RobotSide of the robot."""
 
     LEFT = "left"  # positive angles
     RIGHT = "right"  # negative angles
@@ -48,7 +48,7 @@ class RouteStep(Model):
 
     kind: StepKind
     """Kind of the step."""
-    side: Side | None = Field(default=None, exclude_if=lambda it: it is None)
+    side: RobotSide | None = Field(default=None, exclude_if=lambda it: it is None)
     """Direction of a turn, or side of the object that is passed."""
     size: TurnSize | None = Field(default=None, exclude_if=lambda it: it is None)
     """Size of a turn."""

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from schemas.language.grammar import SentencePattern
 from schemas.language.reading import Reader
-from schemas.language.route.model import RouteStep, Side, StepKind, TurnSize
+from schemas.language.route.model import RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.words import SLOT, RouteWords, route_words
 
 _NUMBER = r"(?P<metres>\d{1,2})"
@@ -76,7 +76,9 @@ class RouteReader:
 
     def _meanings(self, clause: str, parts: dict[str, str]) -> list[RouteStep]:
         kind, _, size = clause.partition("_")
-        side: Side | None = next((self._sides[slot][parts[slot]] for slot in ("turn", "pass") if slot in parts), None)
+        side: RobotSide | None = next(
+            (self._sides[slot][parts[slot]] for slot in ("turn", "pass") if slot in parts), None
+        )
         named = self._language.read_phrase(parts["np"].strip()) if "np" in parts else [None]
         found = []
         for one in named:

@@ -23,7 +23,7 @@ _BEFORE_M = 0.25
 _PASSAGE_M, _DIRECTIONS = 0.7, 8
 
 
-class Replay:
+class PoseReplay:
     """Recorded poses on the map of a scene.
 
     Args:

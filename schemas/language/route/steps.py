@@ -19,8 +19,8 @@ from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
 from schemas.language.graph import UNKNOWN
 from schemas.language.route import thresholds as limit
-from schemas.language.route.doorways import Doorway, RoomChange, doorway_of, find_doorways, room_changes
-from schemas.language.route.model import DrivenPath, RouteStep, Side, StepKind, TurnSize
+from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, find_doorways, room_changes
+from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.segment import PathPart, divide_path
 from schemas.language.view import SceneView, look
 from schemas.support.numpy_types import Bools, Floats
@@ -58,7 +58,7 @@ class SceneRoutes:
     camera: CameraConfig
 
     @cached_property
-    def doorways(self) -> tuple[Doorway, ...]:
+    def doorways(self) -> tuple[RoomPassage, ...]:
         """Passages between rooms."""
         return find_doorways(self.scene.graph)
 
@@ -107,7 +107,7 @@ class RouteSearch:
 
     def _turn(self, turned_rad: float, changes: list[RoomChange]) -> RouteStep | None:
         """Returns the step of a turn, perhaps in a doorway; `None` if it has no clear description."""
-        side = Side.LEFT if turned_rad > 0 else Side.RIGHT
+        side = RobotSide.LEFT if turned_rad > 0 else RobotSide.RIGHT
         doors = [each for each in changes if doorway_of(self._place.doorways, each, self._path.xy[each.frame])]
         if len(doors) == 1:
             is_corner = limit.CORNER_RAD[0] <= abs(turned_rad) < limit.CORNER_RAD[1]
@@ -161,12 +161,12 @@ class RouteSearch:
             self._views[t] = look(self._graph, self._path.pose(t), self._place.camera)
         return self._views[t]
 
-    def _is_clear(self, doorway: Doorway, start: int) -> bool:
+    def _is_clear(self, doorway: RoomPassage, start: int) -> bool:
         """Returns whether no other doorway of the room is ahead at the start of the step."""
         x, y, yaw = self._path.pose(start)
         (room,) = {self._graph.room_at(x, y)} & doorway.rooms or {0}
 
-        def offset(each: Doorway) -> tuple[float, float]:
+        def offset(each: RoomPassage) -> tuple[float, float]:
             dx, dy = each.middle[0] - x, each.middle[1] - y
             return math.hypot(dx, dy), abs(math.remainder(math.atan2(dy, dx) - yaw, math.tau))
 
@@ -205,7 +205,7 @@ class RouteSearch:
         beyond = np.maximum(self._graph.low[None, :, :2] - points, points - self._graph.high[None, :, :2])
         return np.asarray(np.hypot(*np.moveaxis(beyond.clip(0.0), -1, 0)))
 
-    def _passed(self, start: int, end: int) -> Iterator[tuple[int, Side, int]]:
+    def _passed(self, start: int, end: int) -> Iterator[tuple[int, RobotSide, int]]:
         """Yields the frame after which an object is behind the robot, its side, and its number, in this order."""
         frames = np.arange(start, end, _EVERY)
         ahead, left = self._offsets(frames)
@@ -223,7 +223,7 @@ class RouteSearch:
         for place in np.argsort(done, kind="stable").tolist():
             number = int(found[place])
             if number != self._target and min(int(done[place]) + _EVERY, end) > start:
-                side = Side.LEFT if left[nearest[number], number] > 0 else Side.RIGHT
+                side = RobotSide.LEFT if left[nearest[number], number] > 0 else RobotSide.RIGHT
                 yield min(int(done[place]) + _EVERY, end), side, number
 
     def _named(self, number: int, start: int, end: int) -> Expression | None:

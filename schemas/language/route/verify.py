@@ -16,10 +16,10 @@ from schemas.config import CameraConfig
 from schemas.language.expression import Expression
 from schemas.language.graph import SceneGraph
 from schemas.language.route import thresholds as limit
-from schemas.language.route.doorways import Doorway
-from schemas.language.route.model import RouteStep, RouteText, Side, StepKind
+from schemas.language.route.doorways import RoomPassage
+from schemas.language.route.model import RobotSide, RouteStep, RouteText, StepKind
 from schemas.language.route.reading import RouteReader
-from schemas.language.route.replay import Replay
+from schemas.language.route.replay import PoseReplay
 from schemas.language.verifier.verify import Verifier
 from schemas.language.view import look
 
@@ -37,7 +37,7 @@ class RouteVerifier:
     """
 
     def __init__(
-        self, graph: SceneGraph, expressions: Verifier, doorways: Sequence[Doorway], camera: CameraConfig
+        self, graph: SceneGraph, expressions: Verifier, doorways: Sequence[RoomPassage], camera: CameraConfig
     ) -> None:
         self._graph, self._expressions, self._doorways, self._camera = graph, expressions, doorways, camera
 
@@ -61,7 +61,7 @@ class RouteVerifier:
             if not language.read_step(each.text):
                 return "a step is not a sentence of the grammar"
         alone = [language.read_step(each.text) for each in route.steps]
-        replay = Replay(self._graph, poses, self._camera)
+        replay = PoseReplay(self._graph, poses, self._camera)
         for steps in readings:
             if len(steps) != len(spans):
                 return "the text has another number of steps"
@@ -73,7 +73,7 @@ class RouteVerifier:
                     return f"{step.kind}: {fault}"
         return ""
 
-    def _fault(self, step: RouteStep, replay: Replay, start: int, end: int, target: int) -> str:
+    def _fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int, target: int) -> str:
         """Returns why one step is not true within its span."""
         is_last = end == len(replay)
         if is_last != (step.kind is StepKind.STOP):
@@ -98,7 +98,7 @@ class RouteVerifier:
             case _:
                 return self._object_fault(step, replay, start, end, target)
 
-    def _unsaid(self, step: RouteStep, replay: Replay, start: int, end: int) -> str:
+    def _unsaid(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> str:
         """Returns which turn or doorway within the span the step does not name."""
         headings = replay.headings(start, end)
         if step.kind not in (StepKind.TURN, StepKind.CORNER) and max(headings) - min(headings) > limit.UNSAID_RAD:
@@ -107,7 +107,7 @@ class RouteVerifier:
             return "it does not name a doorway"
         return ""
 
-    def _crossed(self, replay: Replay, start: int, end: int) -> list[int]:
+    def _crossed(self, replay: PoseReplay, start: int, end: int) -> list[int]:
         """Returns the frames at which the path goes through a doorway into another room, in which it stays."""
         found, room = [], 0
         for t in range(start, end):
@@ -119,11 +119,11 @@ class RouteVerifier:
             room = room or here
         return found
 
-    def _stays(self, replay: Replay, t: int, room: int, end: int) -> bool:
+    def _stays(self, replay: PoseReplay, t: int, room: int, end: int) -> bool:
         driven = next((k for k in range(t, end) if replay.driven(t, k + 1) > 0.45), None)
         return driven is not None and all(replay.room(k) in (0, room) for k in range(t, driven + 1))
 
-    def _entered_fault(self, step: RouteStep, replay: Replay, start: int, end: int) -> tuple[str, int, int]:
+    def _entered_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> tuple[str, int, int]:
         """Returns why the robot does not enter the room of a step, the room before, and the frame of the doorway."""
         rooms = [(t, replay.room(t)) for t in range(start, end) if replay.room(t)]
         before, after = (rooms[0][1], rooms[-1][1]) if rooms else (0, 0)
@@ -135,7 +135,7 @@ class RouteVerifier:
         is_other = step.room is not None and self._graph.types[after - 1] != step.room
         return "the room has another type" if is_other else "", before, entered
 
-    def _door_fault(self, step: RouteStep, replay: Replay, start: int, end: int) -> str:
+    def _door_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> str:
         fault, before, entered = self._entered_fault(step, replay, start, end)
         if fault:
             return fault
@@ -148,7 +148,7 @@ class RouteVerifier:
                     return "another doorway is ahead"
         return ""
 
-    def _object_fault(self, step: RouteStep, replay: Replay, start: int, end: int, target: int) -> str:
+    def _object_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int, target: int) -> str:
         """Returns why the object of `towards`, `pass` or `stop` is not where the step says, or not unique."""
         assert step.named is not None
         fitting = self._fitting(step.named, replay, start, end)
@@ -168,7 +168,7 @@ class RouteVerifier:
                     return "it names another object than the target"
                 return "" if replay.gap(number, end - 1) <= limit.STOP_M.good else "the robot stops elsewhere"
 
-    def _fitting(self, named: Expression, replay: Replay, start: int, end: int) -> set[int]:
+    def _fitting(self, named: Expression, replay: PoseReplay, start: int, end: int) -> set[int]:
         """Returns the objects that the words fit: in the scene, or around the step if kind and colour are all words."""
         if named.clauses or named.size is not None or named.ordinal is not None:
             x, y = replay.position(start)
@@ -189,7 +189,7 @@ def _turn_fault(step: RouteStep, headings: Sequence[float]) -> str:
     assert step.size is not None
     turned = headings[-1]
     least, most = limit.TURN_RAD[step.size]
-    if step.side is not None and (turned > 0) != (step.side is Side.LEFT):
+    if step.side is not None and (turned > 0) != (step.side is RobotSide.LEFT):
         return "the robot turns to the other side"
     if not least <= abs(turned) <= most:
         return "the turn has another size"
@@ -200,11 +200,11 @@ def _turn_fault(step: RouteStep, headings: Sequence[float]) -> str:
 
 
 def _corner_fault(step: RouteStep, headings: Sequence[float]) -> str:
-    turned = headings[-1] if step.side is Side.LEFT else -headings[-1]
+    turned = headings[-1] if step.side is RobotSide.LEFT else -headings[-1]
     return "" if limit.CORNER_RAD[0] <= turned <= limit.CORNER_RAD[1] else "the turn has another side or size"
 
 
-def _pass_fault(step: RouteStep, replay: Replay, number: int, start: int, end: int) -> str:
+def _pass_fault(step: RouteStep, replay: PoseReplay, number: int, start: int, end: int) -> str:
     places = {t: replay.relative(number, t) for t in replay.frames(start, end)}
     if places[start].real < limit.BEFORE_M.good - 0.05:
         return "the object is not ahead at first"
@@ -214,7 +214,7 @@ def _pass_fault(step: RouteStep, replay: Replay, number: int, start: int, end: i
     if replay.gap(number, nearest) > limit.PASS_M.good + 0.1:
         return "the object is too far away"
     abeam = min(places, key=lambda t: abs(places[t].real))
-    if (places[abeam].imag > 0) != (step.side is Side.LEFT):
+    if (places[abeam].imag > 0) != (step.side is RobotSide.LEFT):
         return "the object is on the other side"
     if abs(cmath.phase(places[abeam])) < limit.ASIDE_RAD:
         return "the object is not beside the path"

@@ -13,7 +13,7 @@ import numpy as np
 from schemas.base import Model, Name
 from schemas.language.grammar import Grammar, Patterns, SentencePattern, alternatives
 from schemas.language.kinds import DATA
-from schemas.language.route.model import RouteStep, Side, StepKind
+from schemas.language.route.model import RobotSide, RouteStep, StepKind
 
 SLOT = re.compile(r"\{(np|turn|pass|room|metres)(?::([a-z]+))?\}")
 """Slot of a clause, and the case of a referring expression."""
@@ -57,9 +57,9 @@ class RouteWords(Model):
     """End of a sentence."""
     metres: tuple[str, str]
     """Length of one metre, and of several."""
-    turn_words: dict[Side, tuple[str, ...]]
+    turn_words: dict[RobotSide, tuple[str, ...]]
     """Directions of turns."""
-    pass_words: dict[Side, tuple[str, ...]]
+    pass_words: dict[RobotSide, tuple[str, ...]]
     """Sides of objects that are passed."""
     rooms: dict[Name, tuple[str, ...]]
     """Rooms that are entered, with article and case."""
