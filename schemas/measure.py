@@ -20,8 +20,8 @@ from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.scene import Target
-from schemas.support import portable
-from schemas.support.numpy_types import Bools, Floats
+from schemas.support.numpy_types import Floats
+from schemas.support.planar import footprint_distances, gaps_to, squares, yaw_of
 from schemas.terms import SuccessMeasure
 
 _STEP = 2.0**-36
@@ -39,40 +39,6 @@ def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
     """Returns the stationary steps that make a success: at a false premise those of one second at least, because a
     robot that starts to drive is stationary for a few steps, too."""
     return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
-
-
-def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, float]]) -> Floats:
-    """Returns the planar distances (...) of points (..., 2) to a convex polygon; 0 on and inside it, metres.
-
-    Args:
-        points: world x, y, metres.
-        footprint_m: vertices of the polygon, counter-clockwise; at least one.
-    """
-    to_sides, is_inside = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
-    return np.asarray(np.sqrt(np.where(is_inside, 0.0, _squares(to_sides).min(axis=-1))))
-
-
-def _gaps(points: Floats, vertices: Floats) -> Floats:
-    """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
-    to_sides, is_inside = _to_sides(points, vertices)
-    nearest = _squares(to_sides).argmin(axis=-1)[..., None, None]
-    return np.where(is_inside[..., None], 0.0, np.take_along_axis(to_sides, nearest, axis=-2)[..., 0, :])
-
-
-def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Bools]:
-    """Returns vectors (..., K, 2) from points (..., 2) to the sides of a convex polygon, and whether each is inside."""
-    sides = np.concatenate((vertices[1:], vertices[:1])) - vertices
-    to_vertex = vertices - points[..., None, :]
-    squares = _squares(sides)
-    along = -(to_vertex[..., 0] * sides[:, 0] + to_vertex[..., 1] * sides[:, 1]) / np.where(squares > 0, squares, 1.0)
-    to_sides = to_vertex + np.clip(along, 0.0, 1.0)[..., None] * sides
-    is_left = sides[:, 1] * to_vertex[..., 0] - sides[:, 0] * to_vertex[..., 1] >= 0
-    return to_sides, np.asarray(is_left.all(axis=-1)) & (len(vertices) > 2)
-
-
-def _squares(vectors: Floats) -> Floats:
-    """Returns the squared lengths (...) of vectors (..., 2)."""
-    return np.asarray(vectors[..., 0] * vectors[..., 0] + vectors[..., 1] * vectors[..., 1])
 
 
 @dataclass(frozen=True)
@@ -170,8 +136,8 @@ class Goal:
         """
         vertices, share = np.asarray(self.footprint_m), np.ones(away.shape[:-1])
         for _ in range(_NEWTON_STEPS):
-            gaps = _gaps(self._centre + away * share[..., None], vertices)
-            distance = np.sqrt(_squares(gaps))
+            gaps = gaps_to(self._centre + away * share[..., None], vertices)
+            distance = np.sqrt(squares(gaps))
             slope = -(gaps * away).sum(axis=-1) / np.maximum(distance, 1e-9)
             share = np.clip(share - (distance - limit) / np.maximum(slope, 1e-9), 0.0, 1.0)
         found = np.round(share / _STEP) * _STEP
@@ -187,7 +153,7 @@ class Goal:
             return gap, point + (self._centre - point) * (gap / (gap + self.radius_m))
         distance = self.distance(point[0], point[1])
         gap = distance - self.radius_m
-        return gap, point + _gaps(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
+        return gap, point + gaps_to(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
 
     def ring(self, directions: Floats, distance_m: ArrayLike) -> Floats:
         """Returns the points (N, 2) at distances from the target, on rays from its centroid.
@@ -235,12 +201,6 @@ class TrackMeasure(NamedTuple):
     """Distance from the first pose to the target's footprint, metres; `None` without footprint."""
     final_surface_m: float | None
     """Distance from the last pose to the target's footprint, metres; `None` without footprint."""
-
-
-def yaw_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the headings (T,) of poses (T, 7) x, y, z, qw, qx, qy, qz, radians."""
-    w, x, y, z = poses[:, 3:].T
-    return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def measure_track(

@@ -164,7 +164,7 @@ def join_shards(
     now: datetime,
     on_progress: ProgressCallback = lambda _done, _all: None,
 ) -> JoinReport:
-    """Joins shards into one dataset, in a new directory or one that an interrupted call has begun.
+    """Joins shards into one dataset, in a new directory or one of an interrupted call.
 
     Args:
         target: the dataset.

@@ -17,7 +17,7 @@ from schemas.encoding.arrays import DEPTH_FRAME
 from schemas.encoding.digest import frame_digest
 from schemas.episode import EpisodeMeta
 from schemas.errors import InvalidBundle
-from schemas.measure import yaw_of
+from schemas.support.planar import yaw_of
 
 EMPTY_SLACK_SHARE = 0.001
 """Tolerated share of pixels with depth and no id or the reverse, because two passes may rasterise them."""

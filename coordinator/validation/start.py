@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
 from schemas.instruction.start_view import start_view_findings
-from schemas.measure import yaw_of
+from schemas.support.planar import yaw_of
 
 BEARING_SLACK_RAD = 1e-5
 """Tolerance between directions of float64 and float32 poses, radians."""

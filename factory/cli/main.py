@@ -72,7 +72,7 @@ VERBS = MappingProxyType(
         "gateway": CommandEntry("farm.gateway", _FARM, "Start a gateway between workers and a coordinator."),
         "worker": CommandEntry("farm.worker", _FARM, "Simulate jobs of a coordinator on this host."),
         "gather": CommandEntry("farm.gather", _FARM, "Copy the episodes of gateways or shards into one dataset."),
-        "submit": CommandEntry("farm.submit", _FARM, "Submit a run to a batch system (Slurm)."),
+        "submit": CommandEntry("farm.submit", _FARM, "Submit a run to a batch system."),
         "keys": CommandEntry("farm.keys", _FARM, "Create and list the TLS certificates of hosts."),
         "bench": CommandEntry("other.bench", _OTHER, "Measure the performance of this machine."),
         "completion": CommandEntry("other.completion", _OTHER, "Print the completion script of a shell."),

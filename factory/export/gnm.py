@@ -23,7 +23,7 @@ from factory.export.base import Decimated, EpisodeFacts, Exporter, ExportPiece, 
 from factory.export.card import CARD_FILE, export_card
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
-from schemas.measure import yaw_of
+from schemas.support.planar import yaw_of
 from schemas.terms import Split
 
 DATASET_NAME = "minivla_nav"

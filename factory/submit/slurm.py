@@ -5,6 +5,7 @@ The scripts call the command line only, so that a task needs no Python of the su
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from schemas.errors import UsageError, WorldError
+from schemas.support.child import child_environment
 
 Mode = Literal["shards", "workers"]
 _NOTICE_S = 120
@@ -139,7 +141,13 @@ def submit(script: Path, *options: str) -> int:
         WorldError: Slurm refuses the job.
     """
     try:
-        done = subprocess.run(["sbatch", "--parsable", *options, script], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["sbatch", "--parsable", *options, script],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=child_environment(os.environ),
+        )
     except FileNotFoundError as error:
         raise UsageError(
             f"sbatch is not installed on this host: submit {script} on a login node, or write the scripts only, with "

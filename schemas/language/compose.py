@@ -221,7 +221,7 @@ class Composer:
         Args:
             scene: prepared scene.
             view: view at the start, or `None`.
-            number: number of the object in the scene graph that a wrong colour or landmark is said of.
+            number: number of the object in the scene graph that gets a wrong colour or landmark.
             held_out: whether to use the held-out sentence patterns.
             rng: random generator.
         """

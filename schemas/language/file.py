@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from schemas.base import Count, Fraction, Model, Name, NonNegative
+from schemas.base import Count, Fraction, Line, Model, Name, NonNegative
 from schemas.errors import InvalidLanguage, UsageError
 from schemas.language.expression import Family
 from schemas.language.grammar import LANGUAGES, REGISTERS, Grammar, grammar
@@ -29,9 +29,15 @@ def _equal_shares(given: object) -> object:
     return dict.fromkeys(given, 1.0) if is_list else given  # type: ignore[call-overload]
 
 
-Weights = dict[str, NonNegative]
+Weights = Annotated[dict[Name, NonNegative], Field(max_length=64)]
 Shares = Annotated[Weights, BeforeValidator(_equal_shares)]
 """Weights by name; a list of names gives equal shares."""
+
+
+Words = Annotated[tuple[Line, ...], Field(max_length=64)]
+"""Nouns of a kind."""
+Nouns = Annotated[dict[Name, Words], Field(max_length=1000)]
+"""Nouns by kind."""
 
 
 class TextKind(StrEnum):
@@ -50,7 +56,7 @@ class LanguageSpec(Model):
     """Share of each register: imperative, polite, question, terse, spoken."""
     features: Weights = Field(default_factory=dict)
     """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
-    kinds: Annotated[tuple[TextKind, ...], Field(min_length=1)] = (TextKind.GOAL,)
+    kinds: Annotated[tuple[TextKind, ...], Field(min_length=1, max_length=len(TextKind))] = (TextKind.GOAL,)
     """Kinds of text: `goal`, `route`."""
     per_episode: Annotated[int, Field(ge=1, le=16)] = 1
     """Number of instructions for each episode."""
@@ -69,7 +75,7 @@ class LanguageSpec(Model):
     """Share of episodes with one more instruction, which names an object that does not exist."""
     seed: Count = 0
     """Random seed."""
-    nouns: dict[str, dict[Name, tuple[str, ...]]] = Field(default_factory=dict)
+    nouns: Annotated[dict[Name, Nouns], Field(max_length=64)] = Field(default_factory=dict)
     """Nouns of further kinds by language; in German and Spanish `noun:gender`, in Chinese `noun:measure word`."""
 
     @field_validator("languages")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from schemas.base import Count, Line, Model, Name
+from schemas.base import Count, Line, Model, Name, Text
 
 
 class InstructionKind(StrEnum):
@@ -31,7 +31,7 @@ class Instruction(Model):
     """Name of the sentence pattern."""
     held_out: bool
     """Whether only the split `test_paraphrase_ood` uses the pattern."""
-    expression: str
+    expression: Text
     """Meaning, as the JSON of `Expression`."""
     features: Line
     """Features of the expression, separated by commas."""

@@ -11,8 +11,8 @@ import pytest
 from coordinator.validation.motion import motion_findings
 from schemas.config import CameraConfig, DemonstrationConfig, PlannerConfig, TaskConfig
 from schemas.job import Job
-from schemas.measure import footprint_distances, yaw_of
 from schemas.scene import CompiledScene
+from schemas.support.planar import footprint_distances, yaw_of
 from schemas.terms import EndReason, ExpertName, SuccessMeasure, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room

@@ -61,7 +61,7 @@ def command(
     as_json: bool,
     **changes: Any,
 ) -> int:
-    """Copy the episodes stored by gateways, or by the shards of a run, into one dataset.
+    """Copy the episodes of gateways or shards into one dataset.
 
     Gateways: DIR is the coordinator's dataset directory; stop its coordinator first. GATEWAY_DIR is the --out of a
     gateway, or a copy of it; it is not changed. Each episode is checked against the ledger. If you give only some of

@@ -46,9 +46,10 @@ def command() -> None:
 @click.option(
     "--split",
     type=click.Choice([str(split) for split in Split]),
+    metavar="SPLIT",
     default=str(Split.TRAIN_ID),
     show_default=True,
-    help="Split to train on.",
+    help=f"Split to train on: {', '.join(Split)}.",
 )
 @scene_filter()
 @tier_filter()

@@ -27,7 +27,7 @@ from schemas.terms import BUILTIN_CATEGORIES, family_of
 @click.argument("place", metavar="[DIR|URL]", type=PLACE, required=False)
 @json_option
 def command(place: Place | None, as_json: bool) -> None:
-    """List the built-in and the imported scenes, or the scenes of a dataset.
+    """List built-in and imported scenes, or those of a dataset.
 
     DIR|URL is a dataset, whose layouts are listed by family with the seed of each.
     """

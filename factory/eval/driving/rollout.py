@@ -37,8 +37,9 @@ from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
-from schemas.measure import Goal, footprint_distances
+from schemas.measure import Goal
 from schemas.rig import Rig
+from schemas.support.planar import footprint_distances
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 

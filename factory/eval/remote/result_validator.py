@@ -23,9 +23,10 @@ from factory.eval.remote.driven import read_driven
 from schemas.base import Model, Sha256
 from schemas.errors import InvalidBundle
 from schemas.job import Job
-from schemas.measure import Goal, footprint_distances
+from schemas.measure import Goal
 from schemas.plan import canonical_json
 from schemas.scene import Target
+from schemas.support.planar import footprint_distances
 from schemas.terms import Split
 
 _CLOCKS = {"act_ms", "seconds"}

@@ -17,8 +17,8 @@ from factory.dataset.episode import Episode
 from factory.export.mcap.rig_frames import links_of, odometry_links
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
-from schemas.measure import yaw_of
 from schemas.scene import CompiledScene, Target
+from schemas.support.planar import yaw_of
 
 WORLD, BASE, OPTICAL = "world", "base_link", "front_optical"
 OPTICAL_FROM_BASE = (-0.5, 0.5, -0.5, 0.5)

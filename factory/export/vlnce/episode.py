@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from schemas.episode import EpisodeMeta
 from schemas.language.route.model import SubInstruction
-from schemas.measure import yaw_of
+from schemas.support.planar import yaw_of
 from schemas.terms import SuccessMeasure
 
 PAD, UNKNOWN = "<pad>", "<unk>"

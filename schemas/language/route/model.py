@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from schemas.base import Count, Line, Model, Name
 from schemas.language.expression import Expression
 from schemas.support.numpy_types import Floats
+from schemas.support.planar import yaw_of
 
 
 class StepKind(StrEnum):
@@ -28,7 +29,7 @@ class StepKind(StrEnum):
 
 
 class RobotSide(StrEnum):
-    """RobotSide of the robot."""
+    """Side of the robot."""
 
     LEFT = "left"  # positive angles
     RIGHT = "right"  # negative angles
@@ -125,8 +126,6 @@ class DrivenPath:
     """
 
     def __init__(self, poses: NDArray[np.float64]) -> None:
-        from schemas.measure import yaw_of
-
         self.poses = poses
         self.xy: Floats = np.asarray(poses[:, :2], np.float64)
         """(T, 2) positions, metres."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.language.graph import SceneGraph
-from schemas.measure import footprint_distances
+from schemas.support.planar import footprint_distances
 
 _EVERY = 4
 _RAY_M = 0.03

@@ -37,7 +37,7 @@ def test_every_instruction_is_a_sentence(template: str, category: str) -> None:
 
 @pytest.mark.parametrize("split", Split)
 def test_split_decides_the_pool(split: Split) -> None:
-    pool = OOD_TEMPLATES if split is Split.TEST_PARAPHRASE_OOD else TRAIN_TEMPLATES
+    pool = OOD_TEMPLATES if split.is_paraphrased else TRAIN_TEMPLATES
     assert templates_for(split, "red") == tuple(pool)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.targets.footprint import footprint_of
-from schemas.measure import footprint_distances
+from schemas.support.planar import footprint_distances
 
 
 def triangles_of(*corners: tuple[float, float]) -> np.ndarray:
