@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from schemas.language.route.model import DrivenPath
-from schemas.language.route.thresholds import RUN_M, STRAIGHT_RAD, TURN_RAD, TurnSize
+from schemas.language.route.model import DrivenPath, TurnSize
+from schemas.language.route.thresholds import RUN_M, STRAIGHT_RAD, TURN_RAD
 from schemas.support.numpy_types import Floats, Ints
 
 _EVERY = 3
