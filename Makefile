@@ -1,5 +1,6 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
-# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs | quickstart.
+# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-slurm | test-train | fuzz |
+# audit | docs | quickstart.
 # Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
@@ -13,8 +14,8 @@ EPISODES ?= 24
 DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long compare-recordings ledger-accidents scenes-check test-formats test-install test-lerobot
-.PHONY: test-train fuzz audit docs quickstart clean
+.PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
+.PHONY: test-install test-lerobot test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -30,6 +31,7 @@ $(READY): requirements.txt pyproject.toml
 
 run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
+	@echo "next: $(VENV)/bin/factory serve dataset (progress, episodes, scenes and statistics in a browser)"
 
 # JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process.
 # Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time
@@ -56,6 +58,10 @@ chaos: $(READY)
 chaos-long: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --record $(RECORD) $(PEERS) --tally build/chaos-$(RECORD).json
+
+# a drive rendered with three rigs and two appearances; each export with sensors opened in the reader of its format
+check-rigs: $(READY) $(JUDGE)/.ready
+	$(VENV)/bin/python -m tests.acceptance.check_rigs --lerobot $(JUDGE)/bin/python
 
 # a plan recorded as states and as frames, and the rendered states: every table, episode and export compared
 compare-recordings: $(READY)
@@ -117,6 +123,11 @@ $(JUDGE)-readers/.ready: requirements.txt
 # the extra `sim`, and an installation beside factory_boy; takes minutes and installs packages
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
+
+# a Slurm of Debian's packages slurm-wlm and munge with three nodes on loopback: arrays, cancel, requeue, preemption, time limit,
+# a failed node, and a dataset by shards and by workers; needs root and half an hour
+test-slurm: $(READY)
+	$(VENV)/bin/python -m pytest tests/slurm --slurm
 
 # training, recipes and their tests, in a separate environment, because PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build

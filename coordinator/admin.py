@@ -10,13 +10,13 @@ from datetime import datetime
 from pathlib import Path
 
 from coordinator.archive.staging import Staging
-from coordinator.ledger import hosts, operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
-from coordinator.protocol.address_file import read_address
+from coordinator.ledger.requests import execute
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
+from schemas.protocol.address_file import read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
 
@@ -67,9 +67,6 @@ def _administer_offline(url: str, request: AdminRequest, now: datetime) -> Admin
     engine = open_writer(url)
     try:
         with translate_damage(url), engine.begin() as connection:
-            if request.action is AdminAction.RELEASE:
-                return hosts.release(connection, request.hosts)
-            change = operator.retry if request.action is AdminAction.RETRY else operator.cancel
-            return change(connection, request.indices, now)
+            return execute(connection, request, now)
     finally:
         engine.dispose()

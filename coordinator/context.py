@@ -54,13 +54,14 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
         options: options of the coordinator.
 
     Raises:
-        UsageError: the directory contains a run of another plan.
+        UsageError: the directory contains a run of another plan or another shard.
         WorldError: another coordinator uses the directory, or the disk cannot be written.
     """
     url = ledger_url_of(root, options.ledger_url)
-    checker = options.checker or Validator(options.settings.pullers)
+    packages = {entry.sha256: entry.path for entry in terms.catalog.values()}
+    checker = options.checker or Validator(options.settings.pullers, packages=packages)
     stack.callback(checker.close)
-    archive = stack.enter_context(open_archive(root, options.store))
+    archive = stack.enter_context(open_archive(root, options.store, take_over=options.take_over))
     replace_unusable_ledger(archive, url, terms.catalog)
     ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
     are_tables_owed = _reconcile(archive, ledger, terms, checker, options)
@@ -73,7 +74,9 @@ def _reconcile(
     archive: Archive, ledger: RunLedger, terms: Terms, checker: BundleValidator, options: CoordinatorOptions
 ) -> bool:
     planned = terms.evaluation.planned if terms.evaluation is not None else None
-    is_new = open_run(ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned)
+    is_new = open_run(
+        ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned, options.shard
+    )
     for name, entry in terms.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256)
     reconciled = reconcile(archive, ledger.engine, terms, checker, options.clock())

@@ -13,6 +13,7 @@ from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, Nearby, nothing_nearby
 from schemas.dataset.meta import GateOutcome
+from schemas.dataset.run_shard import RunShard
 from schemas.storage.object_path import ObjectPath
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
@@ -24,6 +25,8 @@ class CoordinatorOptions:
 
     listen: Sequence[str] = DEFAULT_LISTEN
     """Zenoh endpoints; port 0 selects a free port."""
+    hosts: Sequence[str] = ()
+    """Names or addresses of this host for workers, which replace wildcards in endpoints; by default the host's name."""
     ledger_url: str | None = None
     """URL of the ledger; by default `ledger.db` in the directory."""
     settings: CoordinatorSettings = field(default_factory=CoordinatorSettings)
@@ -40,6 +43,10 @@ class CoordinatorOptions:
     """Results of the pilot before a new run, recorded in the dataset's metadata."""
     store: ObjectPath | None = None
     """Root of the dataset in object storage; `None` for a dataset in a directory."""
+    take_over: bool = False
+    """Whether to take a dataset in object storage over from another home, whose coordinator must have ended."""
+    shard: RunShard | None = None
+    """Shard of the run that the coordinator generates; `None` for the whole run."""
     evaluation: EvalJobs | None = None
     """Jobs of an evaluation, which replace the plan's draws; their results are archived without episode tables."""
     find_states: FindStates = simulate_all

@@ -5,6 +5,7 @@ The module connects the parts. It does not implement verbs or state transitions 
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from contextlib import ExitStack
@@ -16,9 +17,9 @@ import structlog
 from coordinator.context import RunContext, open_context
 from coordinator.expansion.catalog import Catalog
 from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
+from coordinator.ledger.requests import execute
 from coordinator.options import CoordinatorOptions
 from coordinator.periodic_tasks import PeriodicTasks
-from coordinator.protocol.address_file import remove_address, write_address
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import Terms
 from coordinator.protocol.request_handler import RequestHandler
@@ -30,10 +31,14 @@ from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import sandbox_of
 from schemas.plan import Plan
+from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
+from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 
 _WAIT_S = 0.5
+_ADMIN_S = 30.0
+"""Timeout of an admin request of this process, seconds."""
 _DEPARTURE_S = 3.0
 """Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 
@@ -78,7 +83,9 @@ class Coordinator(Closing):
             stack.enter_context(PeriodicTasks(tables))
             self.health = self._measured(run)
             """Health and metrics of the coordinator."""
-            write_address(root, plan.run, self.endpoints)
+            self.reachable = usable_endpoints(self.endpoints, options.hosts or (socket.gethostname(),))
+            """Endpoints with the names of this host instead of wildcard addresses."""
+            write_address(root, plan.run, self.reachable)
             stack.callback(remove_address, root)
             self._stack = stack.pop_all()
         log.info("coordinator_started", run=plan.run, endpoints=self.endpoints, directory=str(options.store or root))
@@ -134,6 +141,18 @@ class Coordinator(Closing):
         while (now := time.monotonic()) < most and (now < least or self._router.present):
             if stop.wait(_WAIT_S):
                 return
+
+    def administer(self, request: AdminRequest) -> AdminReply:
+        """Executes an admin request of this process.
+
+        Raises:
+            WorldError: the ledger is damaged or does not commit.
+        """
+        now = self._run.clock()
+        reply = self._run.ledger.writer.submit(lambda connection: execute(connection, request, now)).result(_ADMIN_S)
+        if request.action is AdminAction.DRAIN:
+            self.drain()
+        return reply
 
     def drain(self) -> None:
         """Stops leasing jobs; workers stop after their current jobs."""

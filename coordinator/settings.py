@@ -10,6 +10,13 @@ from schemas.base import Model, NonNegative, Positive
 from schemas.protocol.keys import MAX_CHUNK_BYTES
 from schemas.storage.shards import MAX_SHARD_EPISODES
 
+MAX_PULLERS = 64
+
+
+def pullers_for(cores: int) -> int:
+    """Returns the number of pullers of a coordinator that has a host to itself; a puller validates on one core."""
+    return min(max(2, cores), MAX_PULLERS)
+
 
 class CoordinatorSettings(Model):
     """Operational settings of a coordinator, which do not affect the contents of the dataset."""
@@ -23,8 +30,8 @@ class CoordinatorSettings(Model):
     """Pause of a worker before its next claim if no job is due, seconds."""
     sweep_s: Positive = 0.25
     """Pause between two checks for expired leases, seconds."""
-    pullers: Annotated[int, Field(ge=1, le=16)] = 2
-    """Number of threads that transfer bundles."""
+    pullers: Annotated[int, Field(ge=1, le=MAX_PULLERS)] = 2
+    """Number of threads that transfer and validate bundles, each with a validating process."""
     chunk_bytes: Annotated[int, Field(ge=1024, le=MAX_CHUNK_BYTES)] = MAX_CHUNK_BYTES
     """Size of a requested chunk, bytes."""
     pull_timeout_s: Positive = 2.0

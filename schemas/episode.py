@@ -13,6 +13,7 @@ from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Ordinal,
 from schemas.errors import InvalidBundle
 from schemas.fingerprint import Fingerprint
 from schemas.job import Job
+from schemas.language.instruction import Instruction
 from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
@@ -114,7 +115,7 @@ class EpisodeMeta(Model):
     """Convex hull of the target's projection to the floor, x, y in the world frame, metres; empty if the scene records
     none."""
     phrase_is_unique: bool
-    """Whether category and colour, as the instruction names them, match exactly one object of the scene."""
+    """Whether the instruction fits exactly one object of the scene, by category and colour if it is a template."""
     rollout: Rollout
     """Measurements of the rollout."""
     route: Route = Route()
@@ -132,8 +133,20 @@ class EpisodeMeta(Model):
     contains the digests of the sensors."""
     appearance: DrawnAppearance | None = Field(default=None, exclude_if=lambda it: it is None)
     """Factors of the appearance that the frames show; null and omitted for the scene as it was compiled."""
+    language: Instruction | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Verified instruction of a job with `language`; null and omitted for a template."""
     provenance: Provenance
     """Time, worker and software of the episode."""
+
+    @property
+    def instruction(self) -> str:
+        """Instruction that the robot follows."""
+        return self.job.instruction if self.language is None else self.language.text
+
+    @property
+    def template_id(self) -> str:
+        """Template, or sentence pattern, of the instruction."""
+        return self.job.template_id if self.language is None else self.language.template_id
 
     @property
     def sampled_digests(self) -> dict[int, str]:

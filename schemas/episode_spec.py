@@ -30,6 +30,11 @@ class EpisodeSpec(Model):
     template_id: Name
     instruction: Line
 
+    @property
+    def is_false_premise(self) -> bool:
+        """Whether the instruction names an object that does not exist, so that success is to stop at the start."""
+        return self.split is Split.TEST_FALSE_PREMISE
+
     @staticmethod
     def of(source: object, **changes: object) -> EpisodeSpec:
         """Returns the spec of an object that has these eight attributes: a job, an evaluation spec, a ledger's row.

@@ -20,6 +20,10 @@ class WorldError(FactoryError):
     """Failure caused by data or environment: full disk, missing coordinator, scene without targets (exit code 1)."""
 
 
+class LayoutError(WorldError):
+    """Seed of a built-in scene without a valid layout; the caller takes another seed."""
+
+
 class TransientError(FactoryError):
     """Temporary failure: the outcome is unknown or the peer does not answer; the caller retries with the same ids."""
 

@@ -20,14 +20,15 @@ from schemas.config import (
 )
 from schemas.episode_spec import EpisodeSpec
 from schemas.instruction.start_view import StartView
+from schemas.language.file import LanguageSpec
 from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName, Recording
 from schemas.view import ViewSettings
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip", re.ASCII)
-_SAMPLE_KEY = (1,)
-"""Spawn key of the random stream for sampled frames; it differs from the streams of the attempt."""
+_SAMPLE_KEY, _LANGUAGE_KEY = (1,), (23,)
+"""Spawn keys of the random streams for sampled frames and for the sentence; they differ from that of the attempt."""
 
 
 def episode_id(index: int) -> str:
@@ -79,6 +80,8 @@ class Job(EpisodeSpec):
     """Parameters of the planner expert."""
     start_view: StartView | None = Field(default=None, exclude_if=lambda view: view is None)
     """Conditions on the image at the start; omitted if there are none."""
+    language: LanguageSpec | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Parameters of the sentence that the worker writes at the start; null and omitted for a template."""
     demonstration: DemonstrationConfig = Field(
         default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
     )
@@ -99,6 +102,12 @@ class Job(EpisodeSpec):
         Design: docs/design/reproducibility.md#seeds.
         """
         return np.random.default_rng(np.random.SeedSequence((self.root_seed, self.index, self.attempt)))
+
+    def language_rng(self) -> np.random.Generator:
+        """Returns the random generator of the attempt's sentence."""
+        return np.random.default_rng(
+            np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_LANGUAGE_KEY)
+        )
 
     def sampled_steps(self, steps: int) -> tuple[int, ...]:
         """Returns the steps whose frame digests a states recording stores: the first, the last and one drawn step.

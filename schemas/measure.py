@@ -17,15 +17,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import TaskConfig
 from schemas.episode import EpisodeMeta
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.scene import Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats
 from schemas.terms import SuccessMeasure
 
-_HALVINGS = 36
-"""Bisection steps; they divide a line of 100 m into parts below 1e-8 m."""
+_STEP = 2.0**-36
+"""Resolution of a point on a line, share of its length: 100 m have parts below 1e-8 m."""
+_NEWTON_STEPS = 6
+"""Steps after which Newton's method has found nearly all points on lines; bisection finds the others."""
 _OUTLINE_POINTS = 97
+
+
+STOPPED_RPS = 0.05
+"""Largest commanded yaw rate of a robot that has stopped at a false premise, rad/s."""
+
+
+def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
+    """Returns the stationary steps that make a success: at a false premise those of one second at least, because a
+    robot that starts to drive is stationary for a few steps, too."""
+    return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
 
 
 def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, float]]) -> Floats:
@@ -39,10 +52,11 @@ def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, fl
     return np.asarray(np.sqrt(np.where(is_inside, 0.0, _squares(to_sides).min(axis=-1))))
 
 
-def _gap(point: Floats, vertices: Floats) -> Floats:
-    """Returns the shortest vector (2,) from a point (2,) to a convex polygon (K, 2); 0 on and inside it."""
-    to_sides, is_inside = _to_sides(point, vertices)
-    return np.where(is_inside, 0.0, to_sides[_squares(to_sides).argmin()])
+def _gaps(points: Floats, vertices: Floats) -> Floats:
+    """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
+    to_sides, is_inside = _to_sides(points, vertices)
+    nearest = _squares(to_sides).argmin(axis=-1)[..., None, None]
+    return np.where(is_inside[..., None], 0.0, np.take_along_axis(to_sides, nearest, axis=-2)[..., 0, :])
 
 
 def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Bools]:
@@ -140,13 +154,31 @@ class Goal:
                 self._centre + away * (limit[..., None] / np.maximum(distance, 1e-9)),
                 start,
             )
-        low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])  # shares of the line, from the centroid
-        for _ in range(_HALVINGS):
+        low, high = self._bracket(away, limit)
+        while (is_wide := high - low > _STEP).any():
             middle = (low + high) / 2
             is_near = self.distances(self._centre + away * middle[..., None]) <= limit
-            low, high = np.where(is_near, middle, low), np.where(is_near, high, middle)
+            low, high = np.where(is_wide & is_near, middle, low), np.where(is_wide & ~is_near, middle, high)
         is_there = (self.distances(start) <= limit)[..., None]
         return np.where(is_there, start, self._centre + away * low[..., None])
+
+    def _bracket(self, away: Floats, limit: Floats) -> tuple[Floats, Floats]:
+        """Returns multiples of `_STEP` (...) between which lines (..., 2) from the centroid cross a distance (...).
+
+        They are two steps apart if Newton's method found the crossing, else 0 and 1; the bisection between them has the
+        same result. The distance is a convex function of the share of a line, so the method cannot pass the crossing.
+        """
+        vertices, share = np.asarray(self.footprint_m), np.ones(away.shape[:-1])
+        for _ in range(_NEWTON_STEPS):
+            gaps = _gaps(self._centre + away * share[..., None], vertices)
+            distance = np.sqrt(_squares(gaps))
+            slope = -(gaps * away).sum(axis=-1) / np.maximum(distance, 1e-9)
+            share = np.clip(share - (distance - limit) / np.maximum(slope, 1e-9), 0.0, 1.0)
+        found = np.round(share / _STEP) * _STEP
+        low, high = np.maximum(found - _STEP, 0.0), np.minimum(found + _STEP, 1.0)
+        is_low = self.distances(self._centre + away * low[..., None]) <= limit
+        is_high = (self.distances(self._centre + away * high[..., None]) > limit) | (high == 1.0)
+        return np.where(is_low & is_high, low, 0.0), np.where(is_low & is_high, high, 1.0)
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
         """Returns length (at most 0 inside) and end of the shortest straight way from a point (2,) into the goal."""
@@ -155,7 +187,7 @@ class Goal:
             return gap, point + (self._centre - point) * (gap / (gap + self.radius_m))
         distance = self.distance(point[0], point[1])
         gap = distance - self.radius_m
-        return gap, point + _gap(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
+        return gap, point + _gaps(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
 
     def ring(self, directions: Floats, distance_m: ArrayLike) -> Floats:
         """Returns the points (N, 2) at distances from the target, on rays from its centroid.

@@ -13,11 +13,8 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
-    AliasChoices,
     Field,
     SerializerFunctionWrapHandler,
-    ValidationInfo,
-    field_validator,
     model_serializer,
     model_validator,
 )
@@ -33,21 +30,19 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
-from schemas.instruction.taxonomy import category_of
+from schemas.language.file import LanguageSpec
+from schemas.layouts import layout_mistakes, layouts_of
 from schemas.rig.arrays import rig_faults
+from schemas.scene_plan import MAX_EPISODES as MAX_EPISODES
+from schemas.scene_plan import ScenePlan as ScenePlan
 from schemas.terms import (
-    BUILTIN_CATEGORIES,
-    CATEGORIES,
     ExpertName,
     Recording,
-    SceneCategories,
-    Screening,
     Split,
     Tier,
 )
 from schemas.view import AppearanceData, RigData, ViewSettings
 
-MAX_EPISODES = 9_999_999
 PAPER_TIERS = MappingProxyType({Tier.NEAR: 0.3, Tier.MID: 0.4, Tier.FAR: 0.3})
 PAPER_SPLITS = MappingProxyType(
     {
@@ -58,106 +53,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset(
-    {"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"}
-    | {"unit", "up", "models"}
-)
-"""Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
-
-
-class ScenePlan(Model):
-    """Entry of a plan for one scene."""
-
-    file: str | None = Field(default=None, validation_alias=AliasChoices("file", "usd"))
-    """Path of the root file of a custom scene, relative to the plan file; null for a built-in scene. Serialised as
-    `usd`, its former name, so that older digests stay valid."""
-    name: Name
-    """Name of a built-in scene, or the name of a custom scene in the dataset."""
-    episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
-    """Number of episodes in this scene."""
-    seed: Annotated[int, Field(ge=0)] = 0
-    """Layout seed of a built-in scene."""
-    seen: tuple[Name, ...] = ()
-    """Categories of the in-distribution splits; empty selects those of the paper."""
-    held_out: tuple[Name, ...] = ()
-    """Categories of the split `test_ood_obj` only; empty selects those of the paper."""
-    rules: str | None = None
-    """Path of a custom table of category rules, relative to the plan file."""
-    targets: str | None = None
-    """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
-    allow_outside: bool = False
-    """Whether files of a custom scene may be stored outside its folder."""
-    unit: Literal["m", "cm", "mm", "in"] | None = None
-    """Unit of a custom scene; null is the unit that the file states."""
-    up: Literal["y", "z"] | None = None
-    """Axis of a custom scene that points up; null is the axis that the file states."""
-    models: tuple[str, ...] = ()
-    """Folders in which `model://` and `package://` names are searched, relative to the plan file."""
-    ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
-    """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
-    screening: Screening | None = None
-    """Selection of the starts in this scene; null selects `spawn.screening` of the plan."""
-    ambiguous: tuple[Name, ...] = ()
-    """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
-    tiers: dict[Tier, Fraction] = Field(default_factory=dict)
-    """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
-    splits: dict[Split, Fraction] = Field(default_factory=dict)
-    """Fraction of episodes in each split of this scene; empty selects the plan's fractions."""
-
-    @model_serializer(mode="wrap")
-    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
-        data: dict[str, object] = serialize(self)
-        used = {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
-        return {"usd" if key == "file" else key: value for key, value in used.items()}
-
-    @property
-    def categories(self) -> SceneCategories:
-        """Seen and held-out categories that apply to this scene."""
-        table = BUILTIN_CATEGORIES.get(self.name, SceneCategories((), ())) if self.file is None else None
-        seen, held_out = table or SceneCategories((), ())
-        return SceneCategories(self.seen or seen, self.held_out or held_out)
-
-    @field_validator("name")
-    @classmethod
-    def _is_a_known_scene(cls, name: str, others: ValidationInfo) -> str:
-        if others.data.get("file") is None and name not in BUILTIN_CATEGORIES:
-            known = ", ".join(BUILTIN_CATEGORIES)
-            raise ValueError(f"not a built-in scene ({known}); for a scene of a file give `file = PATH`")
-        return name
-
-    @field_validator("seen", "held_out")
-    @classmethod
-    def _are_known_categories(cls, categories: tuple[str, ...], others: ValidationInfo) -> tuple[str, ...]:
-        scene = others.data.get("name", "")
-        known = {*CATEGORIES, *(name for group in BUILTIN_CATEGORIES.get(scene, ()) for name in group)}
-        unknown = [name for name in categories if name not in known]
-        if unknown and others.data.get("file") is None:
-            meant = {name: category_of(name) for name in unknown}
-            hints = [f"{name} is a synonym of {found}" for name, found in meant.items() if found in known]
-            text = f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}"
-            raise ValueError("; ".join([text, *hints]))
-        return categories
-
-    @field_validator("ceiling_m")
-    @classmethod
-    def _is_for_a_stage(cls, ceiling_m: float | None, others: ValidationInfo) -> float | None:
-        if ceiling_m is not None and others.data.get("file") is None:
-            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a file (`file = PATH`)")
-        return ceiling_m
-
-    @model_validator(mode="after")
-    def _categories_make_sense(self) -> ScenePlan:
-        seen, held_out = self.categories
-        both = sorted(set(seen) & set(held_out))
-        if both:
-            raise ValueError(f"categories both seen and held out: {', '.join(both)}")
-        unnamed = sorted(set(self.ambiguous) - {*seen, *held_out})
-        if unnamed:
-            raise ValueError(f"`ambiguous` lists categories that are neither seen nor held out: {', '.join(unnamed)}")
-        if not seen:
-            raise ValueError("a scene with `file` needs `seen = [...]`, the categories to train on")
-        return self
 
 
 class Budget(Model):
@@ -205,6 +101,8 @@ class Plan(Model):
         default=InstructionConfig(), exclude_if=lambda wanted: wanted == InstructionConfig()
     )
     """Parameters of the instructions; omitted if they are the defaults."""
+    language: LanguageSpec | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Verified instructions, which workers write at the start; null and omitted for the templates."""
     budget: Budget = Budget()
     """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
@@ -243,12 +141,23 @@ class Plan(Model):
         names = [scene.name for scene in self.scenes]
         mistakes += [f"scenes: {name!r} is listed twice" for name in sorted({n for n in names if names.count(n) > 1})]
         mistakes += [
-            f"scenes: {scene.name!r} has no held-out category, but splits.test_ood_obj is above 0"
+            f"scenes: {scene.name!r} has no held-out category, but splits.{split} is above 0"
             for scene in self.scenes
-            if self.splits_of(scene).get(Split.TEST_OOD_OBJ, 0) > 0 and not scene.categories.held_out
+            if not scene.categories.held_out
+            for split, share in self.splits_of(scene).items()
+            if split.is_held_out and share > 0
         ]
+        for number, scene in enumerate(self.scenes):
+            faults = layout_mistakes(scene, self.splits_of(scene))
+            mistakes += [f"scenes[{number}] {scene.name}: {fault}" for fault in faults]
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
+        if self.language is None and any(self.splits_of(scene).get(Split.TEST_FALSE_PREMISE) for scene in self.scenes):
+            mistakes.append(
+                "splits.test_false_premise: the templates have no false premises, the table [language] has them"
+            )
+        if self.language is not None:
+            mistakes += _language_faults(self.language, self.instructions)
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if mistakes:
@@ -265,7 +174,7 @@ class Plan(Model):
 
     def spawn_of(self, scene: str) -> SpawnConfig:
         """Returns the parameters of the spawn that apply to the scene of that name."""
-        screening = next(part.screening for part in self.scenes if part.name == scene)
+        screening = self.part(scene).screening
         return self.spawn if screening is None else self.spawn.model_copy(update={"screening": screening})
 
     @property
@@ -293,6 +202,27 @@ class Plan(Model):
         return sum(scene.episodes for scene in self.scenes)
 
     @functools.cached_property
+    def parts(self) -> tuple[ScenePlan, ...]:
+        """Entries of single scenes: `scenes`, in which the layouts of a family replace its entry."""
+        return tuple(
+            part
+            for scene in self.scenes
+            for part in (layouts_of(scene, self.splits_of(scene), self.tiers_of(scene)) if scene.layouts else (scene,))
+        )
+
+    @functools.cached_property
+    def _parts_by_name(self) -> Mapping[str, ScenePlan]:
+        return {part.name: part for part in self.parts}
+
+    def part(self, name: str) -> ScenePlan:
+        """Returns the entry of a single scene.
+
+        Raises:
+            KeyError: the plan has no such scene.
+        """
+        return self._parts_by_name[name]
+
+    @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
         # cached, because every claimed job needs it; parsed again, so that 1 and 1.0 give one digest
@@ -300,15 +230,28 @@ class Plan(Model):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Returns a copy with other values, without the cached digest."""
+        """Returns a copy with other values, without cached values."""
         copy = super().model_copy(update=update, deep=deep)
-        copy.__dict__.pop("digest", None)
+        for name in ("digest", "parts", "_parts_by_name"):
+            copy.__dict__.pop(name, None)
         return copy
 
     @property
     def run(self) -> str:
         """Name of the run in keys and records."""
         return f"{self.name}-{self.digest[:8]}"
+
+
+def _language_faults(language: LanguageSpec, others: InstructionConfig) -> list[str]:
+    """Returns the keys of a language block that a plan does not support."""
+    found = []
+    if language.per_episode != 1:
+        found.append("language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several")
+    if language.false_premises:
+        found.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
+    if others.unique != "off":
+        found.append("instructions.unique is for templates, remove it: `language` has `fit`")
+    return found
 
 
 def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = None) -> str:

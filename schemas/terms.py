@@ -5,6 +5,7 @@ Contains tables of the paper (Tables II-IV, Sec. III) as data. Computes nothing.
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -39,6 +40,25 @@ class Split(StrEnum):
     TEST_ID = "test_id"  # the same, held out for testing
     TEST_PARAPHRASE_OOD = "test_paraphrase_ood"  # seen categories, paraphrased templates
     TEST_OOD_OBJ = "test_ood_obj"  # held-out categories, training templates
+    TEST_UNSEEN_SCENE = "test_unseen_scene"  # as test_id, in layouts of the unseen-scene splits only
+    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # the same, paraphrased templates
+    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # the same layouts, held-out categories, training templates
+    TEST_FALSE_PREMISE = "test_false_premise"  # the named object does not exist; the robot stops (docs/language.md)
+
+    @property
+    def is_unseen_scene(self) -> bool:
+        """Whether the episodes are in layouts without an episode of another kind of split."""
+        return self.value.startswith("test_unseen_scene")
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether the episodes name held-out categories."""
+        return self.value.endswith("ood_obj")
+
+    @property
+    def is_paraphrased(self) -> bool:
+        """Whether the instructions have paraphrased templates."""
+        return self.value.endswith("paraphrase_ood")
 
 
 class ExpertName(StrEnum):
@@ -212,5 +232,25 @@ BUILTIN_CATEGORIES = MappingProxyType(
     }
 )
 """Categories of the built-in scenes by scene name: the paper's (Table II), and the families of layouts."""
+_LAYOUT = re.compile(rf"({'|'.join(BUILTIN_CATEGORIES)})_([0-9]{{5,9}})", re.ASCII)
+
+
+def layout_name(family: str, seed: int) -> str:
+    """Returns the name of the layout of a family whose first seed is given: `home_00017`."""
+    return f"{family}_{seed:05d}"
+
+
+def layout_number(scene: str) -> int | None:
+    """Returns the number in the name of a layout, or `None` if the name is not that of a layout."""
+    match = _LAYOUT.fullmatch(scene)
+    return None if match is None else int(match[2])
+
+
+def family_of(scene: str) -> str:
+    """Returns the family of a layout, `home` of `home_00017`; the name itself for any other scene."""
+    match = _LAYOUT.fullmatch(scene)
+    return scene if match is None else match[1]
+
+
 PAPER_SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
 """Scenes of the paper. Their targets are of the paper's categories only."""

@@ -33,6 +33,8 @@ DOORS = {
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
     "prometheus_client": {"coordinator/status/pages.py"},
     "tornado": {"coordinator/status/server.py"},
+    "starlette": {"factory/web/"},
+    "uvicorn": {"factory/web/server.py"},
     "cryptography": {"factory/keys/"},
     "pyseccomp": {"coordinator/validation/sandbox.py"},
     "huggingface_hub": {"factory/push/hub.py"},

@@ -200,7 +200,7 @@ class ObjectArchive(PackingArchive, Closing):
         try:
             self._objects.put_new(_LOCK, mine)
         except FileExistsError as error:
-            said = self._holder()
+            said = _holder(self.root)
             if said.get("home") != self._sign:  # else left by a killed process of this home
                 raise WorldError(
                     f"{self.root} is in use by another coordinator, that of {said.get('directory')} on host "
@@ -217,17 +217,10 @@ class ObjectArchive(PackingArchive, Closing):
             "coordinators could overwrite each other's files: use a store that supports conditional writes"
         )
 
-    def _holder(self) -> dict[str, str]:
-        try:
-            said = json.loads(self._objects.read(_LOCK))
-        except (FileNotFoundError, ValueError):
-            return {}
-        return said if isinstance(said, dict) else {}
-
     def close(self) -> None:
         """Releases the dataset, so that a run with another local directory can open it."""
         try:
-            if self._holder().get("home") == self._sign:
+            if _holder(self.root).get("home") == self._sign:
                 self._objects.delete(_LOCK)
         except WorldError as error:
             log.warning(
@@ -238,6 +231,22 @@ class ObjectArchive(PackingArchive, Closing):
             )
         finally:
             self._staging.close()
+
+
+def other_holder(root: ObjectPath, home: Path) -> str:
+    """Returns the directory and host of another home that holds a dataset; empty if no other home holds it."""
+    said, name = _holder(root), home / _NAME
+    if not said or (name.exists() and said.get("home") == name.read_text(encoding="ascii")):
+        return ""
+    return f"{said.get('directory')} on host {said.get('host')}"
+
+
+def _holder(root: ObjectPath) -> dict[str, str]:
+    try:
+        said = json.loads(root.objects.read(_LOCK))
+    except (FileNotFoundError, ValueError):
+        return {}
+    return said if isinstance(said, dict) else {}
 
 
 def _sign_of(home: Path) -> str:

@@ -1,11 +1,12 @@
-"""Defines the built-in plans `demo`, `paper` and `balanced`, and recognises reduced `paper` plans. Reads no file."""
+"""Defines the built-in plans, and recognises reduced `paper` plans. Reads no file."""
 
 from __future__ import annotations
 
 from types import MappingProxyType
 
 from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.plan import Budget, Plan, ScenePlan
+from schemas.language.file import LanguageSpec
+from schemas.plan import PAPER_SPLITS, Budget, Plan, ScenePlan
 from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
 
 _BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
@@ -44,7 +45,7 @@ def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
     numbers = dict.fromkeys((Split.VAL_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD), seen)
     numbers |= {Split.TRAIN_ID: 6 * seen, Split.TEST_OOD_OBJ: held_out}
     episodes = sum(numbers.values())
-    shares = {split: numbers[split] / episodes for split in Split}
+    shares = {split: numbers[split] / episodes for split in PAPER_SPLITS}
     return ScenePlan(name=name, episodes=episodes, splits=shares, ambiguous=_AMBIGUOUS.get(name, ()))
 
 
@@ -69,7 +70,24 @@ training and evaluation, instructions that fit one object, no contact and the ta
 the scenes permit equal shares and let each scene name all its categories
 (docs/decisions/0125-give-every-category-of-balanced-an-equal-share.md)."""
 
-BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
+_REFERRING = Plan(
+    name="referring",
+    scenes=(ScenePlan(name="office", episodes=800), ScenePlan(name="hospital", episodes=400)),
+    tiers={Tier.NEAR: 0.5, Tier.MID: 0.5},
+    splits={Split.TRAIN_ID: 0.6, Split.TEST_ID: 0.2, Split.TEST_PARAPHRASE_OOD: 0.1, Split.TEST_FALSE_PREMISE: 0.1},
+    expert=ExpertName.PLANNER,
+    balance="categories",
+    disjoint_instances=True,
+    language=LanguageSpec(in_view=1, balanced=True),
+    budget=Budget(attempts_per_draw=3),
+    spawn=SpawnConfig(heading_noise_rad=0.7),
+    task=_BY_SURFACE,
+    demonstration=DemonstrationConfig(max_contact_steps=0),
+)
+"""1200 episodes in rooms with several objects of the named category in view, whose verified instructions fit the target
+only; the nearest and the most central of them are the target as often as a random one."""
+
+BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED, _REFERRING)})
 
 
 def is_paper_plan(plan: Plan) -> bool:

@@ -6,32 +6,36 @@ The result depends on the plan and the compiled scenes only, not on the machine 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
 
-from coordinator.expansion.apportion import least_used
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cell
+from coordinator.expansion.layout_categories import layout_categories
 from coordinator.expansion.level import category_quotas
-from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene, scene_cells
+from coordinator.expansion.possible import raise_if_impossible
+from coordinator.expansion.scene_cells import SceneCells, each_scene, scene_cells
+from schemas.config import DemonstrationConfig
 from schemas.episode_spec import EpisodeSpec
-from schemas.errors import InvalidPlan
 from schemas.instruction.language import instruction, says_in_front
 from schemas.instruction.referents import referents, referents_of
 from schemas.instruction.start_view import IN_FRONT_RAD, StartView
 from schemas.job import Job
-from schemas.plan import Plan, ScenePlan
+from schemas.language.file import LanguageSpec
+from schemas.layouts import LayoutPlan
+from schemas.plan import Plan
 from schemas.scene import SceneInfo
-from schemas.terms import Recording, Split, SuccessMeasure, Tier
+from schemas.support.apportion import least_used
+from schemas.terms import Recording, Split, Tier
 from schemas.view import ViewSettings
 
 Option = TypeVar("Option")
 
-_EXPAND_STREAM, _REDRAW_STREAM = 1, 2
+_EXPAND_STREAM, _REDRAW_STREAM, _RANK_STREAM = 1, 2, 4
 _SAME_CATEGORY_DRAWS = 4
 """Number of redraws that keep the category; later redraws use all targets of the cell."""
 _SHARED_SPECS = 1 << 14
@@ -50,98 +54,52 @@ class PlannedJob:
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
-    """Returns draw 0 of every episode, ordered by episode number (from 1).
+    """Returns draw 0 of every episode, ordered by episode number (from 1); see `expand_each`."""
+    return tuple(expand_each(plan, catalog))
+
+
+def expand_each(plan: Plan, catalog: Catalog) -> Iterator[PlannedJob]:
+    """Yields draw 0 of every episode, ordered by episode number (from 1).
 
     Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
     evenly. With `plan.balance == "categories"` the category is sampled first; with `categories_overall`, each cell has
     an exact quota of each category, which makes the categories of the whole plan as even as its scenes permit.
+    The draws of a layout depend on the plan and on its own package only, so that memory holds one layout at a time.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell of the fixed scenes,
+            or of the first such layout.
     """
-    scenes = tuple(each_scene(plan, catalog))
-    _require_possible(plan, scenes)
-    quotas = category_quotas(scenes) if plan.balance == "categories_overall" else {}
-    jobs: list[PlannedJob] = []
+    fixed = tuple(cells for cells in each_scene(plan, catalog) if not isinstance(cells.scene, LayoutPlan))
+    raise_if_impossible(plan, fixed)
+    quotas = category_quotas(fixed) if plan.balance == "categories_overall" else {}
     templates: Counter[str] = Counter()
-    for number, scene in enumerate(scenes):
-        rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
-        jobs.extend(_expand_scene(scene, rng, len(jobs) + 1, templates, quotas.get(scene.scene.name, {})))
-    return tuple(jobs)
+    first_index, scenes = 1, iter(fixed)
+    for number, part in enumerate(plan.parts):
+        if isinstance(part, LayoutPlan):
+            yield from expand_layout(plan, number, first_index, catalog[part.name])
+        else:
+            rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
+            yield from _expand_scene(next(scenes), rng, first_index, templates, quotas.get(part.name, {}))
+        first_index += part.episodes
 
 
-def require_possible(plan: Plan, catalog: Catalog) -> None:
-    """Checks that every cell of a plan has a target; `expand` checks it too.
+def expand_layout(plan: Plan, number: int, first_index: int, entry: SceneEntry) -> Iterator[PlannedJob]:
+    """Yields draw 0 of the episodes of one layout.
+
+    Args:
+        plan: plan of the run.
+        number: place of the layout in `plan.parts`.
+        first_index: number of its first episode.
+        entry: its package.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
+        InvalidPlan: a cell of the layout has no target.
     """
-    _require_possible(plan, tuple(each_scene(plan, catalog)))
-
-
-def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
-    """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
-    return _find_impossible(tuple(each_scene(plan, catalog)))
-
-
-def _require_possible(plan: Plan, scenes: Sequence[SceneCells]) -> None:
-    mistakes = _find_impossible(scenes)
-    if mistakes:
-        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
-
-
-def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
-    return [line for number, scene in enumerate(scenes) for line in _impossible_in(number, scene)]
-
-
-def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
-    scene, entry = cells.scene, cells.entry
-    success = cells.plan.task.success
-    if success is SuccessMeasure.SURFACE and not entry.info.has_footprints:
-        yield (
-            f"scenes[{number}] {scene.name}: its package is of an older version and has no footprints of targets, "
-            'which task.success = "surface" needs; create it again with `factory scene build` or `factory scene '
-            'import`, or set task.success = "centroid"'
-        )
-        return
-    present = {target.category for target in entry.info.targets if target.is_reachable(success)}
-    named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
-    if any(categories - present for categories in named.values()):
-        yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
-    ambiguous = {name for categories in named.values() for name in categories & present} - cells.present
-    if ambiguous:
-        yield f"scenes[{number}] {scene.name}: {_ambiguous_message(cells, ambiguous)}"
-    for (split, tier), count in cells.quota.items():
-        if named[split] & cells.present and not cells.pool(split, tier):
-            yield (
-                f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
-                f"{cells.plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
-                "change the scene"
-            )
-
-
-def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
-    absent = [[name for name in names if name not in present] for names in scene.categories]
-    missing = [
-        f"no reachable {', '.join(map(repr, names))} ({key})"
-        for key, names in zip(("seen", "held_out"), absent, strict=True)
-        if names
-    ]
-    shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
-    blocked = f"; present but not reachable: {', '.join(sorted(filter(None, shown)))}" if shown else ""
-    remedy = "remove the missing categories from seen and held_out, or change the scene"
-    if scene.file is not None:
-        remedy += ", its rules or its list of targets"
-    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
-
-
-def _ambiguous_message(cells: SceneCells, ambiguous: Set[str]) -> str:
-    unique = ", ".join(cells.wording.unique)
-    return (
-        f'instructions.unique is "scene", but no instruction fits only one {" or ".join(sorted(ambiguous))}; '
-        f"unique there: {unique or 'nothing'}; remove the other categories from seen and held_out, or set "
-        'instructions.unique to "view", or list them in `ambiguous` of the scene'
-    )
+    cells = scene_cells(plan, plan.parts[number], entry)
+    raise_if_impossible(plan, (cells,))
+    rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
+    yield from _expand_scene(cells, rng, first_index, Counter(), layout_categories(plan, cells.scene))
 
 
 def _expand_scene(
@@ -163,7 +121,8 @@ def _expand_scene(
         options = pools[split, tier]
         if plan.balance != "instances":
             names = sorted({target.category for target in options})
-            category = decks[split, tier].pop() if decks else least_used(names, categories, rng)
+            wanted = decks[split, tier].pop() if decks else None
+            category = wanted if wanted in names else least_used(names, categories, rng)
             options = tuple(target for target in options if target.category == category)
         target_id = least_used([target.target_id for target in options], targets, rng)
         target = next(option for option in options if option.target_id == target_id)
@@ -182,8 +141,7 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
-    scene = next(scene for scene in plan.scenes if scene.name == former.scene)
-    cells = scene_cells(plan, scene, catalog[scene.name])
+    cells = scene_cells(plan, plan.part(former.scene), catalog[former.scene])
     options = cells.pool(former.split, former.tier)
     same_category = tuple(target for target in options if target.category == former.category)
     if plan.balance == "categories_overall" and draw <= plan.budget.draws // 2:
@@ -200,7 +158,7 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     else:  # another template, so that this draw can succeed: one with a colour may fit the target alone
         template_id = _draw([each for each in templates if each != former.template_id] or templates, rng)
     words = target.category, target.target_id, colour, template_id
-    return PlannedJob(planned.index, draw, _episode(scene.name, former.tier, former.split, *words))
+    return PlannedJob(planned.index, draw, _episode(former.scene, former.tier, former.split, *words))
 
 
 def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> Job:
@@ -225,8 +183,9 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         planner=plan.planner,
         record=plan.record,
         view=_view(plan, entry),
-        start_view=_start_view(plan, entry.info, planned.episode),
-        demonstration=plan.demonstration,
+        start_view=_start_view(plan, entry.info, planned),
+        demonstration=_demonstration(plan, planned.episode),
+        language=plan.language,
     )
 
 
@@ -237,16 +196,37 @@ def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
     return plan.view if entry.light is None else plan.view.model_copy(update={"light": entry.light_file})
 
 
-def _start_view(plan: Plan, info: SceneInfo, episode: EpisodeSpec) -> StartView | None:
+def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
+    """Returns the requirements on a demonstration; one that stops at a false premise has no target to show."""
+    wanted = plan.demonstration
+    return wanted.model_copy(update={"target_in_view": False}) if episode.is_false_premise else wanted
+
+
+def _start_view(plan: Plan, info: SceneInfo, planned: PlannedJob) -> StartView | None:
     """Returns the conditions on the start of an episode; `None` if there are none."""
+    episode = planned.episode
+    if plan.language is not None:
+        return _language_view(plan, plan.language, info, planned)
     within_rad = IN_FRONT_RAD if says_in_front(episode.template_id) else None
     if plan.instructions.unique == "off":
         return None if within_rad is None else StartView(within_rad=within_rad)
     target = {info.target(episode.target_id).instance_id}
     alike = referents(info, episode.category) - target
-    is_exempt = any(scene.name == episode.scene and episode.category in scene.ambiguous for scene in plan.scenes)
+    is_exempt = episode.category in plan.part(episode.scene).ambiguous
     rivals = frozenset() if is_exempt else referents_of(episode, info) - target
     return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
+
+
+def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned: PlannedJob) -> StartView | None:
+    """Returns the conditions of a language block on the start of an episode; `None` if there are none."""
+    if not language.in_view:
+        return None
+    episode, ranks = planned.episode, None
+    if language.balanced:  # the same in all draws of an episode, so that ranks that are hard to find stay as frequent
+        rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
+        ranks = (float(rng.random()), float(rng.random()))
+    alike = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
+    return StartView(alike=tuple(sorted(alike)), least_alike=language.in_view, ranks=ranks)
 
 
 def _draw(options: Sequence[Option], rng: np.random.Generator) -> Option:

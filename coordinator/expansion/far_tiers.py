@@ -40,7 +40,7 @@ def _adapted(entry: SceneEntry, task: TaskConfig, least_m: float) -> SceneEntry:
     targets = tuple(
         _target(target, task, spawns, sees[:, column] > 0, least_m) for column, target in enumerate(entry.info.targets)
     )
-    return replace(entry, info=entry.info.model_copy(update={"targets": targets}))
+    return replace(entry, known=entry.info.model_copy(update={"targets": targets}))
 
 
 def _target(

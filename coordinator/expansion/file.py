@@ -11,15 +11,16 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from coordinator.expansion.apportion import apportion
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from schemas.appearance.file import BUILTIN_APPEARANCES, find_appearance
 from schemas.config import CameraConfig
 from schemas.errors import InvalidPlan, InvalidRig, UsageError
+from schemas.layouts import with_episodes
 from schemas.plan import Plan, ScenePlan
 from schemas.rig import Rig
 from schemas.rig.arrays import rig_faults
 from schemas.rig.file import BUILTIN_RIGS, load_rig, paper_rig
+from schemas.support.apportion import apportion
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml
@@ -167,7 +168,9 @@ def shrink(
         if episodes < 1:
             raise UsageError(f"--episodes {episodes}: must be at least 1")
         share = apportion({part.name: float(part.episodes) for part in parts}, episodes)
-        parts = tuple(part.model_copy(update={"episodes": share[part.name]}) for part in parts if share[part.name] > 0)
+        parts = tuple(
+            with_episodes(part, plan.splits_of(part), share[part.name]) for part in parts if share[part.name] > 0
+        )
     chosen = {"expert": expert, "seed": seed, "record": record}
     changes: dict[str, Any] = {key: value for key, value in chosen.items() if value is not None}
     shrunk = plan.model_copy(update={"scenes": parts, **changes})

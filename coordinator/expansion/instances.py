@@ -10,11 +10,11 @@ from enum import StrEnum
 
 import numpy as np
 
-from coordinator.expansion.apportion import webster_sequence
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.expansion.cells import Cells
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
+from schemas.support.apportion import webster_sequence
 from schemas.terms import ExpertName, Split, Tier
 
 _SIDES_STREAM = 3
@@ -52,14 +52,14 @@ def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cel
     """
     wanted = dict.fromkeys((Side.TRAIN, Side.EVALUATION), 0)
     for (split, _), count in quota.items():
-        if split is not Split.TEST_OOD_OBJ:
+        if not split.is_held_out:
             wanted[side_of(split)] += count
     if not plan.disjoint_instances or not all(wanted.values()):
         return {}
     tiers = {tier for _, tier in quota}
     options = [t for t in targets if t.category in scene.categories.seen]
     options = [t for t in options if tiers & set(startable_tiers(plan, scene, t))]
-    number = [part.name for part in plan.scenes].index(scene.name)
+    number = [part.name for part in plan.parts].index(scene.name)
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _SIDES_STREAM, number)))
     sides: dict[str, Side] = {}
     for category in sorted({target.category for target in options}):
@@ -96,7 +96,7 @@ def _with_all_cells_filled(
     sides: dict[str, Side],
 ) -> Sides:
     for split, tier in quota:
-        if split is Split.TEST_OOD_OBJ:
+        if split.is_held_out:
             continue
         able = [target for target in options if tier in startable_tiers(plan, scene, target)]
         if not any(sides[target.target_id] in (side_of(split), Side.SHARED) for target in able):

@@ -42,6 +42,9 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
     changes: list[str] = []
     moved = 0
     for scene in plan.scenes:
+        if scene.layouts is not None:  # seeds of layouts are chosen so that they fulfil the plan
+            kept.append(scene)
+            continue
         part = _possible(plan, scene, catalog[scene.name])
         lost = _moved(cells(plan, scene), {} if part is None else cells(plan, part))
         moved += lost
@@ -100,8 +103,11 @@ def _with_categories(plan: Plan, scene: ScenePlan, present: Set[str]) -> ScenePl
     if (seen, held_out) != tuple(scene.categories):
         ambiguous = tuple(name for name in scene.ambiguous if name in present)
         part = scene.model_copy(update={"seen": seen, "held_out": held_out, "ambiguous": ambiguous})
-    names_seen = [split for split in Split if split is not Split.TEST_OOD_OBJ]
-    for split in [*([] if seen else names_seen), *([] if held_out else [Split.TEST_OOD_OBJ])]:
+    names_seen = [split for split in Split if not split.is_held_out]
+    for split in [
+        *([] if seen else names_seen),
+        *([] if held_out else [split for split in Split if split.is_held_out]),
+    ]:
         if part is not None and plan.splits_of(part).get(split, 0) > 0:
             shares = _positive(plan.splits_of(part))
             shares = _only(shares, [key for key in shares if key is not split])

@@ -47,7 +47,7 @@ class SceneCells:
         """Returns the permitted targets of a cell: of the split's categories and side, startable by the expert,
         and permitted to be named."""
         categories = categories_of(self.scene, split)
-        sides = {} if split is Split.TEST_OOD_OBJ else self.sides
+        sides = {} if split.is_held_out else self.sides
         return tuple(
             target
             for target in self.wording.targets
@@ -64,8 +64,8 @@ def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
 
 def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:
     """Yields the cells of every scene, in the order of the plan."""
-    for scene in plan.scenes:
-        yield scene_cells(plan, scene, catalog[scene.name])
+    for part in plan.parts:
+        yield scene_cells(plan, part, catalog[part.name])
 
 
 def all_sides(plan: Plan, catalog: Catalog) -> dict[str, Sides]:
@@ -76,4 +76,4 @@ def all_sides(plan: Plan, catalog: Catalog) -> dict[str, Sides]:
 def categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
     """Returns the categories that a split of a scene names."""
     seen, held_out = scene.categories
-    return held_out if split is Split.TEST_OOD_OBJ else seen
+    return held_out if split.is_held_out else seen

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand
 from coordinator.expansion.file import shrink
-from schemas.instruction.referents import referents_of
+from schemas.instruction.referents import referents, referents_of
 from schemas.plan import Plan
 
 MOST_SUMMARISED = 6_000
@@ -34,6 +34,9 @@ class PlanSummary:
     shown_alone: int
     """Number of these for which the start is drawn until only the target is in view."""
 
+    distractors: Mapping[int, int]
+    """Number of episodes by the number of other objects of the target's category in the scene."""
+
     @property
     def top_three_share(self) -> float:
         """Share of the three most frequent categories."""
@@ -49,16 +52,23 @@ def summarise(plan: Plan, catalog: Catalog) -> PlanSummary:
     part = shrink(plan, episodes=min(plan.episodes, MOST_SUMMARISED))
     specs = Counter(job.episode for job in expand(part, catalog))
     exempt = {(scene.name, name) for scene in plan.scenes for name in scene.ambiguous}
+    distractors: Counter[int] = Counter()
     categories: Counter[str] = Counter()
     templates: Counter[str] = Counter()
     ambiguous = shown_alone = 0
     for spec, count in specs.items():
         categories[spec.category] += count
         templates[spec.template_id] += count
-        if len(referents_of(spec, catalog[spec.scene].info)) > 1:
+        distractors[len(referents(catalog[spec.scene].info, spec.category)) - 1] += count
+        if plan.language is None and len(referents_of(spec, catalog[spec.scene].info)) > 1:
             ambiguous += count
             if plan.instructions.unique == "view" and (spec.scene, spec.category) not in exempt:
                 shown_alone += count
     return PlanSummary(
-        part.episodes, dict(categories.most_common()), dict(sorted(templates.items())), ambiguous, shown_alone
+        part.episodes,
+        dict(categories.most_common()),
+        dict(sorted(templates.items())),
+        ambiguous,
+        shown_alone,
+        dict(sorted(distractors.items())),
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from schemas.instruction.language import needs_colour, say_category, templates_for
+from collections import Counter
+
+from schemas.instruction.language import FROM_START, needs_colour, say_category, templates_for
 from schemas.instruction.referents import referents
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import SceneInfo, Target
@@ -19,6 +21,8 @@ class Wording:
 
     def __init__(self, plan: Plan, scene: ScenePlan, info: SceneInfo) -> None:
         self._is_coloured = plan.colors == "on"
+        self._least_others = None if plan.language is None else plan.language.least_others
+        self._of_category = Counter(each.category for each in info.instances)
         self._ambiguous = None if plan.instructions.unique != "scene" else scene.ambiguous
         words = {(each.category, colour) for each in info.targets for colour in (None, self.colour_of(each))}
         self._unique = {
@@ -36,6 +40,8 @@ class Wording:
 
     def templates(self, split: Split, target: Target) -> tuple[str, ...]:
         """Returns the ids of the templates that a split may use for a target, in the paper's order."""
+        if self._least_others is not None:
+            return (FROM_START,) if self._of_category[target.category] > self._least_others else ()
         colour = self.colour_of(target)
         found = templates_for(split, colour)
         if not self._needs_unique(target.category):

@@ -21,6 +21,7 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
 from schemas.errors import UsageError, WorldError
+from schemas.storage.mounts import MOUNTS, mount_of
 
 _EXAMPLES = "examples: sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
@@ -39,16 +40,21 @@ def sqlite_url(file: Path) -> str:
     return f"sqlite:///{file}"
 
 
-def open_writer(url: str) -> Engine:
+def open_writer(url: str, mounts: Path = MOUNTS) -> Engine:
     """Returns the engine of the single writer.
 
     On SQLite it uses WAL, synchronous=FULL and BEGIN IMMEDIATE, so that a commit survives a power failure and a
     transaction cannot fail because of another writer. On a server it uses one connection, which holds the database's
     lock.
 
+    Args:
+        url: URL of the database.
+        mounts: list of mounts of this host.
+
     Raises:
         UsageError: this installation cannot open the database of the URL.
-        WorldError: the server cannot be reached, or another coordinator writes to the database.
+        WorldError: the server cannot be reached, another coordinator writes to the database, or an SQLite file is on a
+            network file system.
     """
     if is_server(url):
         engine = _create(url, pool_size=1, max_overflow=0, pool_pre_ping=True)
@@ -57,6 +63,7 @@ def open_writer(url: str) -> Engine:
         return engine
     engine = _create(url)
     if engine.dialect.name == "sqlite":
+        _require_local_disk(_sqlite_file(url), mounts)
         _keep_private(url)
         event.listen(engine, "connect", _prepare_writer)
         event.listen(engine, "begin", _begin_immediate)
@@ -94,6 +101,16 @@ def checkpoint_log(connection: Connection) -> None:
         raw = connection.connection.driver_connection
         if isinstance(raw, sqlite3.Connection):
             raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+def _require_local_disk(file: Path, mounts: Path) -> None:
+    mount = mount_of(file, mounts)
+    if mount is not None and mount.is_network:
+        raise WorldError(
+            f"the ledger {file} is on a network file system ({mount.kind} at {mount.folder}), which can damage "
+            "an SQLite database: choose an --out on a local disk or in object storage, or give --ledger, either "
+            "sqlite:////LOCAL/ledger.db on a local disk or postgresql+psycopg://USER@HOST/DATABASE"
+        )
 
 
 def _keep_private(url: str) -> None:

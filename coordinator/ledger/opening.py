@@ -19,12 +19,13 @@ from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import PlannedJob, expand
+from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
 from coordinator.ledger.tallies import install_tallies
 from schemas.base import Sha256
+from schemas.dataset.run_shard import RunShard, parse_shard
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
@@ -32,7 +33,7 @@ from schemas.storage.dataset_files import LEDGER_FILE
 
 _INSERT_ROWS = 5000
 _SCENES = TypeAdapter(dict[str, Sha256])
-_SANDBOX = "sandbox"
+_SANDBOX, _SHARD = "sandbox", "shard"
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
 _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
 
@@ -55,6 +56,8 @@ class LedgerInfo:
     """Creation time of the run."""
     sandbox: tuple[str, ...] = ()
     """Active sandbox layers of the validating processes; empty if none was started."""
+    shard: RunShard | None = None
+    """Shard of the run that the ledger contains; `None` if it contains the whole run."""
 
 
 def ledger_url_of(root: Path, url: str | None = None) -> str:
@@ -68,7 +71,8 @@ def open_run(
     catalog: Catalog,
     lease_ttl_s: float,
     now: datetime,
-    planned: Sequence[PlannedJob] | None = None,
+    planned: Iterable[PlannedJob] | None = None,
+    shard: RunShard | None = None,
 ) -> bool:
     """Creates the run in an empty database, or checks that the database contains this run.
 
@@ -79,31 +83,39 @@ def open_run(
         lease_ttl_s: duration of a lease, seconds.
         now: current time.
         planned: jobs of a new run; `None` expands the plan.
+        shard: shard of the run that the ledger contains; `None` for the whole run.
 
     Returns:
         Whether the run is new.
 
     Raises:
-        UsageError: the database belongs to another plan, or has a newer format.
+        UsageError: the database belongs to another plan or shard, or has a newer format.
         WorldError: a scene differs from the scene at the start of the run.
         InvalidPlan: the plan requires targets that its scenes do not have.
     """
     with engine.begin() as connection:
         if holds_run(connection):
-            _check_is_ours(read_info(connection), plan, catalog)
+            found = read_info(connection)
+            _check_is_ours(found, plan, catalog)
+            require_shard(found.shard, shard)
             _bring_up_to_date(connection)
             install_tallies(connection)
             facts = {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)}
             if connection.execute(select(info).where(info.c.key == PLANNED)).first() is None:
                 facts[PLANNED] = planned_digest(connection)
-            _write_info(connection, facts)
+            write_info(connection, facts)
             return False
-        planned = expand(plan, catalog) if planned is None else planned
+        planned = expand_each(plan, catalog) if planned is None else planned
+        if shard is not None:
+            numbers = shard.numbers(plan.episodes)
+            planned = (job for job in planned if job.index in numbers)
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
         install_tallies(connection)
-        _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
-        _write_info(connection, {PLANNED: planned_digest(connection)})
+        write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
+        if shard is not None:
+            write_info(connection, {_SHARD: str(shard)})
+        write_info(connection, {PLANNED: planned_digest(connection)})
         return True
 
 
@@ -150,12 +162,13 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
         lease_ttl_s=float(facts["lease_ttl_s"]),
         created_at=datetime.fromisoformat(facts["created_at"]),
         sandbox=tuple(facts.get(_SANDBOX, "").split()),
+        shard=parse_shard(facts[_SHARD]) if _SHARD in facts else None,
     )
 
 
 def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:
     """Records the active sandbox layers of the validating processes."""
-    _write_info(connection, {_SANDBOX: " ".join(layers)})
+    write_info(connection, {_SANDBOX: " ".join(layers)})
 
 
 def planned_digest(connection: Connection) -> str:
@@ -204,7 +217,8 @@ def _facts(plan: Plan, catalog: Catalog, lease_ttl_s: float, now: datetime) -> d
     }
 
 
-def _write_info(connection: Connection, facts: Mapping[str, str]) -> None:
+def write_info(connection: Connection, facts: Mapping[str, str]) -> None:
+    """Writes values of the table `info`; replaces earlier ones."""
     for key, value in facts.items():
         if connection.execute(info.update().where(info.c.key == key).values(value=value)).rowcount == 0:
             connection.execute(info.insert().values(key=key, value=value))
@@ -221,6 +235,21 @@ def require_plan(begun: Plan, plan: Plan) -> None:
             f"the directory contains run {begun.run} ({begun.episodes} episodes, seed {begun.seed}), not the requested "
             f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): to continue it, run "
             "`factory run --out DIR` without PLAN and its options; otherwise choose another --out"
+        )
+
+
+def require_shard(begun: RunShard | None, shard: RunShard | None) -> None:
+    """Checks that a shard equals the shard of the ledger.
+
+    Raises:
+        UsageError: the shards differ.
+    """
+    if begun != shard:
+        had = "the whole run" if begun is None else f"shard {begun} of the run"
+        asked = "the whole run" if shard is None else f"shard {shard}"
+        remedy = "without --shard" if begun is None else f"with --shard {begun}"
+        raise UsageError(
+            f"the directory contains {had}, not the requested {asked}: continue it {remedy}, or choose another --out"
         )
 
 

@@ -12,10 +12,12 @@ from coordinator.protocol.zenoh_config import client_config
 from coordinator.settings import CoordinatorSettings
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
+from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.administration import AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
 from schemas.protocol.keys import Verb, any_hello_key
 from schemas.protocol.messages import Ack, Ping, Refusal
+from schemas.protocol.reachability import why_unreachable
 from schemas.protocol.status import Progress
 
 OPERATOR = "operator"
@@ -62,6 +64,7 @@ def ask_admin(
 def _ask(
     endpoints: Sequence[str], verb: Verb, message: Model | None, answer: type[R], name: str, tls: TlsFiles | None
 ) -> R:
+    endpoints = find_endpoints(endpoints)
     named = ", ".join(endpoints)
     payload = message.model_dump_json() if message is not None else ""
     try:
@@ -69,7 +72,8 @@ def _ask(
             for reply in query(session, any_hello_key(name, verb), payload, _TIMEOUT_S):
                 return read_reply(reply, answer, f"the coordinator at {named}")
     except zenoh.ZError as error:
-        raise TransientError(f"no coordinator at {named}: {error}; start one, or check the endpoint") from error
+        cause = why_unreachable(endpoints, tls) or str(error).split(" at /")[0]
+        raise TransientError(f"no coordinator at {named} ({cause}): start one, or check the endpoint") from error
     admitted = f", or it does not admit {name!r} (its hosts.txt)" if tls is not None else ""
     raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; try again")
 

@@ -19,13 +19,13 @@ from sqlalchemy.engine import Connection
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw, to_job
 from coordinator.expansion.evaluation import EvalJobs
-from coordinator.ledger import claims, hosts, operator, outcomes
+from coordinator.ledger import claims, hosts, outcomes, requests
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from schemas.base import Model
 from schemas.job import Job
 from schemas.plan import Plan
-from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.administration import AdminRequest
 from schemas.protocol.identity import is_host_name
 from schemas.protocol.keys import Verb, sid_belongs_to
 from schemas.protocol.messages import (
@@ -225,7 +225,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
 
 
 def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
-    may_start = terms.has_room() and not terms.is_draining()
+    may_start = terms.has_room() and not terms.is_draining() and not requests.is_paused(connection)
     pause_s = hosts.pause_of(connection, host, now)
     may_start = may_start and pause_s == 0
     row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
@@ -265,15 +265,7 @@ def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: date
 
 
 def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
-    match request.action:
-        case AdminAction.RETRY:
-            return ProtocolAnswer(operator.retry(connection, request.indices, now))
-        case AdminAction.CANCEL:
-            return ProtocolAnswer(operator.cancel(connection, request.indices, now))
-        case AdminAction.RELEASE:
-            return ProtocolAnswer(hosts.release(connection, request.hosts))
-        case AdminAction.DRAIN:
-            return ProtocolAnswer(AdminReply(changed=()))
+    return ProtocolAnswer(requests.execute(connection, request, now))
 
 
 def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001

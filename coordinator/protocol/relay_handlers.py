@@ -113,6 +113,8 @@ def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[
         "target_category": job.category,
         "spawn_tier": job.tier,
     } | {name: getattr(job, name) for name in _OF_THE_JOB}
+    if job.language is not None:  # the worker wrote the sentence
+        wanted = {name: value for name, value in wanted.items() if name not in ("instruction", "template_id")}
     wrong = [name for name, value in wanted.items() if getattr(summary, name) != value]
     return wrong if summary.attempt <= row.attempt + _MOST_AHEAD else [*wrong, "attempt"]
 

@@ -37,6 +37,7 @@ from coordinator.tables.table_reader import read_column
 from coordinator.transfer.contract import EpisodeValidator
 from schemas.dataset.meta import read_dataset_meta
 from schemas.dataset.rows import EpisodeSummary
+from schemas.dataset.run_shard import RunShard
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
@@ -65,6 +66,8 @@ class RepairInput:
     """Compiled scenes of the plan; the packages of scenes in `scenes` are stored outside the dataset."""
     scenes: Mapping[str, str]
     """Mapping of scene name to the reason why its package in the dataset is unusable."""
+    shard: RunShard | None = None
+    """Shard of the run that the dataset contains; `None` for the whole run."""
     stranger: str = ""
     """Reason why the ledger belongs to another dataset; empty if it belongs to this dataset or is lost."""
 
@@ -216,7 +219,7 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
         quarantine_ledger(archive, dataset.url, trouble)
     engine = open_writer(dataset.url)
     try:
-        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now)
+        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now, shard=dataset.shard)
         with engine.begin() as connection:
             for index, why in survey.requeue:
                 lose(connection, index, now, why)

@@ -63,7 +63,7 @@ def restore_failures(
         if not whole and _failed_attempts(root) <= count_failures(connection):
             return
         known = list(read_failures(connection))
-        told = list(_of_plan(read_failed_attempts(root / ATTEMPTS_FILE), PlannedDraws(plan, catalog, connection)))
+        told = list(failures_of(root, PlannedDraws(plan, catalog, connection)))
         ends = {index: (summary.draw, summary.attempt) for index, summary in whole.items()}
         record_failures(connection, plan, catalog, told, known, now, ends)
 
@@ -75,9 +75,14 @@ def _failed_attempts(root: Place) -> int:
         return 0
 
 
-def _of_plan(failures: list[FailedAttempt], draws: PlannedDraws) -> Iterator[FailedAttempt]:
-    """Yields the rows that match the plan's draws; a table of another run must not change jobs."""
-    for one in failures:
+def failures_of(root: Place, draws: PlannedDraws) -> Iterator[FailedAttempt]:
+    """Yields the rows of `attempts.parquet` that match the plan's draws; a table of another run must not change jobs.
+
+    Args:
+        root: root of the dataset.
+        draws: draws of the plan.
+    """
+    for one in read_failed_attempts(root / ATTEMPTS_FILE):
         number = one.episode_id.removeprefix("ep_")
         planned = draws.planned(int(number), one.draw) if number.isdecimal() else None
         if planned is None:

@@ -8,25 +8,21 @@ address that other machines can reach requires a token.
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
-from typing import NamedTuple
-from urllib.parse import urlsplit
 
 import structlog
 from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream
 from tornado.web import Application, RequestHandler
 
+from coordinator.status.address import HttpAddress, is_own_name, listen_on, url_of
 from coordinator.status.health import StatusSource
 from coordinator.status.pages import Pages, plain_page
-from schemas.errors import UsageError, WorldError
 from schemas.support.closing import Closing
 
-_MIN_TOKEN = 16
 _REQUEST_S = 5.0
 """Timeout for receiving a whole request, seconds."""
 _CONNECTION_S = 15.0
@@ -36,82 +32,6 @@ _MOST_CONNECTIONS = 256
 _MOST_HEADER_BYTES = 16 << 10
 _THREADS = 8
 log = structlog.get_logger(__name__)
-
-
-class HttpAddress(NamedTuple):
-    """Host and port of the status pages; port 0 selects a free port."""
-
-    host: str
-    """Host name or address."""
-    port: int
-    """TCP port."""
-
-
-def parse_address(text: str, token: str | None) -> HttpAddress:
-    """Parses HOST:PORT.
-
-    Args:
-        text: address such as `127.0.0.1:9464`, `[::1]:9464` or `:9464`, which is every address of this machine.
-        token: token that `/metrics` requires; `None` allows loopback only.
-
-    Raises:
-        UsageError: the address is malformed, other machines can reach it without a token, or the token is too short.
-    """
-    host, colon, port = text.rpartition(":")
-    if not colon or not port.isdigit() or int(port) > 65535:
-        raise UsageError(f"{text!r} is not HOST:PORT; example: 127.0.0.1:9464")
-    host = host.strip("[]") or "0.0.0.0"  # noqa: S104 - requested by the user, and requires a token
-    if token is not None and len(token) < _MIN_TOKEN:
-        raise UsageError(
-            f"the token has {len(token)} characters, at least {_MIN_TOKEN} are required; create one with: openssl "
-            "rand -hex 16"
-        )
-    if token is None and not _is_loopback(host):
-        raise UsageError(
-            f"{text} is reachable from other machines: serve status pages on 127.0.0.1:PORT, or protect them with "
-            "--http-token FILE"
-        )
-    return HttpAddress(host, int(port))
-
-
-def is_own_name(host: str, address: HttpAddress) -> bool:
-    """Returns whether the `Host` header of a request names this server by a loopback name or its configured address.
-
-    If the server listens on every address of this machine, each numeric address and the machine's host name match too.
-    The check prevents DNS rebinding: the requests of a web page whose name resolves to this machine carry that name.
-
-    Args:
-        host: value of the header, with or without a port.
-        address: configured address.
-    """
-    try:
-        name = (urlsplit(f"//{host}").hostname or "").rstrip(".").lower()
-    except ValueError:
-        return False
-    if _is_loopback(name) or name == address.host.lower():
-        return True
-    return _is_any(address.host) and (_is_numeric(name) or name == socket.gethostname().lower())
-
-
-def _is_any(host: str) -> bool:
-    return _is_numeric(host) and ipaddress.ip_address(host).is_unspecified
-
-
-def _is_numeric(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 class StatusServer(Closing):
@@ -129,17 +49,8 @@ class StatusServer(Closing):
 
     def __init__(self, address: HttpAddress, source: StatusSource, token: str | None = None) -> None:
         pages = Pages(source, token)
-        try:
-            family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-            listening = socket.create_server((address.host, address.port), family=family)
-        except OSError as error:
-            raise WorldError(
-                f"cannot serve status pages on {address.host}:{address.port}: {error.strerror or error}; give another "
-                "address with --http"
-            ) from error
-        listening.setblocking(False)
-        host, port = listening.getsockname()[:2]
-        self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
+        listening = listen_on(address, "status pages")
+        self.url = url_of(listening)
         """URL of the server."""
         self._loop = asyncio.new_event_loop()
         self._closing = asyncio.Event()

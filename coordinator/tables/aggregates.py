@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import pyarrow as pa
 
-from schemas.terms import FailReason
+from schemas.terms import FailReason, family_of
 
 _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 _SUMS = ("num_steps", "spawn_dist_m", "trajectory_length_m", "final_ne_m")
@@ -48,7 +48,7 @@ class TableAggregates:
     rows: int = 0
     """Number of rows."""
     counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    """Number of episodes by (scene, split, tier)."""
+    """Number of episodes by (scene, split, tier); a family counts as one scene here and below."""
     categories: Counter[str] = field(default_factory=Counter)
     """Number of episodes by target category."""
     scenes: defaultdict[str, EpisodeSums] = field(default_factory=lambda: defaultdict(EpisodeSums))
@@ -83,10 +83,11 @@ def aggregate_episodes(table: pa.Table) -> TableAggregates:
     for row in _sums(table, ["target_category"], ()):
         found.categories[row["target_category"]] = row["count_all"]
     for row in _sums(table, _CELL, ()):
-        found.counts[row["scene"], row["split"], row["spawn_tier"]] = row["count_all"]
+        found.counts[family_of(row["scene"]), row["split"], row["spawn_tier"]] += row["count_all"]
     for key, sums in (("scene", found.scenes), ("spawn_tier", found.tiers)):
         for row in _sums(table, [key], _SUMS):
-            sums[row[key]] = EpisodeSums(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
+            of_row = EpisodeSums(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
+            sums[family_of(row[key])].add(of_row)
     return found
 
 
@@ -94,7 +95,7 @@ def aggregate_failures(table: pa.Table) -> TableAggregates:
     """Returns the aggregates of rows of `attempts.parquet`."""
     found = TableAggregates(rows=len(table))
     for row in _sums(table, ["scene", "reason"], ()):
-        found.refused[row["scene"]] += row["count_all"] * (row["reason"] in _TASK_FAILURES)
+        found.refused[family_of(row["scene"])] += row["count_all"] * (row["reason"] in _TASK_FAILURES)
     return found
 
 

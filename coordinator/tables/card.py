@@ -19,6 +19,10 @@ _SPLITS = {
     Split.TEST_ID: "the same, held out for testing",
     Split.TEST_PARAPHRASE_OOD: "seen categories, phrases that training lacks",
     Split.TEST_OOD_OBJ: "categories that training lacks, training phrases",
+    Split.TEST_UNSEEN_SCENE: "as `test_id`, in layouts without an episode of the splits above",
+    Split.TEST_UNSEEN_SCENE_PARAPHRASE_OOD: "as `test_paraphrase_ood`, in these layouts",
+    Split.TEST_UNSEEN_SCENE_OOD_OBJ: "as `test_ood_obj`, in these layouts",
+    Split.TEST_FALSE_PREMISE: "the named object does not exist, and the robot stops at its start",
 }
 
 _CARD = """\

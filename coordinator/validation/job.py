@@ -9,8 +9,9 @@ import math
 from collections import Counter
 
 from schemas.episode import EpisodeMeta
-from schemas.instruction.language import TEMPLATES, instruction, needs_colour, templates_for
+from schemas.instruction.language import FROM_START, TEMPLATES, instruction, needs_colour, templates_for
 from schemas.job import Job
+from schemas.language.instruction import Instruction, InstructionKind
 from schemas.scene import Target
 from schemas.terms import Recording
 
@@ -36,7 +37,7 @@ def table_findings(meta: EpisodeMeta) -> list[str]:
     frames = steps if meta.job.record is Recording.FRAMES else len(meta.job.sampled_steps(steps))
     if len(meta.frame_digests) != frames:
         found.append(f"{len(meta.frame_digests)} frame digests for {frames} frames")
-    return found + _language_findings(meta.job) + _instance_findings(meta)
+    return found + _language_findings(meta) + _instance_findings(meta)
 
 
 def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
@@ -56,7 +57,12 @@ def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
     return found
 
 
-def _language_findings(job: Job) -> list[str]:
+def _language_findings(meta: EpisodeMeta) -> list[str]:
+    job, said = meta.job, meta.language
+    if job.template_id == FROM_START:
+        return ["the episode has no verified instruction"] if said is None else _wording_findings(job, said)
+    if said is not None:
+        return ["a verified instruction in an episode whose job has a template"]
     if job.template_id not in TEMPLATES:
         return [f"template_id {job.template_id!r} does not exist"]
     if job.colour == "unknown" and needs_colour(job.template_id):
@@ -67,6 +73,26 @@ def _language_findings(job: Job) -> list[str]:
     wanted = instruction(job.template_id, job.category, job.colour)
     if job.instruction != wanted:
         found.append(f"instruction {job.instruction!r}, template {job.template_id} gives {wanted!r}")
+    return found
+
+
+def _wording_findings(job: Job, said: Instruction) -> list[str]:
+    """Returns the differences between an instruction and the parameters of its job; reads no scene."""
+    found = []
+    if job.language is None:
+        return ["the job has no parameters of a verified instruction"]
+    if not job.language.languages.get(said.language):
+        found.append(f"language {said.language!r} is not planned")
+    if not job.language.registers.get(said.register_name):
+        found.append(f"register {said.register_name!r} is not planned")
+    if said.held_out != (job.split.is_paraphrased):
+        found.append(f"pattern {said.template_id} does not belong to split {job.split}")
+    families = {str(family) for family in job.language.families}
+    surplus = sorted(set(filter(None, said.features.split(","))) - families)
+    if surplus:
+        found.append(f"features {', '.join(surplus)} are not planned")
+    if (said.kind is InstructionKind.FALSE_PREMISE) != job.is_false_premise:
+        found.append(f"an instruction of kind {said.kind} in split {job.split}")
     return found
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
-from schemas.measure import Goal, TrackMeasure, measure_track
+from schemas.measure import Goal, TrackMeasure, hold_steps_of, measure_track
 from schemas.terms import TIER_RANGE_M, EndReason
 from schemas.tokens import tokens_of
 
@@ -107,7 +107,10 @@ def _goal_findings(meta: EpisodeMeta, track: TrackMeasure, poses: NDArray[np.flo
         goal = Goal.of_episode(meta)
     except WorldError as error:
         return [str(error)]
-    return [*_spawn_findings(meta, track, goal), *_success_findings(meta, goal, poses)]
+    distances = goal.distances(poses[:, :2])
+    if meta.job.is_false_premise:  # the goal is the start
+        distances = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1)
+    return [*_spawn_findings(meta, track, goal), *_success_findings(meta, distances, poses)]
 
 
 def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[str]:
@@ -126,15 +129,16 @@ def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[
     return found
 
 
-def _success_findings(meta: EpisodeMeta, goal: Goal, poses: NDArray[np.float64]) -> list[str]:
-    task = meta.job.task
+def _success_findings(meta: EpisodeMeta, distances: NDArray[np.float64], poses: NDArray[np.float64]) -> list[str]:
+    """Returns how an episode misses the success rule, given the distances of all poses to the goal, metres."""
+    task, steps = meta.job.task, hold_steps_of(meta.job, meta.job.task)
     if meta.rollout.end_reason is not EndReason.SUCCESS:
         return [f"end_reason is {meta.rollout.end_reason}; only successes are archived"]
-    if len(poses) <= task.hold_steps:
-        return [f"{len(poses)} frames are too few for a success, which needs {task.hold_steps} stationary steps"]
+    if len(poses) <= steps:
+        return [f"{len(poses)} frames are too few for a success, which needs {steps} stationary steps"]
     found = []
-    hold = poses[-task.hold_steps - 1 :, :2]  # one more pose, because a speed needs two
-    farthest = float(goal.distances(hold[1:]).max())
+    hold = poses[-steps - 1 :, :2]  # one more pose, because a speed needs two
+    farthest = float(distances[-steps:].max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
         found.append(f"no success: {farthest:.4f} m from the target in the hold, radius {task.success_radius_m:g} m")
     speed = float(np.linalg.norm(np.diff(hold, axis=0), axis=1).max()) * task.control_hz

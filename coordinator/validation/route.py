@@ -38,7 +38,7 @@ def _geodesic_findings(meta: EpisodeMeta, arrays: EpisodeArrays, goal: Goal) -> 
 
 def _path_findings(meta: EpisodeMeta, arrays: EpisodeArrays, goal: Goal) -> Iterator[str]:
     path = meta.route.planned
-    has_planner = meta.job.expert is ExpertName.PLANNER
+    has_planner = meta.job.expert is ExpertName.PLANNER and not meta.job.is_false_premise
     if bool(path) != has_planner:
         yield f"a path of {len(path)} poses in an episode of the {meta.job.expert} expert"
     if not path or not has_planner:

@@ -65,7 +65,7 @@ def validate(
             return findings  # the remaining checks need every frame
         findings += visibility_findings(meta, survey.target_pixels)
         findings += arrival_findings(meta, survey.target_pixels[bundle.length - 1])
-        findings += start_findings(meta, arrays, bundle.ids(0))
+        findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0))
     digest = bundle.content_digest(meta.frame_digests)
     if digest != meta.content_digest:
         findings.append(f"content digest {digest}, meta.json says {meta.content_digest}")

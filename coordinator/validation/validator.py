@@ -17,8 +17,9 @@ import stat
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
@@ -28,10 +29,11 @@ from schemas.base import Line, Model
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
+from schemas.language.instruction import Instruction
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
-from schemas.support.jsonl_process import JsonlProcess
+from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess
 from schemas.support.log_limit import LogLimit
 
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
@@ -73,6 +75,8 @@ class Verdict(Model):
 
     summary: EpisodeSummary | None = None
     """Row of the episode; `None` if the bundle is invalid."""
+    language: Instruction | None = None
+    """Verified instruction of the episode, which is then compared with the scene; `None` for a template."""
     findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
     """Violations."""
 
@@ -84,14 +88,20 @@ class Validator(Closing):
         children: number of children.
         limits: resource limits of each child.
         clock: monotonic clock for the rate limit of log lines, seconds.
+        packages: packages of scenes by SHA-256; instructions in other scenes are not compared with the scene.
 
     Raises:
         TransientError: a child cannot be started.
     """
 
     def __init__(
-        self, children: int = 1, limits: ValidatorLimits | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        children: int = 1,
+        limits: ValidatorLimits | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        packages: Mapping[str, Path] = MappingProxyType({}),
     ) -> None:
+        self._packages = packages
         self._limits = limits or ValidatorLimits()
         self._layers: tuple[str, ...] = ()
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
@@ -114,18 +124,36 @@ class Validator(Closing):
 
         Raises:
             InvalidBundle: the bundle has violations, or two children terminated while they validated it.
-            TransientError: no child can be started on this machine now, or the file cannot be opened now.
+            TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
+                cannot be opened now.
         """
         task = ValidationTask(job=job, target=target, sampled=sampled)
         with self._child() as child:
             for _ in range(_TRIES):
                 verdict = self._ask(child, task, path)
                 if verdict is not None:
-                    return _summary_or_raise(verdict)
+                    return self._with_sentence(verdict, job)
                 self._limit.write(_log().warning, "validator_died", file=str(path), how=child.last_words)
+                if child.was_ended:
+                    raise TransientError(f"a signal from outside ended the validating process ({child.last_words})")
         raise InvalidBundle(
             "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.last_words})"]
         )
+
+    def _with_sentence(self, verdict: Verdict, job: Job) -> EpisodeSummary:
+        """Returns the row of a valid bundle; the verifier has accepted its instruction, if it has a verified one.
+
+        The children know no scenes, so that this process compares the instruction with the scene.
+        """
+        summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
+        if verdict.language is not None and package is not None:
+            from coordinator.validation.language import sentence_findings  # children start faster without it
+
+            start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
+            found = sentence_findings(job, verdict.language, start, package)
+            if found:
+                raise InvalidBundle("bundle refused", found)
+        return summary
 
     def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
         with _opened(path) as bundle:
@@ -163,6 +191,8 @@ class _Child:
         self._orders: socket.socket | None = None
         self._ended = False
         self.last_words = ""
+        self.was_ended = False
+        """Whether a signal from outside, e.g. of a batch system, ended the last process."""
         self.layers: tuple[str, ...] = ()
         """Active sandbox layers; empty before the start."""
 
@@ -212,6 +242,7 @@ class _Child:
         if self._orders is not None:
             self._orders.close()
         self._orders = None
+        self.was_ended = code in ENDED_FROM_OUTSIDE
         self.last_words = (
             f"exit status {code}; limits {self._limits.memory_bytes >> 20} MiB, {self._limits.cpu_s} s CPU"
         )

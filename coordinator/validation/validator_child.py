@@ -29,6 +29,7 @@ from coordinator.validation.validator import (
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.errors import InvalidBundle
+from schemas.language.grammar import LANGUAGES, grammar
 
 
 def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
@@ -41,7 +42,7 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
         with BundleReader(file) as bundle:
             findings = validate(bundle, task.job, task.target, sampled=task.sampled)
             if not findings:
-                return Verdict(summary=summary_of(bundle.meta, sha256, size))
+                return Verdict(summary=summary_of(bundle.meta, sha256, size), language=bundle.meta.language)
     except InvalidBundle as error:
         findings = list(error.findings)
     except OSError as error:
@@ -79,6 +80,8 @@ def main(arguments: list[str]) -> int:
     """Executes tasks from standard input, a socket, until it is closed."""
     limits = ValidatorLimits.model_validate_json(arguments[0])
     orders = socket.socket(fileno=0)
+    for code in LANGUAGES:
+        grammar(code)  # a job may name nouns, which are compared with the grammars
     layers = confine(limits.memory_bytes)
     sys.stdout.write(f"ready {' '.join(layers)}\n")
     sys.stdout.flush()

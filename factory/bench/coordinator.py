@@ -8,7 +8,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ def bench_coordinator(
     sessions: int,
     bundle_bytes: int,
     repeats: int,
+    pullers: int,
 ) -> CoordinatorBench:
     """Fills a ledger with the jobs of a plan, runs the load of many workers on it, and returns the measurements.
 
@@ -61,6 +62,7 @@ def bench_coordinator(
         sessions: Number of simultaneous sessions for the memory measurement.
         bundle_bytes: Size of the bundle that each worker delivers when all finish together, bytes.
         repeats: Number of repetitions of all parts except filling the ledger.
+        pullers: Number of validating processes that work at a time.
     """
     machine, start_mib = describe_machine(), resident_mib()
     with samples[0].path.open("rb") as file:
@@ -92,6 +94,8 @@ def bench_coordinator(
         reopen_s=Spread.of(reopened),
         progress_s=Spread.of(looks),
         validate_ms_per_frame=Spread.of(_validate(samples, repeats)),
+        pullers=pullers,
+        validated_frames_per_s=Spread.of(_validate_together(samples, pullers, repeats)),
         archive_mb_per_s=Spread.of([_archive(samples, folder / f"archive{n}") for n in range(repeats)]),
         memory=memory,
         wire=wire,
@@ -151,6 +155,20 @@ def _validate(samples: Sequence[BenchSample], repeats: int) -> list[float]:
             frames = sum(validator.check(sample.path, sample.job).num_steps for sample in samples)
             runs.append(1000 * (time.perf_counter() - start_s) / frames)
     return runs
+
+
+def _validate_together(samples: Sequence[BenchSample], pullers: int, repeats: int) -> list[float]:
+    """Returns the frames per second of several validating processes, each with every sample."""
+    with Validator(pullers) as validator, ThreadPoolExecutor(pullers) as pool:
+
+        def check_all() -> int:
+            return sum(validator.check(sample.path, sample.job).num_steps for sample in samples)
+
+        def frames() -> int:
+            return sum(each.result() for each in [pool.submit(check_all) for _ in range(pullers)])
+
+        count = frames()  # starts the processes
+        return [count / _seconds(frames) for _ in range(repeats)]
 
 
 def _archive(samples: Sequence[BenchSample], root: Path) -> float:

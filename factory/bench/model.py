@@ -255,6 +255,10 @@ class CoordinatorBench(Model):
     """Time to read the progress of the filled ledger, seconds."""
     validate_ms_per_frame: Spread
     """Wall time to validate real bundles in the validation process, milliseconds per frame."""
+    pullers: int
+    """Number of validating processes that work at a time."""
+    validated_frames_per_s: Spread
+    """Frames of real bundles that these processes validate together, per second of wall time."""
     archive_mb_per_s: Spread
     """Throughput of copy, hash, fsync and rename of real bundles, MB per second of wall time."""
     memory: Memory

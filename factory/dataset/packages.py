@@ -12,7 +12,7 @@ from schemas.errors import ArchiveCorrupt
 from schemas.scene import SceneInfo, decode_scene, read_scene_info
 from schemas.storage.dataset_files import SCENES
 from schemas.storage.disk import translated
-from schemas.storage.place import Place, digest_of
+from schemas.storage.place import Place, children, digest_of
 from schemas.support.extras import require_package
 
 if TYPE_CHECKING:
@@ -130,6 +130,16 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
 def packages_of(folder: Place, name: str) -> list[Place]:
     """Returns the packages of a scene in a folder."""
     return sorted(folder.glob(f"{name}-*.scene.zip"), key=str)
+
+
+def packages_by_scene(folder: Place) -> dict[str, Place]:
+    """Returns a package of each scene that has one in a folder; the folder need not exist."""
+    found: dict[str, Place] = {}
+    for place in children(folder):
+        name, separator, _ = place.name.rpartition("-")
+        if separator and place.name.endswith(".scene.zip"):
+            found.setdefault(name, place)
+    return found
 
 
 def package_file(place: Place) -> Path:

@@ -33,7 +33,7 @@ from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, STEP
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
 from schemas.support.suggest import did_you_mean
-from schemas.terms import Recording
+from schemas.terms import Recording, family_of
 
 __all__ = ["Dataset", "Episode", "Frame"]
 
@@ -155,7 +155,7 @@ class Dataset:
 
         Args:
             wanted: One or more values for `split`, `scene`, `tier`, `category`, `target`, `template`, `colour`,
-                `expert` or `episode`.
+                `expert` or `episode`. A family as `scene` selects all its layouts.
 
         Raises:
             UsageError: The filter does not exist, or a value is not valid for it.
@@ -168,6 +168,8 @@ class Dataset:
                 )
             asked, column = _as_strings(values), self._columns[_FILTERS[name]]
             held = column.dictionary if pa.types.is_dictionary(column.type) else column
+            if name == "scene":
+                asked = _with_layouts(asked, held)
             unheld = asked.filter(pc.invert(pc.is_in(asked, held)))
             require_known(name, unheld.to_pylist(), held.to_pylist, self.meta.plan)
             matching = pc.is_in(column, asked).to_numpy(zero_copy_only=False)
@@ -240,6 +242,13 @@ def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:
         return load_rig(str(rig), control_hz)
     require_rates(rig, control_hz)
     return rig
+
+
+def _with_layouts(asked: pa.Array, held: pa.Array) -> pa.Array:
+    """Returns the scenes with all layouts of the families among them."""
+    wanted = set(asked.to_pylist())
+    layouts = [name for name in held.unique().to_pylist() if name not in wanted and family_of(name) in wanted]
+    return pa.concat_arrays([asked, pa.array(layouts, pa.string())])
 
 
 def _as_strings(values: str | Iterable[str]) -> pa.Array:

@@ -42,7 +42,7 @@ def _enumerate(names: Sequence[str]) -> str:
 
 
 def _scenes(plan: Plan) -> tuple[str, ...]:
-    return (*(scene.name for scene in plan.scenes), *BUILTIN_CATEGORIES)
+    return (*(part.name for part in (*plan.scenes, *plan.parts)), *BUILTIN_CATEGORIES)
 
 
 def _categories(plan: Plan) -> tuple[str, ...]:

@@ -37,6 +37,9 @@ COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "test": ("#1f9a89", "#3fc4b1"),
         "phrase": ("#d79a1c", "#edb94c"),
         "object": ("#c4532d", "#ee8560"),
+        "place": ("#2f6f73", "#62b3b8"),
+        "place_phrase": ("#8a6d1f", "#cbb05a"),
+        "place_object": ("#9a4a6e", "#d58bb0"),
         "won": ("#3b7fc0", "#68a9ea"),
         "collision": ("#c5532c", "#ef8661"),
         "timeout": ("#d79b1d", "#eebb4e"),
@@ -58,6 +61,10 @@ SPLIT_COLOURS = MappingProxyType(
         Split.TEST_ID: "test",
         Split.TEST_PARAPHRASE_OOD: "phrase",
         Split.TEST_OOD_OBJ: "object",
+        Split.TEST_UNSEEN_SCENE: "place",
+        Split.TEST_UNSEEN_SCENE_PARAPHRASE_OOD: "place_phrase",
+        Split.TEST_UNSEEN_SCENE_OOD_OBJ: "place_object",
+        Split.TEST_FALSE_PREMISE: "other",
     }
 )
 REASON_COLOURS = MappingProxyType(

@@ -116,6 +116,26 @@ def expiry_of(certificate: bytes) -> datetime:
         raise WorldError(f"the certificate is not valid PEM: {error}") from error
 
 
+def addresses_of(certificate: bytes) -> tuple[str, ...]:
+    """Returns the names and addresses of a certificate in PEM, without those of loopback.
+
+    Raises:
+        UsageError: `cryptography` is not installed.
+        WorldError: the file is not a certificate.
+    """
+    require_cryptography()
+    from cryptography import x509
+
+    try:
+        found = x509.load_pem_x509_certificate(certificate)
+        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return ()
+    except ValueError as error:
+        raise WorldError(f"the certificate is damaged: {error}") from error
+    return tuple(address for name in names if (address := str(name.value)) not in _LOOPBACK)
+
+
 def _read(authority: Certificate) -> tuple[x509.Certificate, EllipticCurvePrivateKey]:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey

@@ -22,8 +22,8 @@ from coordinator.tables.split_tables import write_split_tables
 from factory.dataset.reader import Dataset
 from factory.export.output import Output
 from schemas.dataset.meta import Relabelling
-from schemas.language.compose import InstructionKind
 from schemas.language.file import LanguageSpec
+from schemas.language.instruction import InstructionKind
 from schemas.storage.dataset_files import (
     ATTEMPTS_FILE,
     CARD_FILE,

@@ -18,9 +18,10 @@ from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.relabel.route import STEPS_SCHEMA, route_row, step_rows
 from schemas.config import CameraConfig
-from schemas.language.compose import Composer, Instruction, InstructionKind, SceneLanguage
+from schemas.language.compose import Composer, SceneLanguage
 from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.graph import build_graph
+from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.route.compose import RouteComposer
 from schemas.language.route.model import RouteText
 from schemas.language.route.steps import SceneRoutes
@@ -156,7 +157,7 @@ class PartWriter:
         seed = np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(_ROUTE_STREAM,))
         with self._dataset[start.episode_id] as episode:
             poses = episode.poses
-        held_out = start.split == Split.TEST_PARAPHRASE_OOD
+        held_out = Split(start.split).is_paraphrased
         number = self._scene.graph.number_of[start.target_id]
         return self.routes.write(self._place, poses, number, held_out, np.random.default_rng(seed))
 
@@ -177,7 +178,7 @@ def instructions_of(
     """Returns the new instructions of an episode; they depend on its index and the language file only."""
     seed = np.random.SeedSequence((composer.spec.seed, start.index), spawn_key=(_STREAM,))
     view = look(scene.graph, start.pose, camera)
-    held_out = start.split == Split.TEST_PARAPHRASE_OOD
+    held_out = Split(start.split).is_paraphrased
     number = scene.graph.number_of[start.target_id]
     return composer.write(scene, view, number, held_out, np.random.default_rng(seed))
 

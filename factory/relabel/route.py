@@ -8,7 +8,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from schemas.language.compose import InstructionKind
+from schemas.language.instruction import InstructionKind
 from schemas.language.route.model import RouteText
 
 STEPS_SCHEMA = pa.schema(

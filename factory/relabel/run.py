@@ -19,16 +19,18 @@ from pydantic import Field, ValidationError
 
 from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
-from factory.export.execution.pool import run_tasks
 from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.assemble import assemble
-from factory.relabel.part import LanguageStart, PartTask, instructions_of, make_part, prepared_scene
+from factory.relabel.part import LanguageStart, PartTask, make_part, prepared_scene
+from factory.support.task_pool import run_tasks
 from schemas.base import Model, Sha256
 from schemas.dataset.meta import software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError
-from schemas.language.compose import Composer, Instruction, InstructionKind
-from schemas.language.expression import Family
+from schemas.language.compose import composer_of
 from schemas.language.file import LanguageSpec, TextKind
+from schemas.language.instruction import InstructionKind
+from schemas.language.possible import explain_impossible
+from schemas.language.view import look
 from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500
@@ -196,31 +198,17 @@ def _jobs(dataset: Dataset) -> Iterator[_Job]:
 
 def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec) -> None:
     """Raises `InvalidLanguage` if a language lacks a noun, or no target of a scene gets an instruction."""
-    composer, camera = Composer(spec), dataset.meta.plan.camera
-    faults = composer.missing_nouns([start.category for job in jobs for start in job.starts])
-    every = Composer(spec.model_copy(update={"features": dict.fromkeys(Family, 1.0), "same_category": 0}))
+    camera = dataset.meta.plan.camera
+    faults = composer_of(spec).missing_nouns([start.category for job in jobs for start in job.starts])
     for job in [] if faults or TextKind.GOAL not in spec.kinds else jobs:
         scene = prepared_scene(job.package)
-        probes = job.starts[:: max(1, len(job.starts) // _PROBES)]
-        if any(_goals(instructions_of(start, scene, composer, camera)) for start in probes):
-            continue
-        possible = {
-            one.features or "category alone"
-            for start in probes
-            for one in _goals(instructions_of(start, scene, every, camera))
-        }
-        rivals = max(scene.distractors(scene.graph.number_of[start.target_id]) for start in probes)
-        what = ", ".join(sorted(possible)) or f"nothing with fit = {spec.fit!r}"
-        faults.append(
-            f"scene {job.package.name}: no instruction with these features fits a target; possible there: {what}; "
-            f"at most {rivals} other objects of a target's category"
-        )
+        starts = job.starts[:: max(1, len(job.starts) // _PROBES)]
+        number_of = scene.graph.number_of
+        probes = [(number_of[start.target_id], look(scene.graph, start.pose, camera)) for start in starts]
+        why = explain_impossible(scene, spec, probes)
+        faults += [f"scene {job.package.name}: {why}"] if why else []
     if faults:
         raise InvalidLanguage("the language file does not fit the dataset", faults)
-
-
-def _goals(found: Sequence[Instruction]) -> list[Instruction]:
-    return [one for one in found if one.kind is InstructionKind.GOAL]
 
 
 def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: Output) -> Iterator[PartTask]:

@@ -11,6 +11,8 @@ from factory.stats import Statistics
 from factory.stats.language import EpisodeView
 from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt
+from schemas.plan import Plan
+from schemas.terms import family_of
 from schemas.tokens import GRID_POINTS
 
 Outlines = list[NDArray[np.float64]]
@@ -46,6 +48,10 @@ class Drives:
     def steps(self) -> int:
         """Number of steps read."""
         return int(self.tokens.sum())
+
+
+_FIRST_LAYOUTS, _LAST_LAYOUTS = 3, 2
+"""Number of layouts of a family with a map; the last ones are those of the unseen-scene splits."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +91,20 @@ class ReportInput:
         """Scenes in the order of the plan."""
         return [scene.name for scene in self.meta.plan.scenes]
 
+    @property
+    def places(self) -> list[str]:
+        """Scenes with a map: those of the plan, and of each family the first and the last layouts."""
+        return mapped_scenes(self.meta.plan)
+
     def of(self, scene: str) -> list[EpisodeSummary]:
-        """Returns the rows of a scene."""
-        return [row for row in self.episodes if row.scene == scene]
+        """Returns the rows of a scene or of a family."""
+        return [row for row in self.episodes if scene in (row.scene, family_of(row.scene))]
+
+
+def mapped_scenes(plan: Plan) -> list[str]:
+    """Returns the scenes of a plan with a map in the report."""
+    found: list[str] = []
+    for scene in plan.scenes:
+        names = [part.name for part in plan.parts if family_of(part.name) == scene.name] if scene.layouts else []
+        found += [*names[:_FIRST_LAYOUTS], *names[_FIRST_LAYOUTS:][-_LAST_LAYOUTS:]] or [scene.name]
+    return found

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
+from factory.report.data import Drives, FloorMap, FrameSample, ReportInput, mapped_scenes
 from factory.report.floor_map import map_of
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
-from factory.stats.views import read_view
+from factory.stats.views import read_fits, read_view
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import SceneInfo, decode_scene
@@ -50,14 +50,17 @@ def gather(
         ArchiveCorrupt: the metadata or the table of episodes cannot be read.
     """
     rows = read_rows(root)
-    maps, infos = _read_scenes(root, rows)
-    drives = Drives()
+    chosen: list[EpisodeSummary] = []
+    fits = read_fits(root)
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
         opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, MOST_OPENED)}
         chosen = [row for row in rows.episodes if row.episode_id in opened]
+    maps, infos = _read_scenes(root, rows, {row.scene for row in chosen})
+    drives = Drives()
+    if chosen:
         for done, row in enumerate(chosen, 1):
-            _read_drive(root, row, row.episode_id in shown, infos, drives, rows)
+            _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
     episodes = by_measure(rows.episodes, rows.meta.plan.task.success)
@@ -65,7 +68,13 @@ def gather(
 
 
 def _read_drive(
-    root: Place, row: EpisodeSummary, is_sample: bool, infos: Mapping[str, SceneInfo], drives: Drives, rows: Rows
+    root: Place,
+    row: EpisodeSummary,
+    is_sample: bool,
+    infos: Mapping[str, SceneInfo],
+    fits: Mapping[str, int],
+    drives: Drives,
+    rows: Rows,
 ) -> None:
     name = file_name_of(row.episode_id)
     with Episode(episode_place(root, row.index), row) as episode:
@@ -77,7 +86,7 @@ def _read_drive(
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
         try:
-            view = read_view(episode, infos)
+            view = read_view(episode, infos, fits)
             samples = [_best_frame(episode)] if is_sample else []
         except ArchiveCorrupt as error:
             rows.add_damage(name, f"skipped in the frames and the instructions: {format_error(error, root)}")
@@ -101,11 +110,15 @@ def _best_frame(episode: Episode) -> FrameSample:
     return FrameSample(episode.summary, t, episode.rgb(t), masks[t])
 
 
-def _read_scenes(root: Place, rows: Rows) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
-    """Returns the map of each scene by its name, and its metadata by the SHA-256 of its package."""
+def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
+    """Returns the maps of the report by scene, and the metadata of these and the opened scenes by SHA-256 of the
+    package."""
+    mapped = set(mapped_scenes(rows.meta.plan))
     maps: dict[str, FloorMap] = {}
     infos: dict[str, SceneInfo] = {}
     for name, sha256 in rows.meta.scenes.items():
+        if name not in mapped | opened:
+            continue
         try:
             with find_package(root, name, sha256).path.open("rb") as file:
                 scene = decode_scene(file)
@@ -113,7 +126,9 @@ def _read_scenes(root: Place, rows: Rows) -> tuple[dict[str, FloorMap], dict[str
             text = f"the map of {name} is missing, and its episodes in the instructions: {format_error(error, root)}"
             rows.add_damage(SCENES, text)
         else:
-            maps[name], infos[sha256] = map_of(scene), scene.info
+            infos[sha256] = scene.info
+            if name in mapped:
+                maps[name] = map_of(scene)
     return maps, infos
 
 

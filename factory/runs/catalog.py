@@ -7,40 +7,50 @@ nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
-from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.nearest import find_nearest
-from factory.dataset.packages import find_package_file, light_file, package_file, packages_of
+from coordinator.expansion.possible import find_impossible
+from coordinator.expansion.sentences import find_unsayable
+from factory.dataset.packages import find_package_file, light_file, package_file, packages_by_scene
+from factory.runs.layouts import LayoutBuilds, build_layouts
 from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
-from schemas.errors import InvalidPlan
+from schemas.errors import InvalidPlan, UsageError
+from schemas.layouts import LayoutPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-from schemas.terms import BUILTIN_CATEGORIES, Recording
+from schemas.terms import BUILTIN_CATEGORIES, Recording, family_of, layout_number
 
 MessageCallback = Callable[[str], None]
 _PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
-def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
+def open_catalog(
+    plan: Plan,
+    root: Place,
+    cache: Path,
+    tell: MessageCallback = lambda _: None,
+    builds: LayoutBuilds | None = None,
+    packages: Place | None = None,
+) -> Catalog:
     """Returns the scenes of a plan after checking that they can fulfil it; see `collect_scenes`.
 
     Raises:
         InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
             been written to `root`.
     """
-    entries = collect_scenes(plan, root, cache, tell)
+    entries = collect_scenes(plan, root, cache, tell, builds, packages=packages)
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
@@ -48,29 +58,59 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
         raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
+    unsayable = find_unsayable(plan, entries)
+    if unsayable:
+        raise InvalidPlan(f"plan {plan.name!r} has a language block that its scenes do not permit", unsayable)
     return entries
 
 
-def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
-    """Returns the scenes of a plan without checking that they can fulfil it.
+def collect_scenes(
+    plan: Plan,
+    root: Place,
+    cache: Path,
+    tell: MessageCallback = lambda _: None,
+    builds: LayoutBuilds | None = None,
+    only: Collection[str] | None = None,
+    packages: Place | None = None,
+) -> Catalog:
+    """Returns the scenes of a plan without checking that the fixed ones can fulfil it.
 
     Args:
         plan: Plan with the scenes.
         root: Location of the dataset; packages in its `scenes/` folder are used unchanged.
         cache: Folder in which new packages are built.
         tell: Called with the name of each scene before it is built or compiled.
+        builds: Settings of the builds of layouts; `None` builds them in this process.
+        only: Names of the scenes to return; `None` returns all.
+        packages: Folder with the package of every scene, so that none is built; `None` uses `root`.
 
     Raises:
-        InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene.
+        UsageError: `packages` lacks a scene.
+        InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene, or a layout
+            cannot fulfil the plan with any of its seeds.
+        KeyboardInterrupt: The builds were stopped.
     """
-    entries: dict[str, SceneEntry] = {}
-    held = {scene.name: packages_of(root / SCENES, scene.name) for scene in plan.scenes}
-    require_files(plan, [name for name, packages in held.items() if packages])
-    for scene in plan.scenes:
-        kept = held[scene.name]
-        package = package_file(kept[0]) if kept else _make(scene, cache, partial(tell, scene.name))
-        entries[scene.name] = read_entry(package)
-    return with_light(plan, entries)
+    held = packages_by_scene(root / SCENES if packages is None else packages)
+    lacking = [part.name for part in plan.parts if part.name not in held] if packages is not None else []
+    if lacking:
+        raise UsageError(
+            f"{packages} has no package of {', '.join(lacking)}: give the folder `scenes` of a dataset of the plan, or "
+            "copy the packages that `factory scene build` or `factory scene import` prints"
+        )
+    require_files(plan, held)
+    found: dict[str, Path] = {}
+    missing: list[str] = []
+    parts = [part for part in plan.parts if only is None or part.name in only]
+    for part in parts:
+        if part.name in held:
+            found[part.name] = package_file(held[part.name])
+        elif isinstance(part, LayoutPlan):
+            missing.append(part.name)
+        else:
+            found[part.name] = _make(part, cache, partial(tell, part.name))
+    builds = builds or LayoutBuilds()
+    found |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
+    return with_light(plan, {part.name: read_entry(found[part.name]) for part in parts})
 
 
 def with_light(plan: Plan, catalog: Catalog) -> Catalog:
@@ -85,8 +125,11 @@ def with_light(plan: Plan, catalog: Catalog) -> Catalog:
 
 
 def find_built(plan: Plan, cache: Path) -> Catalog:
-    """Returns the scenes of a plan whose current version is in the cache; builds none."""
-    found = {scene.name: _find(scene, cache) for scene in plan.scenes}
+    """Returns the scenes of a plan whose current version is in the cache; builds none.
+
+    Layouts of families are left out, because only a build finds their seeds.
+    """
+    found = {part.name: _find(part, cache) for part in plan.parts}
     return {name: read_entry(path) for name, path in found.items() if path is not None}
 
 
@@ -102,12 +145,14 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
 def write_target_lists(catalog: Catalog, root: Place) -> None:
     """Writes `targets_<scene>.yaml` next to the scene packages of a dataset, for people; keeps existing files.
 
+    Layouts have none: a plan edits the targets of single scenes only.
+
     Raises:
         WorldError: A file cannot be written.
     """
     for name, entry in catalog.items():
         path = root / SCENES / list_file_name(name)
-        if path.exists():
+        if layout_number(name) is not None or path.exists():
             continue
         text = format_target_list(entry.info)
         if isinstance(path, ObjectPath):
@@ -120,16 +165,24 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
 def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
     book, chosen = _edits(scene)
     if scene.file is None:
-        return build_scene(scene.name, scene.seed, cache, book, chosen, tell)
+        family = family_of(scene.name)
+        return build_scene(family, scene.seed, cache, book, chosen, tell, _called(scene))
     return import_scene(Path(scene.file), scene.name, cache, book, chosen, _limits(scene), tell)
 
 
 def _find(scene: ScenePlan, cache: Path) -> Path | None:
+    if isinstance(scene, LayoutPlan):
+        return None
     book, chosen = _edits(scene)
     if scene.file is None:
-        path = package_path(scene.name, scene.seed, cache, book, chosen)
+        path = package_path(family_of(scene.name), scene.seed, cache, book, chosen, _called(scene))
         return path if path.is_file() else None
     return find_import(Path(scene.file), scene.name, cache, book, chosen, _limits(scene))
+
+
+def _called(scene: ScenePlan) -> str | None:
+    """Returns the name of a numbered layout; `None` for a scene with the name of its family."""
+    return None if family_of(scene.name) == scene.name else scene.name
 
 
 def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
@@ -159,6 +212,6 @@ def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
     found: dict[str, list[tuple[int, str, Path]]] = {}
     for path in cache.glob("*.scene.zip"):
         named = _PACKAGE.fullmatch(path.name)
-        if named is not None and named[1] not in BUILTIN_CATEGORIES:
+        if named is not None and family_of(named[1]) not in BUILTIN_CATEGORIES:
             found.setdefault(named[1], []).append((path.stat().st_mtime_ns, path.name, path))
     return {name: tuple(path for *_, path in sorted(found[name], reverse=True)) for name in sorted(found)}

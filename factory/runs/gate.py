@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,15 +35,15 @@ class Pilot:
     """Jobs and settings of a pilot run."""
 
     jobs: tuple[Job, ...]
-    package: Path
-    """Path of the compiled scene of all jobs."""
+    packages: Mapping[str, Path]
+    """Path of the compiled scene by its name."""
     command: tuple[str, ...]
     """Command line of a simulation process."""
     processes: int = 1
 
     @classmethod
     def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> Pilot:
-        """Returns a pilot run of the first attempts at all episodes of a plan with one scene.
+        """Returns a pilot run of the first attempts at all episodes of a plan with one scene or one family.
 
         The attempts record states, because their frames are deleted; the recording does not change their outcome.
 
@@ -52,7 +52,8 @@ class Pilot:
         """
         unseen = plan.model_copy(update={"record": Recording.STATES})
         jobs = tuple(to_job(unseen, catalog, planned, attempt=1) for planned in expand(unseen, catalog))
-        return cls(jobs, catalog[plan.scenes[0].name].path, command, processes)
+        packages = {job.scene: catalog[job.scene].path for job in jobs}
+        return cls(jobs, packages, command, processes)
 
 
 @dataclass(frozen=True)
@@ -171,13 +172,13 @@ class _TrialProcess:
             self._order(waiting.popleft())
         heard = self._simulation.receive(self._poll_s)
         if isinstance(heard, Death):
-            return self._handle_death(heard)
+            return self._handle_death(heard, waiting)
         return None if heard is None else self._handle_report(heard)
 
     def _order(self, job: Job) -> None:
         self._job = job
         self._simulation.order(
-            SimulationOrder(job=job, scene_path=self._pilot.package, bundle_path=self._bundle, sid="gate")
+            SimulationOrder(job=job, scene_path=self._pilot.packages[job.scene], bundle_path=self._bundle, sid="gate")
         )
 
     def _handle_report(self, report: SimulationReport) -> Trial | None:
@@ -191,8 +192,11 @@ class _TrialProcess:
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)
 
-    def _handle_death(self, death: Death) -> Trial | None:
+    def _handle_death(self, death: Death, waiting: deque[Job]) -> Trial | None:
         job, self._job = self._job, None
+        if job is not None and death.reason is FailReason.RELEASED:
+            waiting.appendleft(job)
+            return None
         if job is not None:
             return Trial(job, death.reason, death.detail)
         self._starts += 1

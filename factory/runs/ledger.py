@@ -13,6 +13,7 @@ from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
 from schemas.dataset.meta import read_dataset_meta
+from schemas.dataset.run_shard import RunShard, read_shard_state
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
@@ -59,6 +60,23 @@ def plan_of(site: Site) -> Plan | None:
             f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
         )
     return noted or described
+
+
+def shard_of(site: Site, url: str | None = None) -> RunShard | None:
+    """Returns the shard of a run in a directory, from `run_shard.json` or else from the ledger; `None` without either.
+
+    Args:
+        site: location of the shard.
+        url: URL of the ledger, if it is not in the directory.
+    """
+    state = read_shard_state(site.place)
+    if state is not None:
+        return state.shard
+    try:
+        with open_ledger(ledger_url_of(site.home, url)) as connection:
+            return read_info(connection).shard if holds_run(connection) else None
+    except WorldError:
+        return None
 
 
 def _noted_plan(home: Path) -> Plan | None:

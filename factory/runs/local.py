@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
 from schemas.dataset.meta import GateOutcome
+from schemas.dataset.run_shard import RunShard
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
@@ -71,6 +73,12 @@ class LocalRun:
     """Value of `--rig` of a run that renders."""
     appearance: str | None = None
     """Value of `--appearance` of a run that renders."""
+    ledger_url: str | None = None
+    """URL of the ledger; by default `ledger.db` in `root`."""
+    shard: RunShard | None = None
+    """Shard of the run to generate; `None` for the whole run."""
+    take_over: bool = False
+    """Whether to take `store` over from another home, whose coordinator must have ended."""
 
     @property
     def command(self) -> str:
@@ -78,11 +86,20 @@ class LocalRun:
         site = self.store or self.root
         rig = "" if self.rig is None else f" --rig {self.rig}"
         rig += "" if self.appearance is None else f" --appearance {self.appearance}"
-        return f"factory run --out {site}" if self.states is None else f"factory render {self.states}{rig} -o {site}"
+        shard = "" if self.shard is None else f" --shard {self.shard}"
+        return (
+            f"factory run{shard} --out {site}"
+            if self.states is None
+            else f"factory render {self.states}{rig} -o {site}"
+        )
 
 
 def run_locally(
-    run: LocalRun, settings: CoordinatorSettings, stop: threading.Event, tell: Callable[[Progress], None]
+    run: LocalRun,
+    settings: CoordinatorSettings,
+    stop: threading.Event,
+    tell: Callable[[Progress], None],
+    pages: Callable[[Coordinator], AbstractContextManager[object]] = nullcontext,
 ) -> Progress:
     """Generates or resumes the dataset; returns when the run is finished or `stop` is set.
 
@@ -91,6 +108,7 @@ def run_locally(
         settings: Settings of the coordinator.
         stop: Event that stops the run gracefully.
         tell: Progress callback, called a few times per second.
+        pages: Serves pages of the coordinator while the context is open.
 
     Raises:
         WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
@@ -101,19 +119,25 @@ def run_locally(
     require_sensor_packages(run.plan.rig)
     require_room(run.root, settings.reserve_bytes)
     spool = folder_of(run.root / _SPOOL, run.plan.run)
-    with Coordinator(
-        run.root,
-        run.plan,
-        run.catalog,
-        CoordinatorOptions(
-            listen=_LISTEN,
-            settings=settings,
-            gate=run.gate,
-            store=run.store,
-            find_states=run.find_states,
-            nearby=lambda lease: find_bundle(spool, lease),
-        ),
-    ) as coordinator:
+    with (
+        Coordinator(
+            run.root,
+            run.plan,
+            run.catalog,
+            CoordinatorOptions(
+                listen=_LISTEN,
+                ledger_url=run.ledger_url,
+                settings=settings,
+                gate=run.gate,
+                store=run.store,
+                take_over=run.take_over,
+                shard=run.shard,
+                find_states=run.find_states,
+                nearby=lambda lease: find_bundle(spool, lease),
+            ),
+        ) as coordinator,
+        pages(coordinator),
+    ):
         write_target_lists(run.catalog, run.store or run.root)
         progress = coordinator.progress()
         tell(progress)

@@ -12,15 +12,15 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene
+from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_content, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
-from schemas.errors import UsageError, WorldError
-from schemas.scene import SCENE_FORMAT, encode_scene
+from schemas.errors import LayoutError, UsageError, WorldError
+from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
@@ -28,13 +28,21 @@ from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 if TYPE_CHECKING:
     from factory.scenes.importer import Extraction
 
+PAPER_SEED = 0
+"""Seed of the four layouts of the paper."""
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
 def package_path(
-    name: str, seed: int, cache: Path, rules: RuleBook | None = None, targets: TargetList | None = None
+    name: str,
+    seed: int,
+    cache: Path,
+    rules: RuleBook | None = None,
+    targets: TargetList | None = None,
+    called: str | None = None,
 ) -> Path:
-    """Returns the cache path of the package of a built-in scene. The file may not exist yet.
+    """Returns the cache path of the package of a built-in scene. The file may not exist yet. Arguments as for
+    `build_scene`.
 
     Raises:
         UsageError: `name` is not a built-in scene.
@@ -46,7 +54,8 @@ def package_path(
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
-    return cache / package_name(name, hashlib.sha256(made_from.encode()).hexdigest())
+    made_from += "" if called is None else f"\n{called}"
+    return cache / package_name(called or name, hashlib.sha256(made_from.encode()).hexdigest())
 
 
 def build_scene(
@@ -56,6 +65,7 @@ def build_scene(
     rules: RuleBook | None = None,
     targets: TargetList | None = None,
     tell: Callable[[], None] = lambda: None,
+    called: str | None = None,
 ) -> Path:
     """Authors and compiles a built-in scene unless the cache contains its package.
 
@@ -66,27 +76,39 @@ def build_scene(
         rules: category rules; when `None`, those of the built-in table for the categories of the scene.
         targets: edited target list; all targets that the rules find when `None`.
         tell: progress callback, called before a scene is built.
+        called: name of the scene in its package, such as `home_00017`; `name` when `None`.
 
     Returns:
         The path of the package.
 
     Raises:
         UsageError: `name` is not a built-in scene, or `targets` names prims that the scene does not have.
-        WorldError: the cache cannot be written, or the layout lacks a category of the scene; another seed has it.
+        LayoutError: the seed has no valid layout, or a layout without a category of the scene.
+        WorldError: the cache cannot be written.
     """
-    path = package_path(name, seed, cache, rules, targets)
+    path = package_path(name, seed, cache, rules, targets, called)
     if not path.is_file():
         _require_usd()
-        from factory.scenes.compile.compiler import compile_stage  # only now: most runs find their scenes in the cache
-
         tell()
-        with tempfile.TemporaryDirectory(prefix="scene-") as directory:
-            root = author_scene(name, seed, Path(directory))
-            scene = compile_stage(root, name, f"built-in {name}, seed {seed}", rules or rules_of(name), targets)
+        try:
+            scene = _compile_builtin(name, seed, called or name, rules or rules_of(name), targets)
+        except WorldError as error:
+            raise LayoutError(f"{name}, seed {seed}: {error}") from error
         if rules is None and targets is None:
             _require_categories(name, seed, {target.category for target in scene.info.targets})
         write_whole(path, encode_scene(scene))
     return path
+
+
+def _compile_builtin(name: str, seed: int, called: str, rules: RuleBook, targets: TargetList | None) -> CompiledScene:
+    """Compiles a layout; the paper's four from USD files, whose digests their packages record."""
+    from factory.scenes.compile.compiler import compile_extraction, compile_stage  # only now: most scenes are cached
+
+    source = f"built-in {name}, seed {seed}"
+    if name not in PAPER_SCENES or seed != PAPER_SEED:
+        return compile_extraction(name, author_content(name, seed), called, source, rules, targets)
+    with tempfile.TemporaryDirectory(prefix="scene-") as directory:
+        return compile_stage(author_scene(name, seed, Path(directory)), called, source, rules, targets)
 
 
 def rules_of(name: str) -> RuleBook:
@@ -98,7 +120,7 @@ def rules_of(name: str) -> RuleBook:
 def _require_categories(name: str, seed: int, found: Collection[str]) -> None:
     missing = sorted({category for group in BUILTIN_CATEGORIES[name] for category in group} - set(found))
     if missing:
-        raise WorldError(f"{name}, seed {seed}: no reachable {', '.join(missing)}; use another seed")
+        raise LayoutError(f"{name}, seed {seed}: no reachable {', '.join(missing)}; use another seed")
 
 
 def import_scene(

@@ -16,7 +16,7 @@ from factory.stats.model import AttemptRow, CellRow, Share
 from factory.stats.rollouts import ALL
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.plan import Plan
-from schemas.terms import FailReason, Tier
+from schemas.terms import FailReason, Tier, family_of
 
 AttemptSummary = EpisodeSummary | FailedAttempt
 _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
@@ -28,9 +28,12 @@ def attempt_rows(
     """Returns one row for each scene, tier, and scene and tier, and one row for all attempts."""
     names = list(scenes)
     kinds: list[tuple[Iterable[str], Callable[[AttemptSummary], str]]] = [
-        (names, lambda row: row.scene),
+        (names, lambda row: family_of(row.scene)),
         (Tier, lambda row: row.spawn_tier),
-        ([f"{name} / {tier}" for name in names for tier in Tier], lambda row: f"{row.scene} / {row.spawn_tier}"),
+        (
+            [f"{name} / {tier}" for name in names for tier in Tier],
+            lambda row: f"{family_of(row.scene)} / {row.spawn_tier}",
+        ),
         ([ALL], lambda _: ALL),
     ]
     return tuple(row for groups, name_of in kinds for row in _rows(episodes, failures, groups, name_of))
@@ -50,9 +53,11 @@ def cell_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt] | None, plan: Plan
 ) -> tuple[CellRow, ...]:
     """Returns the quota, the episodes and the attempts of each cell (scene x split x tier) of the plan or the data."""
-    archived = Counter((row.scene, str(row.split), str(row.spawn_tier)) for row in episodes)
+    archived = Counter((family_of(row.scene), str(row.split), str(row.spawn_tier)) for row in episodes)
     failed = Counter(
-        (row.scene, str(row.split), str(row.spawn_tier)) for row in failures or () if row.reason in _TASK_FAILURES
+        (family_of(row.scene), str(row.split), str(row.spawn_tier))
+        for row in failures or ()
+        if row.reason in _TASK_FAILURES
     )
     planned = {
         (scene.name, str(split), str(tier)): count

@@ -11,7 +11,7 @@ from factory.stats.rollouts import ALL
 from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 from schemas.plan import Plan
-from schemas.terms import Split
+from schemas.terms import Split, family_of
 
 Episodes = Sequence[EpisodeSummary]
 
@@ -65,12 +65,14 @@ def _kind(template_id: str) -> str:
 
 
 def _overlaps_in(scene: str, episodes: Episodes) -> Iterator[OverlapRow]:
-    here = [row for row in episodes if scene in (ALL, row.scene)]
+    here = [row for row in episodes if scene in (ALL, family_of(row.scene))]
     trained = {(row.scene, row.target_id) for row in here if row.split is Split.TRAIN_ID}
     for split in Split:
-        if split is Split.TRAIN_ID:
+        if split in (Split.TRAIN_ID, Split.TEST_FALSE_PREMISE):  # false premises name no target
             continue
         named = [(row.scene, row.target_id) for row in here if row.split is split]
+        if split.is_unseen_scene and not named:
+            continue
         targets = set(named)
         shared = targets & trained
         yield OverlapRow(

@@ -7,33 +7,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import scipy  # loads `scipy.ndimage` at its first use
-from numpy.typing import NDArray
-
-from factory.stats.measures import share_of
+from factory.stats.measures import mean_of, share_of
 from factory.stats.model import ArrivalRow, LanguageRow, LanguageStatistics, Remark, Share
 from factory.stats.rollouts import ALL
-from schemas.config import CameraConfig
+from factory.stats.wording import wording_row
 from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.language import says_in_front
-from schemas.instruction.referents import ids_in_view
+from schemas.instruction.seen_objects import SeenObject
 from schemas.instruction.start_view import IN_FRONT_RAD
-
-
-@dataclass(frozen=True)
-class SeenObject:
-    """Object in view of the camera."""
-
-    id: int
-    """Value of its pixels in the id image."""
-    range_m: float
-    """Distance from the camera to the nearest visible point, metres."""
-    bearing_rad: float
-    """Horizontal angle from the optical axis to the mean column of the mask, radians; positive to the right."""
+from schemas.language.grammar import LANGUAGES
 
 
 @dataclass(frozen=True)
@@ -52,36 +37,11 @@ class EpisodeView:
     is_in_view_at_end: bool
     """Whether the target is in view in the last frame."""
 
-
-def see_objects(
-    ids: NDArray[np.uint16],
-    depth: NDArray[np.float32],
-    objects: Collection[int],
-    camera: CameraConfig,
-    min_pixels: int,
-) -> tuple[SeenObject, ...]:
-    """Returns the given objects that are in view, in the order of their ids.
-
-    Args:
-        ids: (S, S) instance ids.
-        depth: (S, S) metres along the optical axis, 0 where the ray hits nothing.
-        objects: Ids of the objects to find.
-        camera: Camera of the image.
-        min_pixels: Smallest mask of an object in view, pixels.
-    """
-    found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
-    if not found:
-        return ()
-    # tangents of the angles from the optical axis to the centres of the pixels of a row or column
-    half = ids.shape[0] / 2
-    tangents = (np.arange(ids.shape[0]) + 0.5 - half) / half * math.tan(math.radians(camera.fov_deg) / 2)
-    ranges = depth * np.sqrt(1 + tangents[:, None] ** 2 + tangents[None, :] ** 2)
-    nearest = scipy.ndimage.minimum(ranges, ids, found)
-    columns = scipy.ndimage.mean(np.broadcast_to(tangents, ids.shape), ids, found)
-    return tuple(
-        SeenObject(number, float(range_m), math.atan(column))
-        for number, range_m, column in zip(found, nearest, columns, strict=True)
-    )
+    @property
+    def language(self) -> str:
+        """Code of the language of the instruction."""
+        code = self.row.template_id.partition("_")[0]
+        return code if code in LANGUAGES else "en"
 
 
 def summarise_language(
@@ -102,14 +62,17 @@ def summarise_language(
         views: Episodes whose frames were read.
         remarks: Remarks about omitted data.
     """
+    said = Counter(view.language for view in views)
+    wrong, views = [view for view in views if not view.fitting], [view for view in views if view.fitting]
+    texts = [(view.language, view.row.instruction) for view in (*views, *wrong)]
     names = list(dict.fromkeys([*scenes, *(view.row.scene for view in views)]))
     categories = [name for name, _ in Counter(view.row.target_category for view in views).most_common()]
     return LanguageStatistics(
         dataset=dataset,
         run=run,
         episodes=episodes,
-        read=len(views),
-        instructions=len({view.row.instruction for view in views}),
+        read=len(texts),
+        instructions=len({text for _, text in texts}),
         remarks=tuple(remarks),
         rows=(*(_row(name, [view for view in views if view.row.scene == name]) for name in names), _row(ALL, views)),
         arrivals=tuple(
@@ -121,6 +84,12 @@ def summarise_language(
             )
             for name in (*categories, ALL)
         ),
+        wording=tuple(
+            wording_row(code, [text for other, text in texts if other == code]) for code, _ in said.most_common()
+        ),
+        unique=_share(views, lambda view: len(view.fitting) == 1),
+        others_in_scene=mean_of([len(view.of_category) - 1 for view in views]),
+        false_premises=len(wrong),
     )
 
 
@@ -132,6 +101,9 @@ def _row(group: str, views: Sequence[EpisodeView]) -> LanguageRow:
         nearest=_share(views, lambda view: _first(view.seen, _range) == view.target),
         central=_share(views, lambda view: _first(view.seen, _bearing) == view.target),
         central_of_category=_share(views, lambda view: _first(_alike(view), _bearing) == view.target),
+        nearest_of_category=_share(views, lambda view: _first(_alike(view), _range) == view.target),
+        chance=mean_of([_chance(view) for view in views]),
+        others_in_view=mean_of([sum(each.id != view.target for each in _alike(view)) for view in views]),
         several_in_scene=_share(views, lambda view: len(view.fitting) > 1),
         several_in_view=_share(views, lambda view: sum(each.id in view.fitting for each in view.seen) > 1),
         contradictory=_share(views, lambda view: bool(_alike(view)) and _target(view) is None),
@@ -157,6 +129,11 @@ def _bearing(seen: SeenObject) -> float:
 
 def _alike(view: EpisodeView) -> list[SeenObject]:
     return [each for each in view.seen if each.id in view.of_category]
+
+
+def _chance(view: EpisodeView) -> float:
+    """Returns the probability that a random object of the category in view is the target."""
+    return 0.0 if _target(view) is None else 1 / len(_alike(view))
 
 
 def _target(view: EpisodeView) -> SeenObject | None:

@@ -243,6 +243,12 @@ class LanguageRow(Model):
     """The object with the smallest bearing at the start is the target."""
     central_of_category: Share
     """The object of the named category with the smallest bearing at the start is the target."""
+    nearest_of_category: Share
+    """The nearest object of the named category at the start is the target."""
+    chance: float | None
+    """Share of episodes in which a random object of the named category in view at the start is the target, expected."""
+    others_in_view: float | None
+    """Mean number of other objects of the named category in view at the start."""
     several_in_scene: Share
     """The instruction fits several objects of the scene."""
     several_in_view: Share
@@ -261,6 +267,27 @@ class ArrivalRow(Model):
     in_view: Share
 
 
+class WordingRow(Model):
+    """Variety of the instructions of a language."""
+
+    language: str
+    """Code of the language."""
+    n: Count
+    """Number of instructions."""
+    distinct: Count
+    """Number of different instructions."""
+    vocabulary: Count
+    """Number of different words; in Chinese of characters."""
+    words_mean: float | None
+    """Mean length, words."""
+    words_least: Count
+    """Smallest length, words."""
+    words_most: Count
+    """Largest length, words."""
+    self_bleu: float | None
+    """Mean BLEU-4 of an instruction with the others as references; small if they vary."""
+
+
 class LanguageStatistics(Model):
     """Statistics of instructions and of the objects in view at the start and at the end."""
 
@@ -277,6 +304,14 @@ class LanguageStatistics(Model):
     """One row for each scene, and one for all scenes."""
     arrivals: tuple[ArrivalRow, ...]
     """One row for each category, most frequent first, and one for all categories."""
+    wording: tuple[WordingRow, ...]
+    """One row for each language, most frequent first."""
+    unique: Share
+    """The instruction fits exactly one object of the scene; false premises fit none."""
+    others_in_scene: float | None
+    """Mean number of other objects of the named category in the scene."""
+    false_premises: Count
+    """Number of instructions that fit no object; the other measures leave them out."""
 
     @property
     def is_sound(self) -> bool:

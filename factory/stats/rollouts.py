@@ -11,7 +11,7 @@ from factory.stats import paper
 from factory.stats.measures import deviation_of, fit_line, interval_of, mean_of, median_of, quantiles_of, share_of
 from factory.stats.model import ErrorRow, FarRow, Fit, Published, RolloutRow
 from schemas.dataset.rows import EpisodeSummary
-from schemas.terms import Split, SuccessMeasure, Tier
+from schemas.terms import Split, SuccessMeasure, Tier, family_of
 
 ALL = "all"
 """Name of the group of all episodes."""
@@ -34,14 +34,20 @@ def by_measure(episodes: Episodes, success: SuccessMeasure) -> list[EpisodeSumma
     ]
 
 
+def _family(row: EpisodeSummary) -> str:
+    return family_of(row.scene)
+
+
 def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
     """Returns one row for each scene of the plan, and one for all scenes (paper Table V, Fig. 9)."""
-    return _rows(episodes, scenes, lambda row: row.scene, paper.SCENES)
+    return _rows(episodes, scenes, _family, paper.SCENES)
 
 
 def by_split(episodes: Episodes) -> tuple[RolloutRow, ...]:
-    """Returns one row for each split, and one for all splits (paper Table VI)."""
-    return _rows(episodes, Split, lambda row: row.split, paper.SPLITS)
+    """Returns one row for each split of the paper or with episodes, and one for all splits (paper Table VI)."""
+    present = {row.split for row in episodes}
+    splits = [split for split in Split if split in paper.SPLITS or split in present]
+    return _rows(episodes, splits, lambda row: row.split, paper.SPLITS)
 
 
 def by_tier(episodes: Episodes) -> tuple[RolloutRow, ...]:
@@ -52,7 +58,7 @@ def by_tier(episodes: Episodes) -> tuple[RolloutRow, ...]:
 def by_scene_tier(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
     """Returns one row for each scene and tier; the paper has no such table."""
     groups = [f"{scene} / {tier}" for scene in scenes for tier in Tier]
-    return _rows(episodes, groups, lambda row: f"{row.scene} / {row.spawn_tier}", {})[:-1]
+    return _rows(episodes, groups, lambda row: f"{family_of(row.scene)} / {row.spawn_tier}", {})[:-1]
 
 
 def navigation_errors(episodes: Episodes, scenes: Iterable[str], radius_m: float) -> tuple[ErrorRow, ...]:
@@ -65,13 +71,13 @@ def navigation_errors(episodes: Episodes, scenes: Iterable[str], radius_m: float
     """
     return tuple(
         _error_row(name, group, radius_m, paper.NAVIGATION_ERROR if name == ALL else None)
-        for name, group in _groups(episodes, scenes, lambda row: row.scene)
+        for name, group in _groups(episodes, scenes, _family)
     )
 
 
 def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
     """Returns the fit of trajectory length over spawn distance for all episodes, each scene and each tier (Fig. 11)."""
-    groups = [*_groups(episodes, scenes, lambda row: row.scene)]
+    groups = [*_groups(episodes, scenes, _family)]
     groups = [groups[-1], *groups[:-1], *list(_groups(episodes, Tier, lambda row: row.spawn_tier))[:-1]]
     return tuple(
         fit_line(name, [row.spawn_dist_m for row in group], [row.trajectory_length_m for row in group])
@@ -89,9 +95,7 @@ def far_starts(episodes: Episodes, scenes: Iterable[str], radius_m: float, least
         least_m: Smallest distance along the floor that the plan permits, metres.
     """
     far = [row for row in episodes if row.spawn_tier is Tier.FAR]
-    return tuple(
-        _far_row(name, group, radius_m, least_m) for name, group in _groups(far, scenes, lambda row: row.scene)
-    )
+    return tuple(_far_row(name, group, radius_m, least_m) for name, group in _groups(far, scenes, _family))
 
 
 def _far_row(scene: str, group: Episodes, radius_m: float, least_m: float) -> FarRow:

@@ -156,7 +156,7 @@ def _compare_with_plan(rows: Rows) -> None:
     """Reports cells above their quota, and cells below it when the run is complete."""
     plan = rows.meta.plan
     found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
-    wanted = {(scene.name, *cell): count for scene in plan.scenes for cell, count in cells(plan, scene).items()}
+    wanted = {(scene.name, *cell): count for scene in plan.parts for cell, count in cells(plan, scene).items()}
     wrong = [
         f"{' / '.join(key)} has {found[key]} of {wanted.get(key, 0)}"
         for key in sorted(found.keys() | wanted.keys())

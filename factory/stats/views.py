@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
+from types import MappingProxyType
 
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
-from factory.stats.language import EpisodeView, see_objects, summarise_language
+from factory.dataset.table import read_table
+from factory.stats.language import EpisodeView, summarise_language
 from factory.stats.model import LanguageStatistics
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from schemas.dataset.rows import file_name_of
+from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.instruction.referents import referents, referents_of
+from schemas.instruction.seen_objects import see_objects
 from schemas.measure import target_in_view
 from schemas.scene import SceneInfo, read_scene_info
-from schemas.storage.dataset_files import EPISODES, SCENES
+from schemas.storage.dataset_files import EPISODES, INSTRUCTIONS_FILE, SCENES
 from schemas.storage.place import Place
 from schemas.storage.shard_index import episode_place
 
@@ -33,14 +37,15 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
         ArchiveCorrupt: `dataset_meta.json` or the table of episodes cannot be read.
     """
     rows = read_rows(root)
-    infos = _read_infos(root, rows)
+    fits = read_fits(root)
     chosen = spread_evenly(rows.episodes, MOST_OPENED) if (root / EPISODES).is_dir() else []
+    infos = _read_infos(root, rows, {row.scene for row in chosen})
     views = []
     for done, row in enumerate(chosen, 1):
         name = file_name_of(row.episode_id)
         with Episode(episode_place(root, row.index), row) as episode:
             try:
-                view = read_view(episode, infos)
+                view = read_view(episode, infos, fits)
             except ArchiveCorrupt as error:
                 rows.add_damage(name, f"skipped: {format_error(error, root)}")
             else:
@@ -50,12 +55,23 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
     return summarise_language(str(root), rows.meta.run, scenes, len(rows.episodes), views, rows.remarks)
 
 
-def read_view(episode: Episode, infos: Mapping[str, SceneInfo]) -> EpisodeView | None:
+def read_fits(root: Place) -> dict[str, int]:
+    """Returns the number of objects that the instruction of each relabelled episode fits; empty without relabelling."""
+    if not (root / INSTRUCTIONS_FILE).is_file():
+        return {}
+    rows = read_table(root / INSTRUCTIONS_FILE, ("episode_id", "number", "fits")).to_pylist()
+    return {row["episode_id"]: row["fits"] for row in rows if row["number"] == 1 and row["fits"] is not None}
+
+
+def read_view(
+    episode: Episode, infos: Mapping[str, SceneInfo], fits: Mapping[str, int] = MappingProxyType({})
+) -> EpisodeView | None:
     """Returns the objects in view of an episode, or `None` if its scene is missing.
 
     Args:
         episode: Episode of the dataset.
         infos: SHA-256 of a scene package -> metadata of the scene.
+        fits: Number of objects that the instruction of a relabelled episode fits, by episode.
 
     Raises:
         ArchiveCorrupt: The episode is missing or damaged.
@@ -69,15 +85,27 @@ def read_view(episode: Episode, infos: Mapping[str, SceneInfo]) -> EpisodeView |
         row=episode.summary,
         target=target,
         of_category=referents(info, meta.job.category),
-        fitting=referents_of(meta.job, info),
+        fitting=_fitting(meta, info, fits.get(episode.episode_id)),
         seen=see_objects(episode.ids(0), episode.depth(0), objects, meta.job.camera, min_pixels),
         is_in_view_at_end=target_in_view(episode.ids(-1), target, min_pixels),
     )
 
 
-def _read_infos(root: Place, rows: Rows) -> dict[str, SceneInfo]:
+def _fitting(meta: EpisodeMeta, info: SceneInfo, fits: int | None) -> frozenset[int]:
+    """Returns the objects that an instruction fits: of a verified one the target, none, or all of its category."""
+    if fits is None and meta.language is not None:
+        fits = meta.language.fits
+    if fits is None:
+        return referents_of(meta.job, info)
+    known = {0: frozenset[int](), 1: frozenset({meta.target_instance_id})}
+    return known.get(fits, referents(info, meta.job.category))
+
+
+def _read_infos(root: Place, rows: Rows, opened: Set[str]) -> dict[str, SceneInfo]:
     found = {}
     for name, sha256 in rows.meta.scenes.items():
+        if name not in opened:
+            continue
         try:
             with find_package_file(root, name, sha256).open("rb") as file:
                 found[sha256] = read_scene_info(file)

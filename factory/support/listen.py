@@ -24,13 +24,14 @@ def require_loopback(endpoints: Sequence[str]) -> None:
 
 
 def require_endpoints(endpoints: Sequence[str], *, with_tls: bool) -> None:
-    """Raises an error unless every endpoint has the form tcp/HOST:PORT, or tls/HOST:PORT with certificates.
+    """Raises an error unless every endpoint has the form tcp/HOST:PORT, or tls/HOST:PORT with certificates, or @FILE.
 
     Raises:
         UsageError: An endpoint is malformed, or its protocol does not match `with_tls`.
     """
     for endpoint in endpoints:
-        _host_of(endpoint, "tls" if with_tls else "tcp")
+        if not endpoint.startswith("@"):
+            _host_of(endpoint, "tls" if with_tls else "tcp")
 
 
 def require_tls_endpoints(endpoints: Sequence[str]) -> None:

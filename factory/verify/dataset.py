@@ -166,7 +166,9 @@ def _plan_checks(
         target, findings = target_of(row, scenes.get(row.scene))
         report.findings += findings
         name = row.episode_id
-        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames_of.get(name), relabelled)
+        package = None if target is None else scenes[row.scene].path
+        frames = frames_of.get(name)
+        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames, package, relabelled)
 
 
 def _run_checks(checks: Iterator[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:
@@ -271,7 +273,7 @@ def _check_quotas(meta: DatasetMeta, rows: RowCheck, report: VerifyReport) -> No
     found = rows.cells
     wanted = {
         (scene.name, split, tier): count
-        for scene in meta.plan.scenes
+        for scene in meta.plan.parts
         for (split, tier), count in cells(meta.plan, scene).items()
     }
     for key in sorted(found.keys() | wanted.keys()):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.expansion.catalog import SceneEntry
+from coordinator.validation.language import said_findings
 from coordinator.validation.validate import validate
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode
@@ -40,6 +42,8 @@ class EpisodeCheck:
     """Whether to render frames again and compare them with their digests."""
     reference: Episode | None = None
     """The same episode in a frames recording, to measure how far pixels differ."""
+    package: Path | None = None
+    """Package of the scene; `None` where it cannot be read."""
     relabelled: bool = False
     """Whether the row has a new instruction, which differs from that of the episode."""
 
@@ -73,6 +77,7 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
             if check.deep:
                 with BundleReader(file) as bundle:
                     violations = validate(bundle, target=check.target)
+                    violations += [] if violations else said_findings(bundle.meta, check.package)
                     differences = _differences(row, summary_of(bundle.meta, sha256, size), check.relabelled)
                 found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]

@@ -47,7 +47,7 @@ def compare_rendered(
     for t, recorded in zip(steps, digests, strict=False):  # a wrong number of digests is another finding
         frame = bundle.render(t)
         if t == 0 and not bundle.has_frames:  # the validator has checked stored frames
-            found += start_findings(bundle.meta, bundle.arrays, frame.ids)
+            found += start_findings(bundle.meta, bundle.arrays, frame.ids, frame.depth)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:
             difference.add_equal(frame.depth.size, bundle.has_frames or reference is not None)

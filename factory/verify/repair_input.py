@@ -15,7 +15,9 @@ from coordinator.ledger.reading.reader import open_ledger
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.recovery.stray_files import count_plans
 from factory.dataset.packages import package_file
-from factory.runs.catalog import open_catalog
+from factory.dataset.site import Site
+from factory.runs.catalog import collect_scenes, open_catalog
+from factory.runs.ledger import shard_of
 from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
@@ -63,7 +65,7 @@ def inspect_dataset(
             "with --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
-    return RepairInput(root, home, ledger, record.plan, catalog, troubles, stranger)
+    return RepairInput(root, home, ledger, record.plan, catalog, troubles, shard_of(Site(root, home), url), stranger)
 
 
 def _settle_plan(
@@ -136,9 +138,8 @@ def _kept(path: Place, sha256: str) -> SceneEntry | str:
 def _built_again(
     record: _Record, troubles: Mapping[str, str], cache: Path, tell: MessageCallback
 ) -> dict[str, SceneEntry]:
-    wanted = tuple(scene for scene in record.plan.scenes if scene.name in troubles)
     try:
-        made = open_catalog(record.plan.model_copy(update={"scenes": wanted}), cache / "nowhere", cache, tell)
+        made = collect_scenes(record.plan, cache / "nowhere", cache, tell, only=troubles.keys())
     except FactoryError as error:
         raise WorldError(f"{'; '.join(troubles.values())}; the scene cannot be built again: {error}") from error
     for name in troubles:

@@ -126,7 +126,7 @@ def _held(pictures: Iterable[Rgb], rate: Fraction) -> Iterator[Rgb]:
 def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:
     pen = ImageDraw.Draw(film)
     top = _TILE_PX + 6
-    pen.text((_MARGIN_PX, top), episode.meta.job.instruction, fill="black", font=ImageFont.load_default(20))
+    pen.text((_MARGIN_PX, top), episode.meta.instruction, fill="black", font=ImageFont.load_default(20))
     pen.text((_MARGIN_PX, top + 27), facts_of_step(episode, t), fill=(90, 90, 90), font=ImageFont.load_default(14))
 
 

@@ -138,7 +138,7 @@ def draw_contact_sheet(episode: BundleReader, scene: CompiledScene, columns: int
 
 def _write_head(sheet: Image.Image, episode: BundleReader) -> None:
     job, rollout = episode.meta.job, episode.meta.rollout
-    words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {job.instruction}"
+    words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {episode.meta.instruction}"
     facts = (
         f"{job.target_id} ({job.colour})  attempt {job.attempt}  {rollout.num_steps} steps  "
         f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  {describe_error(rollout)}"

@@ -213,7 +213,7 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
     spawn_x, spawn_y, spawn_yaw = rollout.spawn_pose
     return EpisodeSummary(
         episode_id=meta.episode_id,
-        **columns_of(job, EpisodeSummary),
+        **columns_of(job, EpisodeSummary) | {"instruction": meta.instruction, "template_id": meta.template_id},
         spawn_dist_m=rollout.spawn_dist_m,
         num_steps=rollout.num_steps,
         trajectory_length_m=rollout.trajectory_length_m,

@@ -46,11 +46,13 @@ TRAIN_TEMPLATES = MappingProxyType({f"train_{n:02d}": text for n, text in enumer
 OOD_TEMPLATES = MappingProxyType({f"ood_{n:02d}": text for n, text in enumerate(_OOD, 1)})
 """O1-O12 of the paper, as `ood_01` ... `ood_12`; only `test_paraphrase_ood` uses them."""
 TEMPLATES = MappingProxyType({**TRAIN_TEMPLATES, **OOD_TEMPLATES})
+FROM_START = "from_start"
+"""Template of a planned episode whose sentence the worker writes at its start (docs/language.md#plans)."""
 
 
 def needs_colour(template_id: str) -> bool:
     """Returns whether a template has a colour slot."""
-    return "{color}" in TEMPLATES[template_id]
+    return template_id != FROM_START and "{color}" in TEMPLATES[template_id]
 
 
 def says_in_front(template_id: str) -> bool:
@@ -65,7 +67,7 @@ def templates_for(split: Split, colour: str) -> tuple[str, ...]:
         split: split of the episode, which selects training or paraphrased templates.
         colour: a colour word, or `unknown`, which excludes the templates with a colour slot.
     """
-    pool = OOD_TEMPLATES if split is Split.TEST_PARAPHRASE_OOD else TRAIN_TEMPLATES
+    pool = OOD_TEMPLATES if split.is_paraphrased else TRAIN_TEMPLATES
     return tuple(key for key in pool if colour != "unknown" or not needs_colour(key))
 
 
@@ -81,6 +83,8 @@ def instruction(template_id: str, category: str, colour: str) -> str:
         KeyError: no template has that id.
         ValueError: the template has a colour slot and the colour is unknown.
     """
+    if template_id == FROM_START:
+        return f"{say_category(category)}: the sentence is written at the start"
     if colour == "unknown" and needs_colour(template_id):
         raise ValueError(f"template {template_id} names a colour, but the target's colour is unknown")
     return TEMPLATES[template_id].format(object=say_category(category), color=colour)

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from schemas.base import Model, NonNegative
+from schemas.base import Count, Fraction, Model, NonNegative
+from schemas.config import CameraConfig
 from schemas.instruction.referents import ids_in_view
+from schemas.instruction.seen_objects import SeenObject, see_objects
 from schemas.scene import MAX_INSTANCES
 
 IN_FRONT_RAD = math.radians(30)
@@ -32,15 +34,26 @@ class StartView(Model):
     """Other objects that the instruction fits. If there are any, the target is in view and none of them is."""
     alike: InstanceIds = ()
     """Other objects of the target's category. Each is in view only together with the target."""
+    least_alike: Count = Field(default=0, exclude_if=lambda it: it == 0)
+    """Smallest number of objects of `alike` that are in view, together with the target; 0 sets no condition."""
+    ranks: tuple[Fraction, Fraction] | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Two random numbers: the target is the nearest, and the most central, of the k objects of its category in view if
+    the number is below 1 / k, and another object is if not; `None` sets no condition."""
 
     @property
     def shows_target(self) -> bool:
         """Whether the target is in view."""
-        return bool(self.rivals) or self.within_rad is not None
+        return bool(self.rivals) or self.within_rad is not None or self.least_alike > 0
 
 
 def start_view_findings(
-    view: StartView, target: int, bearing_rad: float, ids: NDArray[np.uint16], min_pixels: int
+    view: StartView,
+    target: int,
+    bearing_rad: float,
+    ids: NDArray[np.uint16],
+    depth: NDArray[np.float32],
+    camera: CameraConfig,
+    min_pixels: int,
 ) -> list[str]:
     """Returns the conditions that a start does not meet, as sentences; empty if it meets all.
 
@@ -48,7 +61,9 @@ def start_view_findings(
         view: the conditions.
         target: instance id of the target.
         bearing_rad: angle from the heading to the target's centroid, radians, in [-pi, pi].
-        ids: (H, W) instance ids of the image at the start.
+        ids: (S, S) instance ids of the image at the start.
+        depth: (S, S) depth of this image, metres.
+        camera: camera of the image.
         min_pixels: smallest mask of a visible object, pixels.
     """
     shown = ids_in_view(ids, min_pixels)
@@ -58,8 +73,43 @@ def start_view_findings(
         found.append(f"the target is {math.degrees(abs(bearing_rad)):.1f} degrees from the heading, above {limit:.0f}")
     if target in shown:
         others = sorted(shown.intersection(view.rivals))
-        return [*found, f"objects {others} are in view, which the instruction fits as well"] if others else found
+        if others:
+            found.append(f"objects {others} are in view, which the instruction fits as well")
+        alike = shown.intersection(view.alike)
+        if len(alike) < view.least_alike:
+            found.append(f"{len(alike)} other objects of the target's category are in view, not {view.least_alike}")
+        elif view.ranks is not None:
+            found += _rank_findings(view.ranks, target, alike, ids, depth, camera, min_pixels)
+        return found
     if view.shows_target:
         found.append("the target is not in view")
     others = sorted(shown.intersection(view.alike))
     return [*found, f"objects {others} of the target's category are in view, the target is not"] if others else found
+
+
+def _rank_findings(
+    ranks: tuple[float, float],
+    target: int,
+    alike: frozenset[int],
+    ids: NDArray[np.uint16],
+    depth: NDArray[np.float32],
+    camera: CameraConfig,
+    min_pixels: int,
+) -> list[str]:
+    """Returns a sentence for each measure by which the target has another rank than the wanted one."""
+    seen = see_objects(ids, depth, {target, *alike}, camera, min_pixels)
+    found = []
+    measures = {"nearest": _range_of, "most central": _angle_of}
+    for (name, measure), share in zip(measures.items(), ranks, strict=True):
+        is_first = min(seen, key=measure).id == target
+        if is_first != (share * len(seen) < 1):
+            found.append(f"the target is {'' if is_first else 'not '}the {name} object of its category in view")
+    return found
+
+
+def _range_of(seen: SeenObject) -> float:
+    return seen.range_m
+
+
+def _angle_of(seen: SeenObject) -> float:
+    return abs(seen.bearing_rad)

@@ -5,18 +5,17 @@ Opens no file; chance is an argument.
 
 from __future__ import annotations
 
+import functools
 from bisect import bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from schemas.base import Count, Line, Model, Name
-from schemas.language.expression import Expression, Family
+from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
 from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.facts import SceneFacts, ViewFacts
 from schemas.language.generator.minimal import (
@@ -27,6 +26,8 @@ from schemas.language.generator.minimal import (
 from schemas.language.generator.search import Search
 from schemas.language.grammar import SentencePattern
 from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.reading import Reader
 from schemas.language.verifier.verify import Verifier
 from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
@@ -37,42 +38,6 @@ _FEW = 4
 """Number of features of a short search."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
 _SYNONYMS = 6
-
-
-class InstructionKind(StrEnum):
-    """Purpose of an instruction."""
-
-    GOAL = "goal"  # names the target of the episode
-    ROUTE = "route"  # describes the driven path to the target
-    FALSE_PREMISE = "false_premise"  # names an object that does not exist; the robot stops and reports it
-    RECORDED = "recorded"  # instruction of the recording, because no new one fits the target
-
-
-class Instruction(Model):
-    """Verified instruction; a row of `instructions.parquet` without its episode."""
-
-    kind: InstructionKind
-    """Purpose."""
-    text: Line
-    """Sentence."""
-    language: Name
-    """Code of the language."""
-    register_name: Name
-    """Register of the sentence pattern."""
-    template_id: Name
-    """Name of the sentence pattern."""
-    held_out: bool
-    """Whether only the split `test_paraphrase_ood` uses the pattern."""
-    expression: str
-    """Meaning, as the JSON of `Expression`."""
-    features: Line
-    """Features of the expression, separated by commas."""
-    is_minimal: bool
-    """Whether no part of the expression can be dropped."""
-    fits: Count
-    """Number of objects of the scene that the expression fits."""
-    distractors: Count
-    """Number of other objects of the target's category in the scene."""
 
 
 @dataclass
@@ -131,6 +96,15 @@ class Composer:
             if not language.grammar.names(kind)
         ]
 
+    def reader(self, code: str) -> Reader:
+        """Returns the reader of a language."""
+        return self._by_language[code].reader
+
+    def patterns_of(self, code: str, held_out: bool) -> frozenset[str]:
+        """Returns the names of the sentence patterns of a language; empty for another language."""
+        groups = self._patterns.get((code, held_out), {})
+        return frozenset(pattern.template_id for group in groups.values() for pattern in group)
+
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
@@ -160,7 +134,7 @@ class Composer:
             held_out: whether to use the held-out sentence patterns.
             rng: random generator.
         """
-        if scene.distractors(number) < self.spec.same_category:
+        if scene.distractors(number) < self.spec.least_others:
             return []
         found: dict[str, Instruction] = {}
         seen = None if view is None else ViewFacts(scene.facts, view)
@@ -176,7 +150,8 @@ class Composer:
             if one is not None:
                 found.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
-            found |= {one.text: one for one in self._false_premise(scene, view, number, held_out, rng)}
+            wrong = self.write_false_premise(scene, view, number, held_out, rng)
+            found |= {} if wrong is None else {wrong.text: wrong}
         return list(found.values())
 
     def _grouped(
@@ -236,24 +211,46 @@ class Composer:
         choice = dict(zip(_WORD_GROUPS, rng.integers(_SYNONYMS, size=len(_WORD_GROUPS)).tolist(), strict=True))
         return pattern, self._by_language[code].grammar.sentence(pattern, expression, choice)
 
-    def _false_premise(
+    def write_false_premise(
         self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
-    ) -> Iterator[Instruction]:
-        """Yields an instruction that names a kind, or the target's kind in a colour, that does not exist."""
+    ) -> Instruction | None:
+        """Returns an instruction that no object of the scene fits; `None` if none is found.
+
+        It names a category, or the category of an object with a colour or a landmark, that does not exist.
+
+        Args:
+            scene: prepared scene.
+            view: view at the start, or `None`.
+            number: number of the object in the scene graph that a wrong colour or landmark is said of.
+            held_out: whether to use the held-out sentence patterns.
+            rng: random generator.
+        """
         code = draw_weighted(self.spec.languages, rng)
-        language, each = self._by_language[code], scene.graph.objects[number]
-        is_coloured = each.colour != UNKNOWN and scene.graph.kinds.of(each.kind).plain
-        absent = [Expression(kind=kind) for kind in CATEGORIES if kind in language.grammar.nouns]
-        absent += [Expression(kind=each.kind, colour=colour) for colour in COLOUR_NAMES if is_coloured]
-        for place in rng.permutation(len(absent))[:_TRIES].tolist():
-            pattern, text = self._say(code, held_out, absent[place], rng)
-            if scene.verifier.is_false_premise(text, language.reader, view):
-                families = features_of(absent[place], absent[place].kind)
-                yield self._instruction(
-                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent[place], families, True, 0,
+        groups = [group for group in self._absent(scene, number, code) if group]
+        for _ in range(_TRIES):
+            group = groups[int(rng.integers(len(groups)))]
+            absent = group[int(rng.integers(len(group)))]
+            pattern, text = self._say(code, held_out, absent, rng)
+            if scene.verifier.is_false_premise(text, self._by_language[code].reader, view):
+                return self._instruction(
+                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent, absent.families, True, 0,
                     scene.distractors(number),
                 )  # fmt: skip
-                return
+        return None
+
+    def _absent(self, scene: SceneLanguage, number: int, code: str) -> list[list[Expression]]:
+        """Returns groups of expressions that may fit no object: other categories, colours and landmarks."""
+        own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
+        kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
+        others = [kind for kind in kinds if kind != own.kind]
+        is_coloured = own.colour != UNKNOWN and scene.graph.kinds.of(own.kind).plain
+        beside = [Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind=k, definite=False),)) for k in others]
+        families = self.spec.families
+        return [
+            [Expression(kind=kind) for kind in CATEGORIES if kind in nouns and kind not in kinds],
+            [Expression(kind=own.kind, colour=c) for c in COLOUR_NAMES if is_coloured and Family.COLOUR in families],
+            [Expression(kind=own.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
+        ]
 
     def _instruction(
         self,
@@ -280,6 +277,16 @@ class Composer:
             fits=fits,
             distractors=distractors,
         )
+
+
+@functools.lru_cache(maxsize=4)
+def _composer(text: str) -> Composer:
+    return Composer(LanguageSpec.model_validate_json(text))
+
+
+def composer_of(spec: LanguageSpec) -> Composer:
+    """Returns the writer of instructions of a language file; those of the most recently used files are kept."""
+    return _composer(spec.model_dump_json())
 
 
 def features_of(expression: Expression, kind: str) -> frozenset[Family]:

@@ -38,8 +38,8 @@ class Relation(StrEnum):
 class Size(StrEnum):
     """Superlative of size among the objects that the rest of the expression fits."""
 
-    LARGEST = "largest"  # largest volume of the bounding box
-    SMALLEST = "smallest"  # smallest volume of the bounding box
+    LARGEST = "largest"  # largest volume above the footprint
+    SMALLEST = "smallest"  # smallest volume above the footprint
     TALLEST = "tallest"  # largest height
     LOWEST = "lowest"  # smallest height
 

@@ -60,6 +60,11 @@ class LanguageSpec(Model):
     """`one`: an instruction fits the target only. `any`: it says "a" and fits several objects with the target."""
     same_category: Count = 0
     """Smallest number of other objects of the target's category in the scene."""
+    in_view: Count = 0
+    """Smallest number of these objects that are in view at the start, together with the target; 0 sets no condition."""
+    balanced: bool = False
+    """Whether starts in a plan are drawn until the target is as often the nearest and the most central object of its
+    category in view as a random one; needs `in_view`."""
     false_premises: Fraction = 0.0
     """Share of episodes with one more instruction, which names an object that does not exist."""
     seed: Count = 0
@@ -94,9 +99,16 @@ class LanguageSpec(Model):
 
     @model_validator(mode="after")
     def _is_possible(self) -> LanguageSpec:
+        if self.balanced and not self.in_view:
+            raise ValueError("`balanced` compares objects in view: set `in_view` to 1 or more")
         if self.fit == "any" and self.redundant:
             raise ValueError("`redundant` is for instructions that fit one object; set it to 0 or fit to 'one'")
         return self
+
+    @property
+    def least_others(self) -> int:
+        """Smallest number of other objects of the target's category in the scene."""
+        return max(self.same_category, self.in_view)
 
     @property
     def needs_view(self) -> bool:

@@ -44,7 +44,8 @@ class SceneView:
     possible: Bools
     """(N,) objects that may be visible."""
     bearing: Floats
-    """(N,) angle from the heading to the centre of each object, radians in (-pi, pi], positive to the left."""
+    """(N,) angle from the heading to the middle of each object as it appears, not to its centre, radians in (-pi, pi],
+    positive to the left."""
     distance: Floats
     """(N,) distance to the centre of each object, metres."""
 
@@ -84,7 +85,9 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         sure[near] = (clear.mean(axis=1) >= _FREE_SHARE) & (distance[near, 0] <= VISIBLE_M) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
     room = graph.room_at(x, y)
-    return SceneView(float(eye[0]), float(eye[1]), yaw, room, sure, possible, bearing[:, 0], distance[:, 0])
+    low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
+    middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
+    return SceneView(float(eye[0]), float(eye[1]), yaw, room, sure, possible, middle_rad, distance[:, 0])
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Messages of an operator to the coordinator: retry, cancel, drain and release."""
+"""Messages of an operator to the coordinator: retry, cancel, drain, release, pause and resume."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ class AdminAction(StrEnum):
     CANCEL = "cancel"  # cancels episodes that have not ended
     DRAIN = "drain"  # lets every worker finish its current jobs and exit
     RELEASE = "release"  # assigns jobs to barred hosts again
+    PAUSE = "pause"  # leases no further job until `resume`; running jobs continue
+    RESUME = "resume"  # leases jobs again
 
 
 class AdminRequest(Model):

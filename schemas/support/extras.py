@@ -43,6 +43,8 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "tensorboard": "train",
         "prometheus_client": "metrics",
         "tornado": "metrics",
+        "starlette": "web",
+        "uvicorn": "web",
         "pyseccomp": "sandbox",
         "psycopg": "postgres",
         "cryptography": "tls",

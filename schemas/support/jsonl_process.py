@@ -27,6 +27,10 @@ _STDERR_BYTES = 1 << 20
 _TAIL_BYTES = 2000
 _MAX_LINE_BYTES = 16 << 20
 
+ENDED_FROM_OUTSIDE = frozenset({-signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, -signal.SIGUSR1})
+"""Exit statuses of a process that a batch system, a service manager or a user ended; its own work does not cause
+them."""
+
 
 def describe_exit(status: int) -> str:
     """Returns an exit status as `subprocess` describes it: `killed by SIGKILL`, `exit status 1`."""

@@ -50,7 +50,7 @@ def test_a_changed_value_is_found(reference: Path, tmp_path: Path) -> None:
     assert len(unexpected(compare_datasets(reference, copy, same_recording=True))) == 2
 
 
-@pytest.mark.parametrize(("export", "sample"), [("paper", ()), ("lerobot", ("--fps", 10)), ("webdataset", ())])
+@pytest.mark.parametrize(("export", "sample"), [("paper", ()), ("lerobot", ("--fps", 5)), ("webdataset", ())])
 def test_exports_of_both_recordings_are_equal_byte_by_byte(
     factory: FactoryCli, reference: Path, states: Path, tmp_path: Path, export: str, sample: tuple[object, ...]
 ) -> None:

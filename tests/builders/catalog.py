@@ -49,7 +49,7 @@ def make_entry(name: str, targets: Sequence[Target]) -> SceneEntry:
 def make_catalog(plan: Plan, per_category: int = 5, colour: str = "red") -> Catalog:
     """Every scene of the plan with `per_category` targets of each category, reachable from every tier."""
     entries = {}
-    for scene in plan.scenes:
+    for scene in plan.parts:
         seen, held_out = scene.categories
         names = [(category, n) for category in (*seen, *held_out) for n in range(per_category)]
         targets = [make_target(category, n, i, colour) for i, (category, n) in enumerate(names, 1)]

@@ -125,3 +125,12 @@ def test_no_large_furniture_of_a_family_blocks_a_door_or_covers_a_window(name: s
         assert not any(print_.grown(-0.01).overlaps(zone) for zone in plan.kept_clear), placement.name
         if placement.model.high[2] > 1.0 and max(print_.width, print_.depth) > 0.8:
             assert not any(print_.overlaps(footprint(w.model, w.x, w.y, w.yaw)) for w in windows), placement.name
+
+
+@pytest.mark.parametrize("seed", [12, 16, 20, 23, 32])
+def test_a_home_that_lacks_room_at_first_has_every_category(seed: int) -> None:
+    """These seeds had no bed, wardrobe or washing machine, or no division of their first outline."""
+    plan = lay_out_scene(BUILTIN_SCENES["home"], seed)
+    rules = [RULES.match(re.sub(r"_\d+$", "", placement.name)) for placement in plan.placements]
+    wanted = {category for group in BUILTIN_CATEGORIES["home"] for category in group}
+    assert wanted <= {rule.category for rule in rules if rule is not None}

@@ -141,10 +141,13 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
         sessions=8,
         bundle_bytes=3_000_000,
         repeats=1,
+        pullers=2,
     )
     assert (found.jobs, found.workers) == (200, 4)
     assert found.cycles_per_s.median > 1
     assert found.validate_ms_per_frame.median > 0
+    assert found.pullers == 2
+    assert found.validated_frames_per_s.median > 0
     assert found.archive_mb_per_s.median > 0
     assert found.wire.cycles_per_s.median > 1
     assert found.wire.archived_per_s.median >= 0

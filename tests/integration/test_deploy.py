@@ -23,7 +23,8 @@ from coordinator.expansion.file import load_plan
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.status.server import HttpAddress, StatusServer
+from coordinator.status.address import HttpAddress
+from coordinator.status.server import StatusServer
 from factory.cli.main import cli
 from tests.builders.ledger import room_catalog, room_plan
 from tests.integration.test_status_pages import ask
@@ -251,22 +252,23 @@ class Cluster:
         path.chmod(0o755)
 
 
-def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself(tmp_path):
+@pytest.mark.parametrize(("number", "told"), [(signal.SIGUSR1, "requeue 15_2\n"), (signal.SIGTERM, None)])
+def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself_before_its_limit_only(tmp_path, number, told):
     left = tmp_path / "left"
     body = f"trap 'sleep 0.5; touch {left}; exit 0' TERM; echo up; while :; do sleep 0.05; done"
     cluster = Cluster(tmp_path, body)
     with cluster.task() as task:
         assert task.stdout is not None
         assert task.stdout.readline() == "up\n"
-        task.send_signal(signal.SIGTERM)
+        task.send_signal(number)
         assert task.wait(60) == 0
     assert left.exists(), "the worker was given its time"
-    assert cluster.told.read_text() == "requeue 15_2\n"
+    assert (cluster.told.read_text() if cluster.told.exists() else None) == told
 
 
 def test_a_slurm_task_stopped_before_its_worker_starts_stops_the_worker(tmp_path):
     cluster = Cluster(tmp_path, "while :; do sleep 0.05; done")
-    cluster.before(r"worker=\$!", "kill -TERM $$")
+    cluster.before(r"worker=\$!", "kill -USR1 $$")
     with cluster.task() as task:
         assert task.wait(60) == 0
     assert cluster.told.read_text() == "requeue 15_2\n"

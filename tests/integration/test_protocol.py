@@ -11,11 +11,11 @@ import pytest
 
 from coordinator.admin import administer
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
+from schemas.protocol.address_file import read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Chunk, Verb, scene_selector
 from schemas.protocol.messages import Beat, BeatReply, Claim, ClaimReply, HelloReply, Refusal

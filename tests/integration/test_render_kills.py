@@ -1,4 +1,4 @@
-"""`factory render` with a rig with noise after kill -9 of a worker and of the coordinator, and with two workers.
+"""`factory render` with noise and appearance after kill -9 of a worker and of the coordinator, and with two workers.
 
 No episode is lost or rendered twice, and the digest is that of one worker without kills.
 """
@@ -51,15 +51,19 @@ def is_worker(pid: int) -> bool:
 
 
 def render(states: Path, rig: Path, out: Path, workers: int) -> subprocess.Popen[str]:
-    words = ("render", states, "--rig", rig, "-o", out, "--workers", workers)
+    words = ("render", states, "--rig", rig, "--appearance", "full", "-o", out, "--workers", workers)
     command = [sys.executable, "-m", "factory", *map(str, words)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
-    recordings: dict[Recording, Path], rigged: Path, tmp_path: Path
+    recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     states, out, rig = recordings[Recording.STATES], tmp_path / "frames", write_rig(tmp_path)
+    with render(states, rig, tmp_path / "undisturbed", 1) as process:
+        _, err = process.communicate()
+    assert process.returncode == 0, err
+    undisturbed = Dataset(tmp_path / "undisturbed")
     with render(states, rig, out, 1) as killed:
         until(lambda: query(out, "select 1 from jobs where state = 'leased'"), killed)
         (worker,) = filter(is_worker, children_of(killed))
@@ -74,7 +78,11 @@ def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
     assert first.stat().st_mtime_ns == written
     report = verify(out, deep=True)
     assert (report.ok, report.complete) == (True, True)
-    assert report.digest == Dataset(rigged).digest
+    assert report.digest == undisturbed.digest
+    for episode in undisturbed:
+        drawn = episode.appearance
+        assert drawn is not None
+        assert all((drawn.light, drawn.materials, drawn.camera, drawn.clutter))
     counts = query(out, "select count(*) from events where event in ('archived', 'adopted') group by job_id")
     assert counts == [(1,)] * len(Dataset(states))
     assert list((out / ".staging").iterdir()) == []

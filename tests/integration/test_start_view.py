@@ -83,7 +83,9 @@ def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(st
             if isinstance(outcome, Success) and np.count_nonzero(bundle.ids(0) == RIVAL.instance_id) >= 32:
                 claimed = bundle.meta.job.model_copy(update={"start_view": StartView(rivals=(RIVAL.instance_id,))})
                 assert validate(bundle, bundle.meta.job, TARGET) == []
-                found = start_findings(bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0))
+                found = start_findings(
+                    bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0), bundle.depth(0)
+                )
                 assert found == [
                     f"start: objects [{RIVAL.instance_id}] are in view, which the instruction fits as well"
                 ]
@@ -113,6 +115,8 @@ class _PartsOnly:
         StartView(within_rad=0.5),
         StartView(rivals=(RIVAL.instance_id,)),
         StartView(alike=(RIVAL.instance_id,)),
+        StartView(alike=(RIVAL.instance_id,), least_alike=1),
+        StartView(alike=(RIVAL.instance_id,), least_alike=1, ranks=(0.2, 0.9)),
     ],
 )
 def test_a_start_is_judged_as_its_whole_image_is(stage, view):
@@ -121,8 +125,8 @@ def test_a_start_is_judged_as_its_whole_image_is(stage, view):
     for yaw in np.linspace(-math.pi, math.pi, 24, endpoint=False).tolist():
         pose = Pose.planar(-1.0, 0.3, yaw, z=0.0)
         bearing = math.remainder(math.atan2(1.2 - pose.y, 1.5 - pose.x) - yaw, 2 * math.pi)
-        ids = stage.renderer.render_depth_and_ids(pose).ids
-        found = start_view_findings(view, TARGET.instance_id, bearing, ids, job.gains.min_mask_px)
+        image, least = stage.renderer.render_depth_and_ids(pose), job.gains.min_mask_px
+        found = start_view_findings(view, TARGET.instance_id, bearing, image.ids, image.depth, CameraConfig(), least)
         assert is_view_clear(job, TARGET, stage.renderer, pose) == (not found)
 
 

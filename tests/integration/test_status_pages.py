@@ -17,7 +17,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.status.server import HttpAddress, StatusServer, is_own_name, parse_address
+from coordinator.status.address import HttpAddress, is_own_name, parse_address
+from coordinator.status.server import StatusServer
 from factory.dataset.site import site_of
 from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError

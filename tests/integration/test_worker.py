@@ -168,16 +168,60 @@ def test_sigterm_without_a_coordinator_exits_and_keeps_spooled_bundles(tmp_path)
     assert len(list((tmp_path / "spool").rglob("*.json"))) == 1
 
 
-def test_second_sigterm_does_not_wait_for_the_spool(tmp_path):
+def test_ctrl_c_after_sigterm_does_not_wait_for_the_spool(tmp_path):
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
             wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
             worker.send_signal(signal.SIGTERM)
             hub.wait_until(lambda: bool(hub.of(Fail)), "the release")
-            worker.send_signal(signal.SIGTERM)
+            worker.send_signal(signal.SIGINT)
             assert worker.wait(5) == 0
             assert not hub.archived
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
+def test_further_signals_of_a_batch_system_do_not_shorten_the_drain(tmp_path, number):
+    with coordinator("bundle", "slow") as hub:
+        hub.pulls = False
+        with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
+            wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
+            worker.send_signal(number)
+            hub.wait_until(lambda: bool(hub.of(Fail)), "the release")
+            for _ in range(3):
+                worker.send_signal(number)
+            hub.pulls = True
+            assert worker.wait(5) == 0
+            assert set(hub.archived) == {1}
+            assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1])
+def test_a_simulation_that_a_signal_from_outside_ends_is_released_and_not_a_crash(tmp_path, number):
+    with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        wait_until(lambda: 1 in begun(tmp_path), "the attempt")
+        os.kill(begun(tmp_path)[1], number)
+        hub.wait_until(lambda: bool(hub.of(Fail)), "the report")
+        assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
+        assert f"killed by {number.name}" in hub.of(Fail)[0].detail
+        worker.stop.set()
+
+
+@pytest.mark.parametrize("order", ["simulation first", "worker first"])
+def test_sigkill_to_the_simulation_of_a_stopping_worker_is_released(tmp_path, order):
+    with (
+        coordinator("slow") as hub,
+        started_worker(settings_for(hub.endpoint, tmp_path)) as worker,
+    ):
+        wait_until(lambda: 1 in begun(tmp_path), "the attempt")
+        kills = [
+            lambda: os.kill(begun(tmp_path)[1], signal.SIGKILL),
+            lambda: worker.send_signal(signal.SIGTERM),
+        ]
+        for kill in kills if order == "simulation first" else reversed(kills):
+            kill()
+        assert worker.wait(8) == 0
+        assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
 
 
 def test_spooled_bundles_are_announced_again_after_a_restart_of_the_worker(tmp_path):

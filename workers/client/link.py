@@ -19,6 +19,8 @@ import zenoh
 from pydantic import ValidationError
 
 from schemas.base import Model
+from schemas.errors import WorldError
+from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.identity import TlsFiles
 from schemas.protocol.keys import (
     BundleChunk,
@@ -32,6 +34,7 @@ from schemas.protocol.keys import (
     verb_key,
 )
 from schemas.protocol.messages import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
+from schemas.protocol.reachability import why_unreachable
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 
@@ -53,8 +56,8 @@ class Link(Closing):
     """Zenoh session that can be reopened; a context manager.
 
     Args:
-        endpoints: endpoints of one coordinator or of its gateways. One connection is enough; each opening tries them in
-            random order, so that many workers are distributed over them.
+        endpoints: endpoints of one coordinator or of its gateways, or `@FILE`, which is read at each opening. One
+            connection is enough; each opening tries them in random order, which distributes many workers over them.
         host: name of this machine, which is part of the key of every request.
         tls: TLS files of this machine, or `None` for plain TCP.
     """
@@ -94,10 +97,15 @@ class Link(Closing):
         self.close()
         opening = self._closings
         try:
-            session = zenoh.open(_config(random.sample(self.endpoints, len(self.endpoints)), self._tls))
+            endpoints = find_endpoints(self.endpoints)
+            session = zenoh.open(_config(random.sample(endpoints, len(endpoints)), self._tls))
+        except WorldError as error:
+            self.last_error = str(error)
+            return False
         except zenoh.ZError as error:
-            self.last_error = str(error).split(" at /")[0]  # without zenoh's source paths
-            log.debug("connect_failed", endpoints=self.endpoints, error=str(error))
+            short = str(error).split(" at /")[0]  # without zenoh's source paths
+            self.last_error = why_unreachable(endpoints, self._tls) or short
+            log.debug("connect_failed", endpoints=endpoints, error=str(error), cause=self.last_error)
             return False
         with self._guard:
             is_wanted = opening == self._closings

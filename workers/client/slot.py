@@ -26,6 +26,8 @@ _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _STARTS = 3
 _LAST_TRIES = 2
+_SIGNALLED_S = 1.0
+"""Longest time between the signals of a batch system to a simulation and to its worker, seconds."""
 _FALLBACK = "TinyRenderer"
 _FALLBACK_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
@@ -173,6 +175,8 @@ class Slot:
         while True:
             report = self._simulation.receive(_POLL_S)
             if isinstance(report, Death):
+                if report.is_killed and host.phase.stopping.wait(_SIGNALLED_S):
+                    raise _Stopped
                 return failure(report.reason, report.detail, step)
             if report is not None and report.kind in {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}:
                 return report

@@ -9,16 +9,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+"""Slurm sends SIGUSR1 some time before the limit of a job if the job requests it."""
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
-    """Yields two events: the first SIGTERM or Ctrl-C sets the first event, and the second signal the second event."""
+    """Yields two events: SIGTERM, SIGUSR1 or Ctrl-C sets the first event, and Ctrl-C after that the second event.
+
+    Further SIGTERM and SIGUSR1 change nothing, because batch systems send several to end one job.
+    """
     stop, at_once = threading.Event(), threading.Event()
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
-        event = at_once if stop.is_set() else stop
+        event = at_once if number == signal.SIGINT and stop.is_set() else stop
         # in a thread: this handler may have interrupted the holder of the lock that set() needs
         threading.Thread(target=event.set, daemon=True).start()
 

@@ -11,6 +11,7 @@ from schemas.terms import ExpertName
 from workers.experts.base import Expert, ExpertObservation
 from workers.experts.planner import PlannerExpert
 from workers.experts.proportional import ProportionalExpert, centroid_speed, depth_speed, literal_speed
+from workers.experts.standing import StandingExpert
 
 __all__ = ["EXPERTS", "Expert", "ExpertObservation", "make_expert", "require_expert"]
 
@@ -32,6 +33,8 @@ def make_expert(job: Job) -> Expert:
         UsageError: this version does not have the expert.
     """
     require_expert(job.expert)
+    if job.is_false_premise:
+        return StandingExpert()
     return EXPERTS[job.expert](job)
 
 

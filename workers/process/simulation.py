@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import structlog
 
 from schemas.errors import WorldError
 from schemas.support.child import child_environment
-from schemas.support.jsonl_process import JsonlProcess, describe_exit
+from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess, describe_exit
 from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, read_report, to_line
 from workers.process.one_core import one_core
@@ -23,9 +24,12 @@ class Death:
     """End of a simulation process, which has been reaped."""
 
     reason: FailReason
-    """`crash`, or `hang` if the process was killed because it made no progress."""
+    """`crash`, `hang` if the process was killed because it made no progress, or `released` if a signal from outside
+    ended it."""
     detail: str
     """Explanation with the exit status and the last output."""
+    is_killed: bool = False
+    """Whether SIGKILL ended the process: the kernel without free memory, or a batch system that ends the worker too."""
 
 
 class Simulation:
@@ -103,10 +107,12 @@ class Simulation:
         return Death(FailReason.HANG, detail)
 
     def _reap(self, process: JsonlProcess[SimulationReport]) -> Death:
-        detail = describe_exit(process.wait()) + _last_output(process)
+        status = process.wait()
+        detail = describe_exit(status) + _last_output(process)
         self.kill()
         log.warning("simulation_died", pid=process.pid, detail=detail)
-        return Death(FailReason.CRASH, detail)
+        reason = FailReason.RELEASED if status in ENDED_FROM_OUTSIDE else FailReason.CRASH
+        return Death(reason, detail, is_killed=status == -signal.SIGKILL)
 
 
 def _last_output(process: JsonlProcess[SimulationReport]) -> str:

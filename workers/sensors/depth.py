@@ -6,9 +6,11 @@ Pure functions on images of a pinhole camera with axial depth. Renders nothing.
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.rig.noise import StereoDepthNoise, StructuredLightNoise
 from schemas.support.numpy_types import Bools, Ints, Singles
@@ -16,8 +18,8 @@ from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 
 _EDGE_PX = 1.0
 """Second difference of the disparity over half a matching window above which the window contains an edge, pixels."""
-_BAND = 32
-"""Rows that are displaced at once, so that the pixel numbers stay in the cache of the processor."""
+_BAND = 64
+"""Rows that are computed at once, a multiple of 4, so that intermediate values stay in the cache of the processor."""
 _LEAST_PX = np.float32(1e-6)
 """Disparity that replaces those at and below 0, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
@@ -37,35 +39,52 @@ def noisy_depth(
         key: identity of the sensor in the episode.
         step: control step of the image.
     """
-    scale, shape = np.float32(focal_px * noise.baseline_m), depth.shape
+    scale = np.float32(focal_px * noise.baseline_m)
     seen = shifted(depth, noise.shift_std_px, key, step)
-    if seen.min() <= 0:
-        seen = np.where(seen > 0, seen, np.float32(np.inf))
-    exact = scale / seen
-    lost = (exact > scale / np.float32(noise.range_min_m)) | (exact < scale / np.float32(noise.range_max_m))
-    lost |= hidden(exact, noise.second_view)
+    exact = np.empty_like(depth) if seen is depth else seen  # returned memory would be requested again
+    lost = np.empty(seen.shape, np.bool_)
+    for rows in _bands(len(seen)):
+        np.divide(scale, np.where(seen[rows] > 0, seen[rows], np.float32(np.inf)), out=exact[rows])
+        lost[rows] = hidden(exact[rows], noise.second_view)
+        lost[rows] |= exact[rows] > scale / np.float32(noise.range_min_m)
+        lost[rows] |= exact[rows] < scale / np.float32(noise.range_max_m)
     if noise.edge_dropout:
         near_edges = np.flatnonzero(edges(exact, noise.window_px))
         is_lost = key.is_below(noise.edge_dropout, Effect.EDGE_DROPOUT, len(near_edges), step)
         lost.ravel()[near_edges[is_lost]] = True
     if noise.hole_share:
-        lost |= holes(shape, noise.hole_share, key, step)
-    measured = noisy_disparity(exact, noise.disparity_std_px, noise.disparity_step_px, key, step)
-    lost |= measured <= 0
-    np.divide(scale, np.maximum(measured, _LEAST_PX, out=measured), out=measured)
-    measured *= ~lost
-    return measured
+        lost |= holes(seen.shape, noise.hole_share, key, step)
+    draw = key.stream(Effect.DISPARITY, step)
+    for rows in _bands(len(seen)):
+        measured = noisy_disparity(
+            exact[rows], noise.disparity_std_px, noise.disparity_step_px, draw(exact[rows].shape)
+        )
+        kept = ~lost[rows] & (measured > 0)
+        np.divide(scale, np.maximum(measured, _LEAST_PX, out=measured), out=exact[rows])
+        exact[rows] *= kept
+    return exact
 
 
-def noisy_disparity(disparity: Singles, std_px: float, step_px: float, key: NoiseKey, step: int) -> Singles:
+def _bands(height: int) -> Iterator[slice]:
+    """Yields slices of at most `_BAND` rows."""
+    return (slice(first, min(first + _BAND, height)) for first in range(0, height, _BAND))
+
+
+def noisy_disparity(disparity: Singles, std_px: float, step_px: float, drawn: NDArray[np.uint16]) -> Singles:
     """Returns disparities (H, W) with Gaussian noise, rounded to the resolution of the matcher, pixels.
 
     A disparity d = f b / z with the standard deviation s gives z a standard deviation of z^2 s / (f b) (K. Khoshelham
     and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2),
     2012; A. Grunnet-Jepsen et al., "Tuning depth cameras for best performance", Intel RealSense). The rounding is that
     of A. Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
+
+    Args:
+        disparity: (H, W) disparity without noise, pixels.
+        std_px: standard deviation of the noise, pixels.
+        step_px: resolution of the matcher, pixels; 0 does not round.
+        drawn: (H, W) uniform random numbers.
     """
-    values = key.normals(Effect.DISPARITY, disparity.shape, step)
+    values = normal_of(drawn)
     values *= np.float32(std_px)
     values += disparity
     if step_px:
@@ -84,10 +103,10 @@ def shifted(depth: Singles, std_px: float, key: NoiseKey, step: int) -> Singles:
     if not std_px:
         return depth
     offsets, reach = _displacements(std_px, depth.shape[1])
-    drawn, pixels = key.bits(Effect.SHIFT, depth.shape, step), _inner_pixels(depth.shape, reach)
+    draw, pixels = key.stream(Effect.SHIFT, step), _inner_pixels(depth.shape, reach)
     result = np.empty_like(depth)
-    for rows in (slice(first, first + _BAND) for first in range(0, len(depth), _BAND)):
-        depth.ravel().take(pixels[rows] + offsets.take(drawn[rows] >> 8), out=result[rows], mode="clip")
+    for rows in _bands(len(depth)):
+        depth.ravel().take(pixels[rows] + offsets.take(draw(result[rows].shape) >> 8), out=result[rows], mode="clip")
     return result
 
 
@@ -120,10 +139,18 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     if second_view == "left":
         return hidden(disparity[:, ::-1], "right")[:, ::-1]
     width = disparity.shape[1]
-    from_right = np.arange(width - 1, -1, -1, dtype=np.float32) - disparity[:, ::-1]
-    found = from_right < 0
-    found[:, 1:] |= from_right[:, 1:] >= np.minimum.accumulate(from_right, axis=1)[:, :-1]
-    return found[:, ::-1]
+    columns = (np.arange(width, dtype=np.float32) - disparity).ravel()
+    found = columns < 0
+    pixels = np.flatnonzero(columns[:-1] >= columns[1:])
+    pixels = pixels[(pixels + 1) % width > 0]
+    nearer = columns[pixels + 1]
+    while len(pixels):  # a surface hides pixels one after the other to its left, up to the first that is left of it
+        found[pixels] = True
+        has_left = pixels % width > 0
+        pixels, nearer = pixels[has_left] - 1, nearer[has_left]
+        is_hidden = columns[pixels] >= nearer
+        pixels, nearer = pixels[is_hidden], nearer[is_hidden]
+    return found.reshape(disparity.shape)
 
 
 def edges(disparity: Singles, window_px: int) -> Bools:
@@ -132,14 +159,21 @@ def edges(disparity: Singles, window_px: int) -> Bools:
     The disparity of a plane is linear in the image, so that a second difference over half a window shows an edge and
     not a slope.
     """
-    half = window_px // 2
+    half, height = window_px // 2, len(disparity)
     found = np.zeros(disparity.shape, bool)
-    for image, mark in ((disparity, found), (disparity.T, found.T)):
-        bend = image[2 * half :] + image[: -2 * half]
-        bend -= image[half:-half]
-        bend -= image[half:-half]
-        mark[half:-half] |= np.abs(bend, out=bend) > _EDGE_PX
+    for rows in _bands(height):
+        found[rows, half:-half] = _is_bent(disparity[rows].T, half).T
+    for rows in _bands(height - 2 * half):
+        found[half:-half][rows] |= _is_bent(disparity[rows.start : rows.stop + 2 * half], half)
     return found
+
+
+def _is_bent(image: Singles, half: int) -> Bools:
+    """Returns the pixels (H - 2 half, W) whose second difference along the columns shows an edge."""
+    bend = image[2 * half :] + image[: -2 * half]
+    bend -= image[half:-half]
+    bend -= image[half:-half]
+    return np.asarray(np.abs(bend, out=bend) > _EDGE_PX)
 
 
 def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Bools:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from statistics import NormalDist
@@ -65,10 +66,18 @@ class NoiseKey:
             shape: shape of the result.
             step: control step of the measurement; 0 for noise of a whole episode.
         """
+        return self.stream(effect, step)(shape)
+
+    def stream(self, effect: Effect, step: int = 0) -> Callable[[int | tuple[int, ...]], NDArray[np.uint16]]:
+        """Returns a function that gives the numbers of `bits` in parts; all parts but the last have a multiple of 4."""
         philox = np.random.Philox(key=_philox_key(self), counter=(0, 0, int(effect), step))
-        count = math.prod(shape) if isinstance(shape, tuple) else shape
-        words = philox.random_raw(-(-count // 4))
-        return words.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
+
+        def draw(shape: int | tuple[int, ...]) -> NDArray[np.uint16]:
+            count = math.prod(shape) if isinstance(shape, tuple) else shape
+            words = philox.random_raw(-(-count // 4))
+            return words.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
+
+        return draw
 
     def normals(self, effect: Effect, shape: int | tuple[int, ...], step: int = 0) -> Singles:
         """Returns random numbers of the standard normal distribution, see `normal_of` and `bits`."""

@@ -18,6 +18,7 @@ from schemas.episode import EpisodeMeta, Provenance, Rollout, Route, format_of
 from schemas.instruction.referents import referents_of
 from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
+from schemas.language.instruction import Instruction
 from schemas.measure import Goal, measure_track, target_in_view
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason, Recording
@@ -29,6 +30,7 @@ from workers.planning import Waypoint, geodesic_m
 from workers.render import Renderer, as_partial
 from workers.sim.appearance import show_appearance
 from workers.sim.frames import add_frames, add_sampled_digests
+from workers.sim.language import write_instruction
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.sensors import LoadedSurroundings, add_measurements
@@ -95,6 +97,9 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
+            said = write_instruction(job, place, world.pose())
+            if said is None and job.language is not None:
+                continue  # no sentence fits the target only from here
             expert = make_expert(job)
             planned = expert.begin(world.pose(), place.grid, target)
             if planned is None:
@@ -104,8 +109,9 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
             if planned and job.demonstration.target_in_view and not _shows_target(attempt, planned):
                 detail = f"the path from {_pose_text(start)} ends without {job.target_id} in view"
                 return AttemptFailure(FailReason.NOT_IN_VIEW, detail, 0)
-            return _drive_and_seal(attempt, world, expert, planned, draws)
-    conditions = "" if job.start_view is None else ", whose view meets the conditions of the instruction,"
+            return _drive_and_seal(attempt, world, expert, planned, draws, said)
+    is_free = job.start_view is None and job.language is None
+    conditions = "" if is_free else ", whose view meets the conditions of the instruction,"
     tries = f"in tier {job.tier} in {job.spawn.physics_draws} draws"
     return AttemptFailure(FailReason.SPAWN, f"no valid start pose{conditions} for {job.target_id} {tries}", 0)
 
@@ -123,9 +129,10 @@ def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> b
     if parts is not None:
         is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
         is_wanted = is_shown or not view.shows_target
-        if not (is_wanted and (view.rivals if is_shown else view.alike)):
+        if not (is_wanted and ((view.rivals or view.least_alike) if is_shown else view.alike)):
             return is_wanted
-    return not start_view_findings(view, own, bearing_rad, renderer.render_depth_and_ids(pose).ids, least)
+    image = renderer.render_depth_and_ids(pose)
+    return not start_view_findings(view, own, bearing_rad, image.ids, image.depth, job.camera, least)
 
 
 def _shows_target(attempt: _Attempt, planned: tuple[Waypoint, ...]) -> bool:
@@ -144,7 +151,12 @@ def _pose_text(pose: Pose) -> str:
 
 
 def _drive_and_seal(
-    attempt: _Attempt, world: World, expert: Expert, planned: tuple[Waypoint, ...], draws: int
+    attempt: _Attempt,
+    world: World,
+    expert: Expert,
+    planned: tuple[Waypoint, ...],
+    draws: int,
+    said: Instruction | None,
 ) -> Outcome:
     """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
     job, target, place, stage = attempt.job, attempt.target, attempt.place, attempt.stage
@@ -164,11 +176,13 @@ def _drive_and_seal(
         done = replace(done, steps_visible=visible)
         scene = LoadedSurroundings(shown.place, stage.renderer)
         add_measurements(writer, scene, job, done.arrays, tell, shown.change)
-    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task)
+    reach_m = None if job.is_false_premise else geodesic_m(place.grid, (start.x, start.y), target, job.task)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
+    if said is not None:
+        meta = meta.model_copy(update={"language": said, "phrase_is_unique": said.fits == 1})
     if shown is not None:
         meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
     sealed = writer.finish(done.arrays, meta)

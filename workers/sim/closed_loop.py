@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.job import Job
-from schemas.measure import Goal
+from schemas.measure import STOPPED_RPS, Goal, hold_steps_of
 from schemas.scene import Target
 from schemas.terms import EndReason
 from schemas.tokens import tokens_of
@@ -41,7 +41,7 @@ class ClosedLoop:
         self._job, self._target, self._world = job, target, world
         self._renderer = _RendererHandle(renderer)
         self._goal = Goal.of(target, job.task)
-        self._termination = Termination(job.task)
+        self._termination = Termination(job.task, hold_steps_of(job, job.task))
         self._poses: list[tuple[float, ...]] = []
         self._actions: list[Twist] = []
         self.command = Twist(0.0, 0.0)
@@ -95,7 +95,13 @@ class ClosedLoop:
         """Returns the reason for the end, or `None`; renders an image only if the robot makes no progress."""
         x, y, v = view.pose.x, view.pose.y, self.command.v_mps
         blocked = view.is_touching or (self._termination.would_stall(x, y, v) and view.obstacle_near)
-        return self._termination.judge(x, y, view.distance_m, blocked, v)
+        return self._termination.judge(x, y, self._distance_m(view), blocked, v)
+
+    def _distance_m(self, view: Observation) -> float:
+        """Returns the distance to the goal, metres; at a false premise that to the start, or infinity in a turn."""
+        if not self._job.is_false_premise:
+            return view.distance_m
+        return math.inf if abs(self.command.w_rps) > STOPPED_RPS else math.dist(self._poses[0][:2], self._poses[-1][:2])
 
     def _observe(self) -> Observation:
         pose = self._world.pose()

@@ -29,6 +29,7 @@ from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
 
 if TYPE_CHECKING:
+    from schemas.language.compose import SceneLanguage
     from workers.sensors.rays import SceneRays
 
 _KEPT_SCENES = 2
@@ -51,6 +52,14 @@ class LoadedScene:
     def appearance(self) -> AppearanceScene:
         """What the appearance of an episode depends on."""
         return AppearanceScene(self.scene, self.light)
+
+    @functools.cached_property
+    def language(self) -> SceneLanguage:
+        """Objects of the scene that instructions name."""
+        from schemas.language.compose import SceneLanguage
+        from schemas.language.graph import build_graph
+
+        return SceneLanguage(build_graph(self.scene))
 
     @functools.cached_property
     def rays(self) -> SceneRays:

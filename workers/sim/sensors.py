@@ -5,6 +5,7 @@ Does not drive. A measurement is a function of scene, sensor, trajectory and see
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -12,15 +13,19 @@ import numpy as np
 from schemas.appearance import CameraChange
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
 from schemas.errors import WorldError
-from schemas.job import Job
-from schemas.rig import Camera, Imu, WheelOdometry
-from schemas.rig.measurements import measurements_of
+from schemas.job import Job, episode_id
+from schemas.rig import Camera, Imu, Rig, Sensor, WheelOdometry
+from schemas.rig.arrays import arrays_of, is_of_motion, measured_steps
+from schemas.rig.measurements import encode_array, measurements_of
 from workers.appearance import changed_sensor
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer
 from workers.sensors.lidar import RayCaster
-from workers.sensors.observation import Observation, Trajectory, arrays_in, measure, observe
+from workers.sensors.observation import Observation, Surroundings, Trajectory, arrays_in, measure, observe
 from workers.sim.scene_renderer import LoadedScene
+
+_EXCESS = 1.1
+"""Estimate above which a rig is refused, as a multiple of the limit."""
 
 
 class LoadedSurroundings:
@@ -58,13 +63,14 @@ def add_measurements(
 
     Raises:
         UsageError: the renderer has no normals, which a camera needs, or embreex is not installed, which a lidar needs.
-        WorldError: the bundle would exceed its largest size.
+        WorldError: the bundle would exceed its largest size; raised before the first measurement if samples show it.
     """
     if job.view.rig is None:
         return
     track = Trajectory(
         arrays.poses, arrays.actions_continuous.astype(np.float64), job.task.control_hz, job.root_seed, job.index
     )
+    require_room(job.view.rig, track, scene, MAX_BUNDLE_BYTES, change)
     for sensor in job.view.rig.sensors:
         for t, _specs in measurements_of(sensor, len(arrays.poses), job.task.control_hz):
             found: Observation
@@ -76,9 +82,49 @@ def add_measurements(
             try:
                 writer.add_measurement(sensor, t, arrays_in(found))
             except ValueError as error:
-                raise WorldError(
-                    f"{job.episode_id}: the rig {job.view.rig.name!r} does not fit into a bundle of "
-                    f"{MAX_BUNDLE_BYTES / 1e9:.1f} GB: reduce sensors, outputs, rates or resolutions, or keep states "
-                    "and read the rig from them"
-                ) from error
+                raise _too_large(job.view.rig, track, MAX_BUNDLE_BYTES) from error
             on_measurement()
+
+
+def require_room(
+    rig: Rig, track: Trajectory, scene: Surroundings, limit_bytes: int, change: CameraChange | None = None
+) -> None:
+    """Estimates the stored size of a rig from three measurements of each camera and lidar.
+
+    Measures only if the arrays without compression exceed the limit.
+
+    Raises:
+        WorldError: the estimate exceeds the limit by more than a tenth; the message has the remedy.
+    """
+    length, hz = len(track.poses), track.control_hz
+    seen = [(sensor, measured_steps(sensor, length, hz)) for sensor in rig.sensors if not is_of_motion(sensor)]
+    if sum(len(steps) * _plain_bytes(sensor) for sensor, steps in seen) <= limit_bytes:
+        return
+    estimate = 0.0
+    for sensor, steps in seen:
+        chosen = sorted({steps[0], steps[len(steps) // 2], steps[-1]})
+        sizes = [_stored_bytes(sensor, t, track, scene, change) for t in chosen]
+        estimate += len(steps) * sum(sizes) / len(sizes)
+    if estimate > _EXCESS * limit_bytes:
+        raise _too_large(rig, track, limit_bytes, f", which would store {estimate / 1e9:.1f} GB,")
+
+
+def _plain_bytes(sensor: Sensor) -> int:
+    """Returns the bytes of a measurement of a camera or lidar without compression."""
+    specs = arrays_of(sensor).values()
+    return sum(math.prod(side or 0 for side in spec.shape) * np.dtype(spec.dtype).itemsize for spec in specs)
+
+
+def _stored_bytes(sensor: Sensor, t: int, track: Trajectory, scene: Surroundings, change: CameraChange | None) -> int:
+    """Returns the bytes of the members of a camera or lidar at step t."""
+    assert not isinstance(sensor, Imu | WheelOdometry), "sensors of motion store a few bytes for each step"
+    found, specs = arrays_in(observe(changed_sensor(sensor, change), t, track, scene)), arrays_of(sensor)
+    return sum(len(encode_array(specs[name], array)) for name, array in found.items())
+
+
+def _too_large(rig: Rig, track: Trajectory, limit_bytes: int, estimate: str = "") -> WorldError:
+    return WorldError(
+        f"{episode_id(track.episode)}: {len(track.poses)} steps of rig {rig.name!r}{estimate} do not fit into a bundle "
+        f"of {limit_bytes / 1e9:.1f} GB: lower rate_hz, width and height, remove outputs or sensors, or keep states "
+        "and render the rig when they are read: Dataset(path, rig=...)"
+    )

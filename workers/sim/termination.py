@@ -19,8 +19,9 @@ class Termination:
     radius with a measured speed below the limit, so that the recorded poses alone prove it.
     """
 
-    def __init__(self, task: TaskConfig) -> None:
+    def __init__(self, task: TaskConfig, hold_steps: int | None = None) -> None:
         self._task = task
+        self._hold_steps = task.hold_steps if hold_steps is None else hold_steps
         self._held = 0
         self._frames = 0
         self._forward = 0
@@ -46,7 +47,7 @@ class Termination:
         self._track.append((x_m, y_m))
         self._held = self._held + 1 if self._is_stationary() and distance_m <= self._task.success_radius_m else 0
         self._forward = self._forward + 1 if commanded_mps > 0 else 0
-        if self._held >= self._task.hold_steps:
+        if self._held >= self._hold_steps:
             return EndReason.SUCCESS
         if is_blocked and is_stalled:
             return EndReason.COLLISION

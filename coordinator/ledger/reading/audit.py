@@ -172,7 +172,7 @@ def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
             yield f"is damaged: {what} (number {row[0]})"
     yield from _plan_findings(connection, plan)
     yield from _history_findings(connection, plan)
-    if catalog is not None and all(scene.name in catalog for scene in plan.scenes):
+    if catalog is not None and all(part.name in catalog for part in plan.parts):
         yield from _draw_findings(connection, plan, catalog)
 
 

@@ -1,17 +1,23 @@
-"""`--http` and `--http-token`: status pages of long-running commands."""
+"""`--http` and `--http-token`: status pages of long-running commands, and the web page of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from coordinator.status.address import parse_address
 from coordinator.status.health import StatusSource
 from schemas.errors import UsageError
-from schemas.support.extras import require_package
+from schemas.support.extras import install_command, require_package
+
+if TYPE_CHECKING:
+    from coordinator.service import Coordinator  # opens zenoh
+    from factory.dataset.site import Site
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -23,13 +29,15 @@ def http_options(command: Command) -> Command:
             "--http-token",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE",
-            help="File whose first line is the bearer token of /metrics. Required if --http is not a loopback address.",
+            help="File whose first line is the token of the pages; /healthz and /readyz need none. Required if --http "
+            "is not a loopback address.",
         ),
         click.option(
             "--http",
             metavar="HOST:PORT",
             callback=_require_pages,
-            help="Address to serve the status pages /healthz, /readyz and /metrics on. Default: no status pages.",
+            help="Address to serve the status pages /healthz, /readyz and /metrics on; a run also serves its web page "
+            "if the extra `web` is installed. Default: no pages.",
         ),
     ):
         command = option(command)
@@ -56,23 +64,64 @@ def status_pages(source: StatusSource, http: str | None, token_file: Path | None
         UsageError: the address is malformed or unprotected, or the extra is missing.
         WorldError: the address is in use.
     """
+    _require_http(http, token_file)
     if http is None:
-        if token_file is not None:
-            raise UsageError("--http-token requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
         yield
         return
-    from coordinator.status.server import (
-        StatusServer,  # its packages are an extra
-        parse_address,
-    )
+    from coordinator.status.server import StatusServer  # its packages are an extra
 
-    token = _read_token(token_file) if token_file is not None else None
+    token = read_token(token_file) if token_file is not None else None
     with StatusServer(parse_address(http, token), source, token) as server:
         click.echo(f"status pages on {server.url}/metrics", err=True)
         yield
 
 
-def _read_token(path: Path) -> str:
+@contextmanager
+def run_pages(
+    coordinator: Coordinator, site: Site, http: str | None, token_file: Path | None, ledger: str | None = None
+) -> Iterator[None]:
+    """Serves the web page and the status pages of a run while the context is open, if `--http` is given.
+
+    Without the extra `web`, only the status pages are served, and a note names the extra.
+
+    Args:
+        coordinator: coordinator of the run.
+        site: location of the dataset.
+        http: value of `--http`.
+        token_file: value of `--http-token`.
+        ledger: URL of the ledger; `None` for the ledger of the dataset.
+
+    Raises:
+        UsageError: the address is malformed or unprotected, or the extra `metrics` is missing.
+        WorldError: the address is in use.
+    """
+    if http is None or not (find_spec("starlette") and find_spec("uvicorn")):
+        with status_pages(coordinator.health, http, token_file):
+            if http is not None:
+                click.echo(f"to serve the web page as well: {install_command('web')}", err=True)
+            yield
+        return
+    from factory.web.pages.status import routes  # its packages are an extra
+    from factory.web.start import serve
+
+    token = read_token(token_file) if token_file is not None else None
+    more = routes(coordinator.health)
+    with serve(site, http, token, ledger=ledger, administer=coordinator.administer, more_routes=more) as url:
+        click.echo(f"web page and /metrics: {url}", err=True)
+        yield
+
+
+def _require_http(http: str | None, token_file: Path | None) -> None:
+    if http is None and token_file is not None:
+        raise UsageError("--http-token requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
+
+
+def read_token(path: Path) -> str:
+    """Returns the token in the first line of a file.
+
+    Raises:
+        UsageError: the file cannot be read.
+    """
     try:
         return path.read_text(encoding="ascii").partition("\n")[0].strip()
     except (OSError, UnicodeDecodeError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
@@ -13,6 +14,7 @@ from click.shell_completion import CompletionItem
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.cells import empty_splits
 from coordinator.expansion.file import shrink
+from coordinator.settings import MAX_PULLERS, pullers_for
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from schemas.appearance.file import BUILTIN_APPEARANCES, NO_APPEARANCE
@@ -187,6 +189,18 @@ def workers_option(text: str, default: int | None = None, least: int = 1) -> Cal
         show_default=default is not None,
         metavar="N",
         help=text if default is not None else f"{text}. Default: one per core.",
+    )
+
+
+def pullers_option() -> Callable[[Command], Command]:
+    """Returns the option `--pullers N`."""
+    return click.option(
+        "--pullers",
+        type=click.IntRange(1, MAX_PULLERS),
+        default=lambda: pullers_for(os.cpu_count() or 1),
+        metavar="N",
+        help="Number of bundles that are transferred and validated at a time, each in a process. Default: one per "
+        "core, at least 2.",
     )
 
 

@@ -120,17 +120,6 @@ def say_building(name: str) -> None:
     click.echo(f"building {name}; this is done once and takes some seconds, for a large stage minutes", err=True)
 
 
-def say_duration(seconds: float | None) -> str:
-    """Returns a duration as `1 h 05 min`, `4 min 10 s` or `12 s`; a dash when it is unknown."""
-    if seconds is None:
-        return "-"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
-
-
 def _cell(value: object) -> str:
     if value is None:
         return "-"

@@ -9,6 +9,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from factory.dataset.site import Site, site_of
+from schemas.dataset.run_shard import RunShard, parse_shard
 from schemas.errors import UsageError
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import FilePlace, Place, place_of
@@ -57,6 +58,15 @@ class _DirectoryType(click.ParamType[Path]):
         )
 
 
+class _ShardType(click.ParamType[RunShard]):
+    name = "shard"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> RunShard:  # noqa: ARG002
+        return value if isinstance(value, RunShard) else parse_shard(value)
+
+
+SHARD = _ShardType()
+"""A shard of a run, e.g. `7/200`."""
 SITE = _SiteType()
 """A run: the locations of its dataset and its ledger."""
 PLACE = _PlaceType()

@@ -13,17 +13,19 @@ from coordinator.protocol.protocol import simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.cli.common.admission import open_door
+from factory.cli.common.admission import find_hosts, open_door
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.http import http_options, status_pages
+from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
     listen_option,
     number_option,
     out_option,
     plan_argument,
+    pullers_option,
     shrink_options,
     tls_option,
     verbose_option,
@@ -64,6 +66,7 @@ def command() -> None:
     "lease_ttl_s",
     least=1.0,
 )
+@pullers_option()
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
 @http_options
@@ -82,6 +85,7 @@ def start(
     listen: tuple[str, ...],
     ledger: str | None,
     lease_ttl_s: float,
+    pullers: int,
     stay: bool,
     tls: Path | None,
     http: str | None,
@@ -107,18 +111,21 @@ def start(
         else prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     )
     plan, is_new = begin(plan_name, site, changes)
-    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = (
-            open_catalog(plan, site.place, scene_cache(), say_building) if rendering is None else rendering.catalog
-        )
+        if rendering is None:
+            with building_layouts(os.cpu_count() or 1, stop) as builds:
+                catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds)
+        else:
+            catalog = rendering.catalog
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
         options = CoordinatorOptions(
             listen=listen,
+            hosts=() if guard is None else find_hosts(guard),
             ledger_url=ledger,
             settings=settings,
             guard=guard,
@@ -128,7 +135,7 @@ def start(
         )
         with (
             Coordinator(site.home, plan, catalog, options) as coordinator,
-            status_pages(coordinator.health, http, http_token),
+            run_pages(coordinator, site, http, http_token, ledger),
         ):
             write_target_lists(catalog, site.place)
             _say_endpoints(coordinator, plan, site, guard)
@@ -150,5 +157,6 @@ def _say_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guar
     """Prints where the coordinator listens, and the command that starts a worker."""
     where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
-    for endpoint in coordinator.endpoints:
-        click.echo(f"factory worker --cores 2 --connect {endpoint}")
+    tls = "" if guard is None else " --tls DIR"
+    for endpoint in coordinator.reachable:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}{tls}")

@@ -16,6 +16,7 @@ from factory.cli.common.options import connect_option, listen_option, tls_option
 from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
 from factory.support.logs import configure_logs
 from schemas.errors import TransientError, UsageError
+from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.identity import require_host_name
 from schemas.storage.disk import require_room
 from workers.client.host import tidy_host
@@ -62,6 +63,7 @@ def start(
     """
     configure_logs(verbose)
     guard, name, listen = _door(tls, name, connect, listen)
+    connect = find_endpoints(connect)
     settings = CoordinatorSettings()
     require_room(root, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):

@@ -1,46 +1,122 @@
-"""`factory gather`: copies the episodes stored by several gateways into one dataset."""
+"""`factory gather`: copies the episodes of several gateways, or of the shards of a run, into one dataset."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import click
 
+from coordinator.expansion.file import load_plan
 from coordinator.gateway.gather import GatherReport, gather
+from coordinator.ledger.opening import ledger_url_of
+from coordinator.recovery.join_shards import JoinReport, JoinTarget, join_shards, require_joinable
+from coordinator.validation.validator import Validator
 from factory.cli.common.bars import one_bar
-from factory.cli.common.options import ledger_option
+from factory.cli.common.options import ledger_option, shrink_options, shrunk_plan
 from factory.cli.common.output import json_option, print_result, print_table, say_building
+from factory.cli.common.places import DIRECTORY, PLACE, SITE
+from factory.dataset.site import Site
+from factory.runs.catalog import open_catalog
+from factory.runs.ledger import require_outside_datasets
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
+from schemas.dataset.run_shard import find_shards
+from schemas.errors import UsageError
+from schemas.plan import Plan
+from schemas.storage.dataset_files import SCENES
+from schemas.storage.place import Place
 
 _LISTED = 20
 
 
 @click.command("gather")
-@click.argument("root", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
-@click.argument("sources", metavar="[GATEWAY_DIR]...", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
+@click.argument("first", metavar="DIR|PLAN")
+@click.argument("sources", metavar="[GATEWAY_DIR|SHARD]...", nargs=-1, type=PLACE)
+@click.option(
+    "-o",
+    "--out",
+    "site",
+    metavar="DIR|URL",
+    type=SITE,
+    help="Join the shards of PLAN into this dataset. Default: gather the episodes of gateways into DIR.",
+)
 @click.option(
     "--requeue-missing",
     is_flag=True,
-    help="Requeue episodes that are in none of the directories; they are generated again with the same content.",
+    help="Requeue episodes that are in none of the directories; they are generated again with the same content. With "
+    "--out, shards may be missing or unfinished.",
 )
 @ledger_option
+@shrink_options
 @json_option
-def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger: str | None, as_json: bool) -> int:
-    """Copy the episodes stored by gateways into one dataset.
+def command(
+    first: str,
+    sources: tuple[Place, ...],
+    site: Site | None,
+    requeue_missing: bool,
+    ledger: str | None,
+    as_json: bool,
+    **changes: Any,
+) -> int:
+    """Copy the episodes stored by gateways, or by the shards of a run, into one dataset.
 
-    DIR is the coordinator's dataset directory; stop its coordinator first. GATEWAY_DIR is the --out of a gateway, or a
-    copy of it; it is not changed. Each episode is checked against the ledger. If you give only some of the gateways'
-    directories, run the command again with the others. Exits with 1 if episodes are missing and not requeued.
+    Gateways: DIR is the coordinator's dataset directory; stop its coordinator first. GATEWAY_DIR is the --out of a
+    gateway, or a copy of it; it is not changed. Each episode is checked against the ledger. If you give only some of
+    the gateways' directories, run the command again with the others.
+
+    Shards: `factory gather PLAN SHARD... --out DIR|URL` with PLAN and its options as in `factory run --shard`. SHARD is
+    the --out of a shard, or a folder that contains several; it is not changed. The dataset has the digest of the run
+    without shards.
+
+    Exits with 1 if episodes are missing and not requeued.
     """
     configure_logs()
+    if site is not None:
+        return _join(shrunk_plan(load_plan(first), changes), sources, site, ledger, requeue_missing, as_json)
+    given = [name for name, value in changes.items() if value]
+    if given:
+        raise UsageError(f"options that change PLAN ({', '.join(given)}) need --out, the dataset of the joined shards")
+    root, folders = _directory(first), tuple(map(_directory, sources))
     with one_bar("gathering") as tell:
         found = inspect_dataset(root, root, None, ledger, scene_cache(), say_building)
-        report = gather(found, sources, datetime.now(UTC), requeue_missing=requeue_missing, on_progress=tell)
+        report = gather(found, folders, datetime.now(UTC), requeue_missing=requeue_missing, on_progress=tell)
     print_result(report, as_json, _print)
     return 1 if report.missing and not report.requeued else 0
+
+
+def _directory(place: str | Place) -> Path:
+    return DIRECTORY.convert(place, None, click.get_current_context())
+
+
+def _join(
+    plan: Plan, sources: tuple[Place, ...], site: Site, ledger: str | None, is_partial: bool, as_json: bool
+) -> int:
+    found = [one for source in sources for one in find_shards(source)]
+    require_joinable(found, plan, partial=is_partial)
+    require_outside_datasets(site)
+    catalog = open_catalog(plan, site.place, scene_cache(), say_building, packages=found[0][0] / SCENES)
+    target = JoinTarget(site.place, site.home, ledger_url_of(site.home, ledger), plan, catalog)
+    shards = [(place, state.shard) for place, state in found]
+    with one_bar("gathering shards") as tell, Validator() as checker:
+        report = join_shards(target, shards, checker, datetime.now(UTC), tell)
+    print_result(report, as_json, _print_joined)
+    return 1 if report.episodes < report.planned and not is_partial else 0
+
+
+def _print_joined(report: JoinReport) -> None:
+    if report.rejected:
+        rows = [(one.episode, one.shard, one.why) for one in report.rejected[:_LISTED]]
+        print_table("", ("rejected", "shard", "reason"), rows)
+    click.echo(
+        f"{report.dataset}: {report.gathered} episodes and {report.failed_attempts} failed attempts gathered; the "
+        f"dataset has {report.episodes} of {report.planned} episodes"
+    )
+    click.echo(f"digest  {report.digest}")
+    if report.episodes < report.planned:
+        click.echo(f"generate the missing episodes with: factory run --out {report.dataset}", err=True)
 
 
 def _print(report: GatherReport) -> None:

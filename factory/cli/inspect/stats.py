@@ -21,6 +21,7 @@ from factory.stats.model import (
     RolloutRow,
     Share,
     Statistics,
+    WordingRow,
 )
 from factory.stats.views import measure_language
 from factory.support.logs import configure_logs
@@ -98,10 +99,25 @@ def print_language(found: LanguageStatistics) -> None:
     print_text(f"{found.dataset}: {found.read} of {found.episodes} episodes read, run {found.run}")
     print_text(f"distinct instructions: {found.instructions}; shares of the episodes with 95 % intervals")
     print_text(
+        f"the instruction fits exactly one object of the scene: {_interval(found.unique)}\n"
+        f"false premises: {found.false_premises}; other objects of the category: {_number(found.others_in_scene, 1)} "
+        "in the scene"
+    )
+    _print_wording(found.wording)
+    print_text(
         "\nThe target is the nearest object in view at the start, the most central object,\n"
         "or the most central of its category"
     )
     _print_shares(found.rows, {"nearest": "nearest", "central": "central", "of category": "central_of_category"})
+    print_text(
+        "\nAmong the objects of the category in view, the target is the nearest;\n"
+        "chance: a random one of them is the target; others: their mean number"
+    )
+    body = [
+        (row.group, _interval(row.nearest_of_category), _percent(row.chance), _number(row.others_in_view, 1))
+        for row in found.rows
+    ]
+    _table(("scene", "nearest of category", "chance", "others"), body)
     print_text(
         "\nThe instruction fits several objects in the scene, or in view at the start.\n"
         "contradictory: another object of the category is in view, but not the target"
@@ -114,8 +130,21 @@ def print_language(found: LanguageStatistics) -> None:
         f"30 degrees from the heading, in {away.count}: {_interval(away)}"
     )
     print_text("\nLast frame: the target is in view")
-    body = [(row.group, str(row.in_view.of), _interval(row.in_view)) for row in found.arrivals]
-    _table(("category", "N", "in view"), body)
+    arrivals = [(row.group, str(row.in_view.of), _interval(row.in_view)) for row in found.arrivals]
+    _table(("category", "N", "in view"), arrivals)
+
+
+def _print_wording(rows: Sequence[WordingRow]) -> None:
+    body = [
+        (
+            row.language,
+            *(str(count) for count in (row.n, row.distinct, row.vocabulary)),
+            f"{_number(row.words_mean, 1)} ({row.words_least}-{row.words_most})",
+            _number(row.self_bleu, 2),
+        )
+        for row in rows
+    ]
+    _table(("language", "N", "distinct", "vocabulary", "words (range)", "self-BLEU"), body)
 
 
 def _print_shares(rows: Sequence[LanguageRow], columns: Mapping[str, str]) -> None:

@@ -14,13 +14,17 @@ from rich.text import Text
 from coordinator.protocol.tls import read_credentials
 from coordinator.validation.sandbox import SECCOMP
 from factory.cli.common.options import connect_option, ledger_option, tls_option
-from factory.cli.common.output import FittedTable, json_option, print_json, say_duration, stdout
+from factory.cli.common.output import FittedTable, json_option, print_json, stdout
 from factory.cli.common.places import SITE
+from factory.cli.inspect.shard_status import draw_shards, shards_as_json
 from factory.dataset.site import Site
 from factory.runs.ledger import progress_of
 from factory.support.listen import require_endpoints
+from factory.support.text import say_duration
+from schemas.dataset.run_shard import find_shards
 from schemas.errors import TransientError, UsageError
 from schemas.protocol.status import HostStatus, Progress, WorkerStatus
+from schemas.storage.dataset_files import LEDGER_FILE
 from schemas.terms import BUILTIN_CATEGORIES
 
 _PAUSE_S = 1.0
@@ -49,8 +53,12 @@ def command(
     """Show the progress of a run and its workers.
 
     Prints the number of jobs by scene, tier and split, the rate, the remaining time and the workers. Give the dataset
-    (DIR or URL), or --connect.
+    (DIR or URL), or --connect. For a folder of shards, prints the last recorded state of each shard.
     """
+    shards = list(find_shards(site.place)) if site is not None and not connect and not _has_ledger(site, ledger) else []
+    if shards:
+        print_json(shards_as_json(shards)) if as_json else stdout.print(draw_shards(shards), soft_wrap=False)
+        return
     source = _source(site, connect, ledger, tls)
     if as_json:
         print_json(source().model_dump(mode="json"))
@@ -58,6 +66,10 @@ def command(
         watch_progress(source)
     else:
         stdout.print(draw_progress(source()), soft_wrap=False)
+
+
+def _has_ledger(site: Site, ledger: str | None) -> bool:
+    return ledger is not None or (site.home / LEDGER_FILE).is_file()
 
 
 def _source(

@@ -19,10 +19,11 @@ from factory.cli.common.options import (
     place_argument,
     write_option,
 )
-from factory.cli.common.output import json_option, print_result, print_table, say_duration
+from factory.cli.common.output import json_option, print_result, print_table
 from factory.cli.common.places import PLACE
 from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
+from factory.support.text import say_duration
 from factory.train import BcOptions, EpochMeasures, TrainReport
 from factory.train.preprocess import SIZES
 from factory.train.run import TrainCallbacks, TrainOrder, train_bc

@@ -33,6 +33,7 @@ from factory.cli.common.options import (
     count_option,
     former_option,
     plan_argument,
+    pullers_option,
     record_option,
     renderer_option,
     shrunk_plan,
@@ -256,9 +257,12 @@ def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: RendererKind
 @count_option("--workers", 64, "Number of concurrent simulated workers.", most=64)
 @count_option("--sessions", 2000, "Number of concurrent network sessions.", most=4000)
 @count_option("--bundle-mb", 32, "Size of each worker's bundle, MB.", most=256)
+@pullers_option()
 @_repeats_option
 @json_option
-def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats: int, as_json: bool) -> None:
+def coordinator(
+    jobs: int, workers: int, sessions: int, bundle_mb: int, pullers: int, repeats: int, as_json: bool
+) -> None:
     """Measure a coordinator with a large ledger.
 
     Measures leases and submissions of real bundles, by direct calls and over the network. The memory is that of a
@@ -280,6 +284,7 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
             sessions=sessions,
             bundle_bytes=bundle_mb * 1_000_000,
             repeats=repeats,
+            pullers=pullers,
         )
     print_result(report, as_json, show_coordinator)
 

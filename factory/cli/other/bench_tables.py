@@ -147,6 +147,11 @@ def show_coordinator(report: CoordinatorBench) -> None:
         ("reopening the ledger, s", report.reopen_s.median, _range(report.reopen_s)),
         ("reading the progress, s", report.progress_s.median, _range(report.progress_s)),
         ("validation, ms per frame", report.validate_ms_per_frame.median, _range(report.validate_ms_per_frame)),
+        (
+            f"validation by {report.pullers} pullers, frames/s",
+            report.validated_frames_per_s.median,
+            _range(report.validated_frames_per_s),
+        ),
         ("archiving, MB/s", report.archive_mb_per_s.median, _range(report.archive_mb_per_s)),
         ("filling the ledger, s", report.fill_s, ""),
         ("resident memory at the end, MiB", report.memory.end_mib, f"peak {report.memory.peak_mib:.0f}"),

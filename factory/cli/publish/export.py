@@ -15,7 +15,8 @@ from pydantic.fields import FieldInfo
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import split_filter
 from factory.cli.common.options import former_option, place_argument, rig_option, workers_option, write_option
-from factory.cli.common.output import json_option, print_result, say_duration, stderr
+from factory.cli.common.output import json_option, print_result, stderr
+from factory.dataset.marks import excluded_in
 from factory.export.base import Options
 from factory.export.execution.estimate import ExportEstimate, estimate_export
 from factory.export.execution.report import ExportReport
@@ -23,6 +24,7 @@ from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.execution.selection import parse_episodes
 from factory.export.registry import EXPORTERS, check_format, find_exporter
 from factory.support.logs import configure_logs
+from factory.support.text import say_duration
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
@@ -83,6 +85,13 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
     "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
 )
 @former_option("--episodes", "episodes", "--episode")
+@click.option(
+    "--exclude",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Leave out the flagged episodes of marks.json (see `factory serve`), or the ids in a text file, one on each "
+    "line. Default: none.",
+)
 @rig_option("Export the sensors of a rig. Default: the recorded camera.")
 @workers_option("Number of processes")
 @click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write no files.")
@@ -94,6 +103,7 @@ def command(
     out: Path,
     splits: tuple[str, ...] | None,
     episodes: str | None,
+    exclude: Path | None,
     rig: str | None,
     workers: int | None,
     dry_run: bool,
@@ -114,6 +124,7 @@ def command(
         options=_options(format_name, chosen),
         splits=splits or (),
         episodes=tuple(parse_episodes(episodes)) if episodes else (),
+        excluded=tuple(excluded_in(exclude)) if exclude else (),
         workers=workers or os.cpu_count() or 1,
         rig=rig,
     )

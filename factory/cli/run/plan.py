@@ -10,10 +10,11 @@ from typing import Any
 import click
 
 from coordinator.expansion.cells import cells
-from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.possible import find_impossible
+from coordinator.expansion.sentences import find_unsayable
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
@@ -24,8 +25,11 @@ from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
 from schemas.instruction.language import TEMPLATES
-from schemas.plan import Plan
-from schemas.terms import Tier
+from schemas.language.compose import Composer
+from schemas.language.file import LanguageSpec
+from schemas.layouts import unseen_layouts
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Tier, family_of
 
 
 @click.group("plan", cls=CommandGroup)
@@ -47,9 +51,11 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
     found = find_built(plan, scene_cache())
-    unknown = [scene.name for scene in plan.scenes if scene.name not in found]
-    mistakes = None if unknown else find_impossible(plan, found)
-    content = summarise(plan, found) if mistakes == [] else None
+    unknown = [scene.name for scene in plan.scenes if scene.layouts is None and scene.name not in found]
+    families = [scene for scene in plan.scenes if scene.layouts is not None]
+    mistakes = None if unknown else find_impossible(_without_families(plan), found)
+    content = summarise(plan, found) if mistakes == [] and not families else None
+    mistakes = find_unsayable(_without_families(plan), found) if mistakes == [] else mistakes
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
@@ -61,6 +67,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     for scene in plan.scenes:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")
+        if scene.layouts is not None:
+            print_text(f"    {_say_layouts(plan, scene)}")
     _print_cells(plan)
     if content is not None:
         _print_content(plan, content)
@@ -71,7 +79,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     for line in mistakes or ():
         print_text(f"impossible: {line}")
     nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
-    if mistakes:
+    if mistakes and content is None:
         print_text(f"find the nearest feasible plan with {nearest}")
     elif unknown:
         print_text(
@@ -96,12 +104,13 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
     """Find the nearest plan that the scenes support.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Scenes that are not in the cache are
-    built or imported.
+    built or imported. Layouts are not checked: their seeds are chosen so that they fulfil the plan.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
+    fixed = _without_families(plan)
     with tempfile.TemporaryDirectory(prefix="plan-") as folder:
-        catalog = collect_scenes(plan, Path(folder), scene_cache(), say_building)
-    mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
+        catalog = collect_scenes(fixed, Path(folder), scene_cache(), say_building)
+    mistakes, found = find_impossible(fixed, catalog), find_nearest(plan, catalog)
     if found.plan is None:
         raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)
     if out is not None:
@@ -127,6 +136,20 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
         print_text(f"plan written to {out}; generate the dataset with: factory run {out} --out DIR")
 
 
+def _without_families(plan: Plan) -> Plan:
+    return plan.model_copy(update={"scenes": tuple(scene for scene in plan.scenes if scene.layouts is None)})
+
+
+def _say_layouts(plan: Plan, scene: ScenePlan) -> str:
+    """Returns the layouts of a family in one line, such as `6 layouts home_00000 to home_00005, 4 episodes each`."""
+    parts = [part for part in plan.parts if family_of(part.name) == scene.name]
+    counts = sorted({part.episodes for part in parts})
+    each = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+    unseen = unseen_layouts(scene, plan.splits_of(scene))
+    kept = f"; the last {unseen} only for test_unseen_scene*" if unseen else ""
+    return f"{len(parts)} layouts {parts[0].name} to {parts[-1].name}, {each} episodes each{kept}"
+
+
 def _write(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,9 +165,10 @@ def _content_data(content: PlanSummary) -> dict[str, Any]:
         "categories": [{"category": k, "episodes": n, "share": n / total} for k, n in content.categories.items()],
         "top_three_share": content.top_three_share,
         "templates": [
-            {"template_id": k, "text": TEMPLATES[k], "episodes": n, "share": n / total}
+            {"template_id": k, "text": TEMPLATES.get(k, "written at the start"), "episodes": n, "share": n / total}
             for k, n in content.templates.items()
         ],
+        "distractors": {str(others): count for others, count in content.distractors.items()},
         "ambiguous_share": content.ambiguous / total,
         "shown_alone_share": content.shown_alone / total,
     }
@@ -157,6 +181,9 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
     rows = [(name, count, 100 * count / total) for name, count in content.categories.items()]
     print_table("", ("category", "episodes", "share %"), rows)
     print_text(f"share of the three most frequent categories: {content.top_three_share:.1%}")
+    if plan.language is not None:
+        _print_language(plan.language, content)
+        return
     texts = [(name, TEMPLATES[name], count) for name, count in content.templates.items()]
     print_table("", ("template", "text", "episodes"), texts)
     print_text(
@@ -164,6 +191,18 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
         f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
         f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
     )
+
+
+def _print_language(language: LanguageSpec, content: PlanSummary) -> None:
+    composer = Composer(language)
+    codes = [code for code, share in language.languages.items() if share > 0]
+    rows = [(code, len(composer.patterns_of(code, False)), len(composer.patterns_of(code, True))) for code in codes]
+    print_table("", ("language", "sentence patterns", "held out for test_paraphrase_ood"), rows)
+    fits = "the target only" if language.fit == "one" else "any of several objects"
+    print_text(f"instructions fit {fits}; features: {', '.join(sorted(language.families))}")
+    wanted = f", at least {language.in_view} in view at the start" if language.in_view else ""
+    listed = ", ".join(f"{others} ({count / content.episodes:.0%})" for others, count in content.distractors.items())
+    print_text(f"other objects of the target's category in the scene, and share of the episodes: {listed}{wanted}")
 
 
 def _print_cells(plan: Plan) -> None:

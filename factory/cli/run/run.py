@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
 import click
 
+from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
+    ledger_option,
     out_option,
     plan_argument,
     renderer_option,
@@ -20,15 +28,20 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_building, say_duration
+from factory.cli.common.output import json_option, print_result, say_building
+from factory.cli.common.places import PLACE, SHARD
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
 from factory.runs.local import LocalRun, run_locally
+from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
+from factory.support.text import say_duration
+from schemas.dataset.run_shard import RunShard
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
+from schemas.storage.place import Place
 from schemas.support.extras import require_package
 from schemas.terms import RendererKind
 from workers.client.stopping import stop_on_signals
@@ -41,7 +54,24 @@ from workers.experts import require_expert
 @workers_option("Number of simulation processes")
 @renderer_option
 @gate_option("auto")
+@click.option(
+    "--shard",
+    type=SHARD,
+    metavar="NUMBER/COUNT",
+    help="Generate one of COUNT parts of the run, without a network connection to the others; `factory gather` joins "
+    "them. No pilot unless --gate requests one. Default: the shard that --out contains, or the whole run.",
+)
+@click.option(
+    "--scenes",
+    "packages",
+    type=PLACE,
+    metavar="DIR|URL",
+    help="Folder with the compiled package of every scene, e.g. `scenes` of a dataset. Default: the packages in --out, "
+    "or new ones.",
+)
+@ledger_option
 @shrink_options
+@http_options
 @json_option
 @verbose_option
 def command(
@@ -50,6 +80,11 @@ def command(
     workers: int | None,
     renderer: RendererKind,
     gate_mode: GateMode,
+    shard: RunShard | None,
+    packages: Place | None,
+    ledger: str | None,
+    http: str | None,
+    http_token: Path | None,
     as_json: bool,
     verbose: bool,
     **changes: Any,
@@ -57,24 +92,38 @@ def command(
     """Generate a dataset from a plan, or continue an interrupted run.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
-    After Ctrl-C or a crash, the same command continues the run; finished episodes are kept. Exits with 1 if episodes
-    are missing at the end.
+    After Ctrl-C, SIGTERM or a crash, the same command continues the run; finished episodes are kept. Exits with 1 if
+    episodes are missing at the end.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory run`")
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
+    shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     processes = workers or os.cpu_count() or 1
+    has_gate = is_new and not (shard is not None and gate_mode == "auto")
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, site.place, scene_cache(), say_building)
-        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", renderer, processes, stop)
+        with building_layouts(processes, stop) as builds:
+            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages)
+        gate = hold_gate(plan, catalog, gate_mode if has_gate else "skip", renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
-        run = LocalRun(plan, catalog, site.home, processes, renderer, verbose, gate, site.store)
-        with RunBar(plan) as bar:
-            progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
+        run = LocalRun(
+            plan,
+            catalog,
+            site.home,
+            processes,
+            renderer,
+            verbose,
+            gate,
+            site.store,
+            ledger_url=ledger,
+            shard=shard,
+            take_over=shard is not None and may_take_over(site, stop),
+        )
+        progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token))
     if not progress.finished:
         click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
@@ -82,6 +131,26 @@ def command(
     print_result(summary, as_json, print_summary)
     say_missing(site, progress)
     return 1 if progress.missing else 0
+
+
+def _run(
+    run: LocalRun,
+    site: Site,
+    stop: threading.Event,
+    pages: Callable[[Coordinator], AbstractContextManager[object]],
+) -> Progress:
+    recorder = None if run.shard is None else ShardRecorder(site, run.shard, run.plan, run.catalog)
+    with RunBar(run.plan) as bar:
+
+        def tell(progress: Progress) -> None:
+            bar.tell(progress)
+            if recorder is not None:
+                recorder.record(progress)
+
+        progress = run_locally(run, CoordinatorSettings(), stop, tell, pages)
+    if recorder is not None:
+        recorder.finish(progress)
+    return progress
 
 
 class RunBar(Bars):
@@ -97,4 +166,4 @@ class RunBar(Bars):
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
         note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
-        self.update(self._task, completed=progress.jobs.get("archived", 0), note=note)
+        self.update(self._task, total=progress.planned, completed=progress.jobs.get("archived", 0), note=note)

@@ -9,18 +9,31 @@ from typing import Any
 import click
 
 from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.common.places import PLACE
 from factory.cli.scene.package import say_counts
+from factory.dataset.packages import find_package_file
 from factory.runs.catalog import find_imported
 from factory.support.settings import scene_cache
+from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError
+from schemas.layouts import LayoutPlan
+from schemas.plan import ScenePlan
 from schemas.scene import read_scene_info
-from schemas.terms import BUILTIN_CATEGORIES
+from schemas.storage.place import Place
+from schemas.terms import BUILTIN_CATEGORIES, family_of
 
 
 @click.command("list")
+@click.argument("place", metavar="[DIR|URL]", type=PLACE, required=False)
 @json_option
-def command(as_json: bool) -> None:
-    """List the built-in scenes and the imported scenes."""
+def command(place: Place | None, as_json: bool) -> None:
+    """List the built-in and the imported scenes, or the scenes of a dataset.
+
+    DIR|URL is a dataset, whose layouts are listed by family with the seed of each.
+    """
+    if place is not None:
+        _list_dataset(place, as_json)
+        return
     built_in, imported = _built_in(), _imported()
     if as_json:
         print_json([*built_in, *imported])
@@ -38,6 +51,27 @@ def command(as_json: bool) -> None:
 
 def _print(title: str, columns: tuple[str, ...], scenes: list[dict[str, Any]], keys: tuple[str, ...]) -> None:
     print_table(title, columns, [[scene[key] for key in keys] for scene in scenes])
+
+
+def _list_dataset(root: Place, as_json: bool) -> None:
+    meta = read_dataset_meta(root)
+    scenes = [_in_dataset(root, part, meta.scenes[part.name]) for part in meta.plan.parts if part.name in meta.scenes]
+    if as_json:
+        print_json(scenes)
+        return
+    keys = ("family", "name", "planned", "splits", "summary")
+    _print("", ("family", "scene", "planned episodes", "splits", "source"), scenes, keys)
+
+
+def _in_dataset(root: Place, part: ScenePlan, sha256: str) -> dict[str, Any]:
+    is_unseen = isinstance(part, LayoutPlan) and part.is_unseen
+    return {
+        "family": family_of(part.name),
+        "name": part.name,
+        "planned": part.episodes,
+        "splits": "test_unseen_scene*" if is_unseen else "others",
+        **_facts(find_package_file(root, part.name, sha256)),
+    }
 
 
 def _built_in() -> list[dict[str, Any]]:

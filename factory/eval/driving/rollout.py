@@ -210,7 +210,8 @@ def _measured(
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
-    is_at_any = is_success or measure.stops_at_any(track, simulator.loaded.scene.info.targets, spec.category, rules)
+    has_goal, targets = not spec.is_false_premise, simulator.loaded.scene.info.targets
+    is_at_any = is_success or (has_goal and measure.stops_at_any(track, targets, spec.category, rules))
     return EpisodeResult(
         **request_fields(task),
         end=end,
@@ -226,7 +227,7 @@ def _measured(
         final_surface_m=float(footprint_distances(last, target.footprint_m)) if target.footprint_m else None,
         spl=None if spec.geodesic_m is None else measure.spl(is_success, spec.geodesic_m, driven_m),
         soft_spl=_soft_spl(spec, simulator, track, is_success, driven_m),
-        **progresses(start_m, final_m, least_m, rules),
+        **(progresses(start_m, final_m, least_m, rules) if has_goal else _stop_progress(is_success)),
         contact_steps=simulator.contact_steps,
         clipped_actions=drive.clipped,
         act_ms=1000 * drive.act_s / max(1, drive.answers),
@@ -264,6 +265,11 @@ def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig)
         "progress_max": measure.progress(start_m, least_m),
         "progress_normalised": normalised,
     }
+
+
+def _stop_progress(is_success: bool) -> dict[str, Any]:
+    """Returns the progress metrics of an episode without a goal: 1 after a success, else 0."""
+    return dict.fromkeys(("progress_final", "progress_max", "progress_normalised"), float(is_success))
 
 
 def _soft_spl(

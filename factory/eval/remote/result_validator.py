@@ -26,6 +26,7 @@ from schemas.job import Job
 from schemas.measure import Goal, footprint_distances
 from schemas.plan import canonical_json
 from schemas.scene import Target
+from schemas.terms import Split
 
 _CLOCKS = {"act_ms", "seconds"}
 """Fields that are not reproducible."""
@@ -123,7 +124,8 @@ def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
         yield f"{result.num_steps} steps, more than the {task.max_steps} of the task"
     if result.end == "timeout" and result.num_steps < task.max_steps:
         yield f"timeout after {result.num_steps} of {task.max_steps} steps"
-    if result.success and result.final_ne_m > task.success_radius_m:
+    has_goal = result.split is not Split.TEST_FALSE_PREMISE
+    if result.success and has_goal and result.final_ne_m > task.success_radius_m:
         yield f"success {result.final_ne_m:.3f} m from the target, the radius is {task.success_radius_m:g} m"
     if result.contact_steps > result.num_steps:
         yield f"{result.contact_steps} steps with contact of {result.num_steps}"

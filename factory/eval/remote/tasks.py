@@ -15,6 +15,7 @@ from factory.eval.specs.campaign import Campaign, tasks_for
 from factory.eval.specs.from_dataset import Places
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
+from schemas.layouts import LayoutPlan
 from schemas.plan import Budget, Plan, canonical_json
 from schemas.protocol.keys import EVALUATION_PREFIX
 from schemas.protocol.messages import MAX_ATTACHMENT_BYTES, Attachment
@@ -86,7 +87,9 @@ def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attac
     """
     counts = Counter(task.request.spec.scene for task in tasks.values())
     scenes = tuple(
-        scene.model_copy(update={"episodes": counts[scene.name]}) for scene in plan.scenes if scene.name in counts
+        (part.as_scene() if isinstance(part, LayoutPlan) else part).model_copy(update={"episodes": counts[part.name]})
+        for part in plan.parts
+        if part.name in counts
     )
     strange = counts.keys() - {scene.name for scene in scenes}
     if strange:

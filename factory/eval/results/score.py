@@ -17,7 +17,7 @@ from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256
 from schemas.instruction.language import TEMPLATES
-from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier
+from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier, family_of
 from schemas.view import ViewSettings
 
 GROUPS: Mapping[str, str] = MappingProxyType(
@@ -143,13 +143,18 @@ class Evaluation(Model):
     remarks: tuple[str, ...] = ()
 
 
+def _pattern_group(template_id: str) -> str:
+    """Returns a template of the paper, or language and register of a sentence pattern: `en_polite`."""
+    return template_id if template_id in TEMPLATES else template_id.rpartition("_")[0] or template_id
+
+
 _KEYS: Mapping[str, tuple[Callable[[EpisodeResult], str], Sequence[str]]] = MappingProxyType(
     {
         "split": (lambda row: str(row.split), [str(split) for split in Split]),
-        "scene": (lambda row: row.scene, ()),
+        "scene": (lambda row: family_of(row.scene), ()),
         "tier": (lambda row: str(row.tier), [str(tier) for tier in Tier]),
         "category": (lambda row: row.category, CATEGORIES),
-        "template": (lambda row: row.template_id, tuple(TEMPLATES)),
+        "template": (lambda row: _pattern_group(row.template_id), tuple(TEMPLATES)),
         "view": (lambda row: GROUNDED if row.is_grounded else "fewer", (GROUNDED, "fewer")),
     }
 )

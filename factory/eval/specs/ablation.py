@@ -88,7 +88,10 @@ def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
     in_view = [category for category in there if category in spec.categories_in_view]
     category = str(rng.choice(in_view or there))
     if spec.template_id not in TEMPLATES:
-        raise UsageError(f"{spec.spec_id}: unknown template {spec.template_id!r}; create new specs")
+        raise UsageError(
+            f"{spec.spec_id}: {spec.template_id!r} is no template whose category can be changed; leave out the variant "
+            "`wrong` (`shuffled` gives other instructions)"
+        )
     return instruction(spec.template_id, category, _colour(spec, scene, category, rng))
 
 

@@ -113,7 +113,7 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
     target_pixels = int(np.count_nonzero(episode.ids(0) == meta.target_instance_id))
     return EvalSpec(
         spec_id=episode.episode_id,
-        **dict(EpisodeSpec.of(job)),
+        **dict(EpisodeSpec.of(job, instruction=meta.instruction, template_id=meta.template_id)),
         scene_sha256=job.scene_sha256,
         seed=int(np.random.SeedSequence((job.root_seed, job.index)).generate_state(1)[0]),
         spawn_pose=drawn or meta.rollout.spawn_pose,

@@ -23,6 +23,7 @@ from factory.runs.catalog import find_package
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
+from schemas.layouts import LayoutPlan
 from schemas.measure import Goal, target_in_view
 from schemas.plan import Plan
 from schemas.scene import Target
@@ -31,6 +32,7 @@ from workers.geometry.grid import body_centre
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.attempt import is_view_clear
+from workers.sim.language import write_instruction
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import Start, draw_among
 
@@ -88,13 +90,22 @@ def unfiltered_specs(
 def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Plan:
     """Returns the plan with these splits only, which draws from all reachable targets, not only those of the expert."""
     scenes = []
-    for scene in plan.scenes:
-        possible = [split for split in splits if split is not Split.TEST_OOD_OBJ or scene.categories.held_out]
+    for scene in plan.parts:
+        is_unseen = isinstance(scene, LayoutPlan) and scene.is_unseen
+        possible = [
+            split
+            for split in splits
+            if split.is_unseen_scene is is_unseen and (scene.categories.held_out or not split.is_held_out)
+        ]
         if possible:
             shares = _shares(plan.splits_of(scene), possible)
-            scenes.append(scene.model_copy(update={"splits": shares}))
+            fixed = scene.as_scene() if isinstance(scene, LayoutPlan) else scene
+            scenes.append(fixed.model_copy(update={"splits": shares}))
     if not scenes:
-        raise UsageError(f"no scene of {plan.run} has held-out categories, so test_ood_obj has no episodes")
+        asked = ", ".join(splits)
+        raise UsageError(
+            f"no scene of {plan.run} has held-out categories or unseen layouts, so {asked} has no episodes"
+        )
     splits_in_force = scenes[0].splits
     changed = plan.model_copy(update={"scenes": tuple(scenes), "splits": splits_in_force, "expert": ExpertName.PLANNER})
     return shrink(changed, episodes=episodes, seed=seed)
@@ -123,8 +134,15 @@ def _spec(
                 continue
             if not is_view_clear(job, target, stage.renderer, view.pose):
                 continue
+            said = write_instruction(job, place, view.pose)
+            if said is None and job.language is not None:
+                continue
+            if said is not None:
+                drawn = drawn.model_copy(update={"instruction": said.text, "template_id": said.template_id})
             instances, pixels = place.scene.info.instances, plan.gains.min_mask_px
-            way = geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
+            way = (
+                None if job.is_false_premise else geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
+            )
             return drawn.model_copy(
                 update={
                     "spawn_dist_m": view.distance_m,

@@ -14,12 +14,13 @@ from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.base import ExportPiece, Finish, Options
 from factory.export.execution.manifest import ExportManifest, Source, of_software, require_same_export, write_manifest
-from factory.export.execution.pool import ExportTask, make_piece, run_tasks
+from factory.export.execution.pool import ExportTask, make_piece
 from factory.export.execution.report import ExportReport, Skip
 from factory.export.execution.selection import select
 from factory.export.output import Output
 from factory.export.registry import AnyExporter, find_exporter, require_packages, require_rig_support
 from factory.export.source import open_source, rows_digest
+from factory.support.task_pool import run_tasks
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
 from schemas.rig import Rig
@@ -61,6 +62,8 @@ class ExportOrder:
     """Selected splits; empty for all."""
     episodes: tuple[str, ...] = ()
     """Selected ids; empty for all."""
+    excluded: tuple[str, ...] = ()
+    """Ids to leave out."""
     workers: int = 0
     """Number of worker processes; 0 exports in this process."""
     rig: str | Rig | None = None
@@ -150,7 +153,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
                 f"--out {order.out}: the export cannot be inside the dataset, or the dataset inside the export; "
                 "choose another folder"
             )
-    dataset = select(whole, order.splits, order.episodes)
+    dataset = select(whole, order.splits, order.episodes, order.excluded)
     order.options.check(dataset.meta)
     options = order.options.model_dump(mode="json")
     if dataset.rig is not None:

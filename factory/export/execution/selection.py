@@ -26,8 +26,16 @@ def parse_episodes(text: str) -> list[str]:
     return list(found)
 
 
-def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str] = ()) -> Dataset:
-    """Returns the episodes of the given splits and ids, in the order of the plan; all if none are given.
+def select(
+    dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str] = (), excluded: Iterable[str] = ()
+) -> Dataset:
+    """Returns the episodes of the given splits and ids but the excluded ones, in the order of the plan.
+
+    Args:
+        dataset: the dataset.
+        splits: wanted splits; all if none are given.
+        episodes: wanted ids; all if none are given.
+        excluded: ids to leave out.
 
     Raises:
         UsageError: an id is not in the dataset, or no episode is selected.
@@ -44,6 +52,11 @@ def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str]
     held = sorted(set(dataset.column("split").to_pylist()))
     if wanted_splits:
         dataset = dataset.filter(split=wanted_splits)
+    left_out = frozenset(excluded)
+    if left_out:
+        dataset = dataset.filter(
+            episode=[name for name in dataset.column("episode_id").to_pylist() if name not in left_out]
+        )
     if not len(dataset):
         asked = f" in {', '.join(wanted_splits)}" if wanted_splits else ""
         raise UsageError(f"{dataset.root} has no episodes{asked}; splits with episodes: {', '.join(held) or 'none'}")

@@ -61,7 +61,7 @@ def static_messages(episode: Episode, scene: CompiledScene, stamp_ns: int) -> It
     """
     job = episode.meta.job
     yield TopicMessage("/tf_static", {"transforms": list(_static_transforms(episode, stamp_ns))})
-    yield TopicMessage("/instruction", {"data": job.instruction})
+    yield TopicMessage("/instruction", {"data": episode.meta.instruction})
     yield TopicMessage("/target", {"markers": _markers(scene.info.target(job.target_id), stamp_ns)})
     yield TopicMessage("/map", _map(scene, stamp_ns))
     header = header_of(MAP, stamp_ns)

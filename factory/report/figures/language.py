@@ -8,7 +8,7 @@ from factory.html.palette import colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel
 from factory.report.drawing.figure import Figure, Table
-from factory.report.drawing.text import count, interval, name
+from factory.report.drawing.text import count, interval, name, number
 from factory.stats.language import summarise_language
 from factory.stats.model import LanguageRow, LanguageStatistics, Share
 
@@ -16,6 +16,7 @@ _MEASURES = {
     "nearest": ("target is nearest", "won"),
     "central": ("target is most central", "won"),
     "central_of_category": ("target is most central\nof its category", "won"),
+    "nearest_of_category": ("target is nearest\nof its category", "won"),
     "several_in_scene": ("fits several objects\nin the scene", "timeout"),
     "several_in_view": ("fits several objects\nin view", "timeout"),
     "contradictory": ("contradictory", "collision"),
@@ -27,6 +28,7 @@ _TABLES = {
         "nearest": "nearest",
         "most central": "central",
         "of its category": "central_of_category",
+        "nearest of its category": "nearest_of_category",
     },
     "Unclear instructions by scene": {
         "several in scene": "several_in_scene",
@@ -60,7 +62,7 @@ def draw(material: ReportInput) -> Figure:
         lambda axes: _paint(axes, found.rows[-1]),
         0.9 + 0.4 * len(_MEASURES),
     )
-    tables = (*(_scene_table(found, *table) for table in _TABLES.items()), _arrival_table(found))
+    tables = (*(_scene_table(found, *table) for table in _TABLES.items()), _wording_table(found), _arrival_table(found))
     return Figure("language", title, source, caption, (panel,), tables)
 
 
@@ -84,6 +86,24 @@ def _paint(axes: Axes, row: LanguageRow) -> None:
 def _scene_table(found: LanguageStatistics, title: str, columns: Mapping[str, str]) -> Table:
     rows = tuple((name(row.group), *(interval(getattr(row, key)) for key in columns.values())) for row in found.rows)
     return Table(("scene", *columns), rows, f"{title}; 95 % intervals")
+
+
+def _wording_table(found: LanguageStatistics) -> Table:
+    rows = tuple(
+        (
+            row.language,
+            *(str(count) for count in (row.n, row.distinct, row.vocabulary)),
+            *(number(value, digits) for value, digits in ((row.words_mean, 1), (row.self_bleu, 2))),
+        )
+        for row in found.wording
+    )
+    others, chance, wrong = number(found.others_in_scene, 1), number(found.rows[-1].chance, 2), found.false_premises
+    return Table(
+        ("language", "N", "distinct", "vocabulary", "words, mean", "self-BLEU"),
+        rows,
+        f"Wording; {interval(found.unique)} of the instructions fit one object of the scene, {wrong} fit "
+        f"none; {others} other objects of the category in the scene; chance of a random one in view: {chance}",
+    )
 
 
 def _arrival_table(found: LanguageStatistics) -> Table:

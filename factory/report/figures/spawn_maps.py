@@ -27,7 +27,7 @@ def draw(material: ReportInput) -> Figure:
         "Start positions",
         "Fig. 4",
         caption,
-        tuple(_panel(material, s) for s in material.scenes),
+        tuple(_panel(material, s) for s in material.places),
         wide=True,
     )
 

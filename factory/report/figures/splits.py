@@ -9,6 +9,7 @@ from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, name, number, percent, scene_label
+from schemas.plan import PAPER_SPLITS
 from schemas.terms import Split
 
 
@@ -35,6 +36,8 @@ def _paint(axes: Axes, material: ReportInput) -> None:
     places, left = np.arange(len(totals)), np.zeros(len(totals))
     for split in Split:
         counts = [sum(row.split is split for row in material.of(scene)) for scene in material.scenes]
+        if split not in PAPER_SPLITS and not any(counts):
+            continue
         widths = 100 * np.array(counts) / totals
         axes.barh(places, widths, 0.62, left, color=colour(SPLIT_COLOURS[split]), edgecolor=colour("card"), label=split)
         for place, (n, width) in enumerate(zip(counts, widths, strict=True)):

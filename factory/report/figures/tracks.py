@@ -24,7 +24,7 @@ def draw(material: ReportInput) -> Figure:
         "straight; curves show a planner or a start that faces away from the target."
     )
     return Figure(
-        "tracks", title, source, caption, tuple(_panel(material, scene) for scene in material.scenes), wide=True
+        "tracks", title, source, caption, tuple(_panel(material, scene) for scene in material.places), wide=True
     )
 
 

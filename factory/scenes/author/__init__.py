@@ -1,6 +1,7 @@
-"""Authors the built-in scenes as USD from a seed: office, hospital, two warehouses, homes, shops and schools.
+"""Authors the built-in scenes from a seed: office, hospital, two warehouses, homes, shops and schools.
 
-Does not compile or simulate. The importer reads the result like any USD stage of a user.
+A scene is written as USD, which the importer reads like any stage, or converted to the content that the compiler reads.
+Does not compile or simulate.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +24,12 @@ from factory.scenes.author.layouts.warehouse import lay_out_full_warehouse, lay_
 from factory.scenes.author.placement import FloorPlan
 from schemas.errors import UsageError
 
-__all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_scene"]
+if TYPE_CHECKING:
+    from factory.scenes.importer import Extraction
 
-AUTHOR_VERSION = "17"
+__all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_content", "author_scene"]
+
+AUTHOR_VERSION = "18"
 """Version of the authoring; incremented when the same (name, seed) gives another scene. Part of the cache key."""
 
 
@@ -83,13 +88,35 @@ def author_scene(name: str, seed: int, directory: Path) -> Path:
     Raises:
         UsageError: `name` is not a built-in scene.
     """
-    scene = BUILTIN_SCENES.get(name)
-    if scene is None:
-        raise UsageError(f"{name!r} is not a built-in scene; known scenes: {', '.join(BUILTIN_SCENES)}")
+    scene = _scene_of(name)
     from factory.scenes.author.usd_writer import write_scene  # 200 MB of USD, only when a scene is written
 
     plan = lay_out_scene(scene, seed)
     return write_scene(plan, name, directory, scene.metres_per_unit)
+
+
+def author_content(name: str, seed: int) -> Extraction:
+    """Returns the content of one built-in scene, which the compiler reads, without writing USD.
+
+    Args:
+        name: a key of `BUILTIN_SCENES`.
+        seed: non-negative; the same (name, seed) gives the same geometry and texture pixels.
+
+    Raises:
+        UsageError: `name` is not a built-in scene.
+        WorldError: the seed has no layout; another seed has one.
+    """
+    plan = lay_out_scene(_scene_of(name), seed)
+    from factory.scenes.author.content import content_of  # only when a scene is compiled
+
+    return content_of(plan, name, f"{name}\n{seed}\n{AUTHOR_VERSION}")
+
+
+def _scene_of(name: str) -> BuiltinScene:
+    scene = BUILTIN_SCENES.get(name)
+    if scene is None:
+        raise UsageError(f"{name!r} is not a built-in scene; known scenes: {', '.join(BUILTIN_SCENES)}")
+    return scene
 
 
 def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:

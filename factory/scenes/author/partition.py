@@ -5,6 +5,7 @@ Pure: works on rectangles in metres and a random generator. Does not build walls
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -16,7 +17,8 @@ from factory.scenes.author.placement import Rectangle
 from factory.scenes.author.room import Doorway
 from schemas.errors import WorldError
 
-_TRIES = 600
+_TRIES, _OUTLINES = 600, 4
+"""Divisions tried for one outline, and number of outlines of the same floor area."""
 _GIVE = (0.8, 1.25)
 """Range of the factor by which the floor of a room may differ from its spec."""
 _SLENDER = 2.1
@@ -70,7 +72,8 @@ def divide_floor(
 
     Args:
         rng: random generator.
-        floor: outer rectangle, between the centre lines of the outer walls.
+        floor: outer rectangle, between the centre lines of the outer walls; if no division of it is found, others
+            of the same area and centre are tried.
         specs: rooms of the building.
         doors: widths of the openings.
         hall_m: width of a straight hall across the floor, or `None` for none; the hall is the last room.
@@ -78,7 +81,14 @@ def divide_floor(
     Raises:
         WorldError: no division was found.
     """
-    for _ in range(_TRIES):
+    outline, centre = floor, floor.centre
+    for number in range(_OUTLINES * _TRIES):
+        if number and number % _TRIES == 0:
+            width = math.sqrt(outline.width * outline.depth * float(rng.uniform(1.0, 1.7)))
+            depth = outline.width * outline.depth / width
+            floor = Rectangle(
+                centre[0] - width / 2, centre[1] - depth / 2, centre[0] + width / 2, centre[1] + depth / 2
+            )
         order = tuple(
             specs[k]._replace(area_m2=specs[k].area_m2 * float(rng.uniform(*_GIVE)))
             for k in rng.permutation(len(specs))
@@ -91,9 +101,8 @@ def divide_floor(
         openings = _open(rng, order, areas, doors)
         if openings is not None:
             return Division(order, tuple(areas), tuple(openings))
-    raise WorldError(
-        f"no division of {floor.width:.1f} x {floor.depth:.1f} m into {len(specs)} rooms was found; use another seed"
-    )
+    size = f"{outline.width:.1f} x {outline.depth:.1f} m"
+    raise WorldError(f"no division of {size} into {len(specs)} rooms was found; use another seed")
 
 
 def _suits(area: Rectangle, spec: RoomSpec) -> bool:

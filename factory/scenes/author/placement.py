@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 from numpy.random import Generator
@@ -83,6 +84,11 @@ class PropPlacement:
     y: float
     z: float
     yaw: float
+
+    @cached_property
+    def floor_box(self) -> Rectangle:
+        """Axis-aligned footprint, metres."""
+        return footprint(self.model, self.x, self.y, self.yaw)
 
 
 class RoomRecord(NamedTuple):
@@ -227,7 +233,7 @@ class FloorPlan:
         return any(
             other.model.low[2] + other.z < model.high[2]
             and model.low[2] < other.model.high[2] + other.z
-            and print_.overlaps(footprint(other.model, other.x, other.y, other.yaw))
+            and print_.overlaps(other.floor_box)
             for other in self.placements
         )
 

@@ -1,25 +1,23 @@
 """Writes a floor plan as USD: one root layer, one layer per prop model, and textures as PNG.
 
-The only module of the authoring that imports pxr. Does not lay out scenes.
+Does not lay out scenes.
 """
 
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
+from factory.scenes.author.content import by_material, encode_texture
 from factory.scenes.author.geometry import AuthoredMesh, merge
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, linear_rgb
 from factory.scenes.author.placement import FloorPlan, PropPlacement
 from factory.scenes.author.props.catalogue import PropModel
-from factory.scenes.author.textures import draw_texture
 
 
 def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: float) -> Path:
@@ -82,10 +80,7 @@ def _write_meshes(
     stage: Any, parent: str, pieces: Sequence[PropPiece], looks: dict[str, Any], metres_per_unit: float
 ) -> None:
     """Writes one mesh prim per material below `parent`."""
-    by_material: dict[str, list[PropPiece]] = {}
-    for piece in pieces:
-        by_material.setdefault(piece.material.name, []).append(piece)
-    for number, (name, group) in enumerate(by_material.items()):
+    for number, (name, group) in enumerate(by_material(pieces).items()):
         joined = merge([piece.mesh for piece in group], group[0].material.tile_m)
         mesh = _write_mesh(stage, f"{parent}/Geo_{number}", joined, metres_per_unit)
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(looks[name])
@@ -172,7 +167,5 @@ def _write_placement(stage: Any, placement: PropPlacement, number: int, metres_p
 
 
 def _write_textures(pieces: Iterable[PropPiece], directory: Path, seed: int) -> None:
-    """Draws each used texture from a separate generator, so that a new texture does not change the others."""
     for name in sorted({piece.material.texture for piece in pieces if piece.material.texture}):
-        rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-        Image.fromarray(draw_texture(name, rng)).save(directory / f"{name}.png", compress_level=1)
+        (directory / f"{name}.png").write_bytes(encode_texture(name, seed))

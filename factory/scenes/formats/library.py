@@ -15,10 +15,11 @@ from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.gltf.nodes import read_gltf
 from factory.scenes.formats.meshes import read_ply, read_stl
 from factory.scenes.formats.obj import read_obj
-from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content
+from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content, solid_piece
 from factory.scenes.formats.units import to_metres
 from factory.scenes.formats.xml_text import parse_xml, text_of
 from factory.scenes.importer.model import Surface
+from factory.scenes.importer.solids import Polygons
 from factory.scenes.stage_file import kind_of_file
 from schemas.support.numpy_types import Floats
 
@@ -111,6 +112,26 @@ class Library:
         up = content.up if kind_of_file(mesh) == "glTF" else "z"  # Gazebo and RViz ignore up_axis of COLLADA
         matrix = np.asarray(to_world @ to_metres(content.metres_per_unit or 1.0, up or "z"))
         place_content(self.files.scene, path, replace(content, shapes=shapes), matrix, is_collider)
+
+    def place_solid(
+        self, path: str, kind: str, solid: Polygons | None, to_world: Floats, is_collider: bool, surface: Surface | None
+    ) -> None:
+        """Adds a solid to the scene; one that is not supported adds a note.
+
+        Args:
+            path: path of the node.
+            kind: name of the geometry in the file.
+            solid: polygons, metres; `None` if the geometry is not supported.
+            to_world: (4, 4) transform of the node, metres.
+            is_collider: whether the solid is for collision only.
+            surface: appearance; `None` is grey.
+        """
+        scene = self.files.scene
+        if solid is None:
+            scene.notes.append(f"{path}: geometry <{kind}> is not supported, skipped")
+            return
+        piece = solid_piece(solid, surface or Surface(colour=(0.4, 0.4, 0.4)))
+        scene.place(path, [piece], to_world, is_collider)
 
     def _content(self, mesh: Path, user: str) -> Content | None:
         if mesh not in self._contents:

@@ -13,7 +13,7 @@ import numpy as np
 from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.library import Library
 from factory.scenes.formats.poses import numbers, pose_matrix
-from factory.scenes.formats.shapes import BROKEN, ROOT, Names, display_colour, solid_piece
+from factory.scenes.formats.shapes import BROKEN, ROOT, Names, display_colour
 from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.model import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, sphere
@@ -105,12 +105,7 @@ def _place_geometry(
         if mesh is not None:
             library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface)
         return
-    polygons = _solid(kind)
-    if polygons is None:
-        library.files.scene.notes.append(f"{name}: geometry <{kind.tag}> is not supported, skipped")
-        return
-    piece = solid_piece(polygons, surface or Surface(colour=(0.4, 0.4, 0.4)))
-    library.files.scene.place(name, [piece], to_world, is_collider)
+    library.place_solid(name, kind.tag, _solid(kind), to_world, is_collider, surface)
 
 
 def _solid(kind: Element) -> Polygons | None:

@@ -73,11 +73,14 @@ def tiers_of(
 
 def _is_reachable(terrain: Terrain, target: Target, goal: Goal) -> bool:
     """Returns whether a pose in the success region is free, on the connected floor and in sight of the target."""
-    points = _rings(goal, np.asarray(_ARRIVAL_SHARES) * ARRIVAL_RADIUS_M)
-    points = points[terrain.grid.have_sight(points, target)]
     yaw = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
-    fits = terrain.fits(points[:, None, 0], points[:, None, 1], _toward(goal, points)[:, None] + yaw, 0.0)
-    return bool(fits.any())
+    for share in _ARRIVAL_SHARES:  # most targets are reachable at the first distance
+        points = _rings(goal, np.array([share * ARRIVAL_RADIUS_M]))
+        points = points[terrain.grid.have_sight(points, target)]
+        headings = _toward(goal, points)[:, None] + yaw
+        if terrain.fits(points[:, None, 0], points[:, None, 1], headings, 0.0).any():
+            return True
+    return False
 
 
 def _ring_tiers(terrain: Terrain, target: Target, goal: Goal) -> tuple[list[Tier], list[Tier]]:

@@ -111,8 +111,11 @@ class SceneFacts:
 
     @cached_property
     def volume(self) -> Floats:
-        """(N,) volumes of the bounding boxes, cubic metres."""
-        return np.asarray((self.graph.high - self.graph.low).prod(axis=1))
+        """(N,) areas of the footprints times the heights, cubic metres; a box around a turned object is too large."""
+        outlines = [np.array(each.outline_m) for each in self.graph.objects]
+        ahead = [np.roll(outline, -1, axis=0) for outline in outlines]
+        areas = [np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2 for a, b in zip(outlines, ahead, strict=True)]
+        return np.asarray(areas) * self.height
 
     @cached_property
     def height(self) -> Floats:

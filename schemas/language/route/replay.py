@@ -93,7 +93,7 @@ class PoseReplay:
         """Returns the distance to the next cell with at least a value, metres."""
         steps = np.arange(0.0, most_m, _RAY_M)
         places = np.column_stack((point.real + way.real * steps, point.imag + way.imag * steps))
-        hit = np.flatnonzero(np.asarray(self.graph.sight_grid.at(places), np.int64) >= blocked)
+        hit = np.flatnonzero(self.graph.sight_grid.at(places).astype(np.int64) >= blocked)
         return float(steps[hit[0]]) if len(hit) else most_m
 
     def may_see(self, number: int, t: int, most_m: float) -> bool:

@@ -6,9 +6,10 @@ import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.language.compose import SceneLanguage
@@ -22,7 +23,7 @@ from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of,
 from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.segment import PathPart, divide_path
 from schemas.language.view import SceneView, look
-from schemas.support.numpy_types import Bools, Floats, Ints
+from schemas.support.numpy_types import Bools, Floats
 
 _LATER = frozenset(Family) - {Family.VIEW}
 """Features of a target that is reached after other steps: "as seen from here" would mean the start of the route."""
@@ -192,13 +193,13 @@ class RouteSearch:
         ahead, _ = self._offsets(np.array([t]))
         return bool(ahead[0, number] >= limit.BEFORE_M.good)
 
-    def _offsets(self, frames: Ints) -> tuple[Floats, Floats]:
+    def _offsets(self, frames: NDArray[np.integer[Any]]) -> tuple[Floats, Floats]:
         """Returns (K, N) distances of the objects' middles ahead and to the left of the robot, metres."""
         offset = self._facts.centre[None] - self._path.xy[frames][:, None]
         cos, sin = np.cos(self._path.yaw[frames])[:, None], np.sin(self._path.yaw[frames])[:, None]
         return offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
 
-    def _gaps(self, frames: Ints) -> Floats:
+    def _gaps(self, frames: NDArray[np.integer[Any]]) -> Floats:
         """Returns (K, N) gaps between the robot's centre and the objects' bounding rectangles, metres."""
         points = self._path.xy[frames][:, None]
         beyond = np.maximum(self._graph.low[None, :, :2] - points, points - self._graph.high[None, :, :2])
@@ -241,11 +242,9 @@ class RouteSearch:
     def _rivals(self, start: int, end: int) -> Bools:
         """Returns (N,) objects that may be seen from the step, or are near it."""
         frames = np.unique(np.append(np.arange(start, end, _EVERY * 5), end - 1))
-        found = np.asarray((self._gaps(frames) <= _NEAR_M).any(axis=0), bool)
-        for t in {start, (start + end) // 2, end - 1}:
-            view = self._view(t)
-            found = found | (view.possible & (view.distance <= limit.AMBIGUOUS_M + 1.0))
-        return found
+        views = [self._view(t) for t in {start, (start + end) // 2, end - 1}]
+        seen = [view.possible & (view.distance <= limit.AMBIGUOUS_M + 1.0) for view in views]
+        return np.asarray(np.logical_or.reduce([(self._gaps(frames) <= _NEAR_M).any(axis=0), *seen]))
 
     def _onward(self, start: int, end: int, length_m: float) -> SpannedStep:
         """Returns a step straight on: towards an object ahead, or for a distance."""

@@ -137,9 +137,10 @@ class Footprints:
         return each.high_m[2] - each.low_m[2]
 
     def volume(self, number: int) -> float:
-        """Returns the volume of the bounding box, cubic metres."""
-        each = self._objects[number]
-        return math.prod(high - low for low, high in zip(each.low_m, each.high_m, strict=True))
+        """Returns the volume of the column above the footprint, cubic metres."""
+        corners = self._objects[number].outline_m
+        sides = zip(corners, (*corners[1:], corners[0]), strict=True)
+        return sum(x * next_y - next_x * y for (x, y), (next_x, next_y) in sides) / 2 * self.height(number)
 
     def _share(self, number: int, other: int) -> float:
         """Returns the share of an object's bounding rectangle within the footprint of another one, by samples."""

@@ -33,6 +33,7 @@ from schemas.terms import COLOUR_NAMES
         ((128, 0, 128), "purple"),
         ((255, 192, 203), "pink"),
         ((139, 69, 19), "brown"),
+        ((210, 104, 24), "orange"),  # orange paint on cloth
         ((194, 153, 107), "brown"),
         ((222, 190, 140), "brown"),
         ((225, 203, 168), "brown"),

@@ -63,6 +63,24 @@ def test_rings_at_several_distances_have_the_bits_of_each_ring(goal: Goal) -> No
     assert np.array_equal(at_once, np.concatenate([goal.ring(rays, distance) for distance in distances]))
 
 
+@pytest.mark.parametrize("footprint", [TABLE, ((0.0, 0.0), (2.0, 0.1), (0.5, 1.0)), TABLE[:2], TABLE[:1]])
+@pytest.mark.parametrize("distance", [-0.1, 0.0, 0.97])
+def test_approach_has_the_bits_of_a_bisection_in_36_steps(
+    footprint: tuple[tuple[float, float], ...], distance: float
+) -> None:
+    centre = np.mean(footprint, axis=0)
+    goal = Goal((float(centre[0]), float(centre[1])), 1.0, footprint)
+    starts = np.random.default_rng(4).normal(centre, 3.0, size=(60, 2))
+    for start, end in zip(starts, goal.approach(starts, distance), strict=True):
+        low, high = 0.0, 1.0
+        for _ in range(36):
+            middle = (low + high) / 2
+            is_near = goal.distances(centre + (start - centre) * middle) <= distance
+            low, high = (middle, high) if is_near else (low, middle)
+        expected = start if goal.distances(start) <= distance else centre + (start - centre) * low
+        assert end.tolist() == expected.tolist()
+
+
 def test_the_shortest_way_into_the_goal_leads_to_the_nearest_side() -> None:
     gap, end = BY_SURFACE.entry(np.array([1.2, 3.5]))
     assert gap == pytest.approx(2.0)

@@ -51,6 +51,8 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) ->
         if room.kind == "bath" and "laundry" not in has:
             furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
     dry = ("living", "dining", "bedroom", "study", "hall")
+    complete(plan, own, {"SM_NightStand": 1}, ("bedroom",))
+    complete(plan, own, {"SM_WashingMachine": 1}, ("laundry", "bath", "kitchen", "hall"))
     complete(plan, own, _EVERYWHERE, dry)
 
 
@@ -194,14 +196,16 @@ def _bedroom(own: Furnisher) -> None:
     """A bed with its head at a wall and night stands, a wardrobe, a dresser, a lounge chair, a rug."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     variant = look + plan.pick(3)
-    found = own.wall_piece("SM_BedDouble", variant, clearance=0.75, gap=0.01)
+    tries = (own.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
+    found = next((bed for bed in tries if bed is not None), None)
     if found is not None:
         half = float(found.model.high[0])
         for turn in (-1.0, 1.0):
             stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
             if stand is not None and rng.random() < 0.7:
                 own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
-    own.wall_piece("SM_Wardrobe", look, clearance=0.5)
+    if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
+        own.wall_piece("SM_Wardrobe", look, clearance=0.1)
     own.wall_piece("SM_Dresser", look, clearance=0.45)
     extra = ("SM_ChairLounge_G", "SM_Ottoman", "SM_Bench", "SM_ShelfBook_B")[plan.pick(4)]
     own.wall_piece(extra, own.palette.cover, clearance=0.45)

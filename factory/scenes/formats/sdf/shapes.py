@@ -11,7 +11,7 @@ import numpy as np
 
 from factory.scenes.formats.library import Library
 from factory.scenes.formats.poses import numbers
-from factory.scenes.formats.shapes import display_colour, solid_piece
+from factory.scenes.formats.shapes import display_colour
 from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.model import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, plane, sphere
@@ -69,12 +69,7 @@ def place_geometry(library: Library, shape: Element, path: Path, name: str, to_w
             submesh = kind.findtext("submesh/name", "").strip()
             library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface, submesh)
         return
-    polygons = _solid(kind)
-    if polygons is None:
-        library.files.scene.notes.append(f"{name}: geometry <{kind.tag}> is not supported, skipped")
-        return
-    piece = solid_piece(polygons, surface or Surface(colour=(0.4, 0.4, 0.4)))
-    library.files.scene.place(name, [piece], to_world, is_collider)
+    library.place_solid(name, kind.tag, _solid(kind), to_world, is_collider, surface)
 
 
 def _solid(kind: Element) -> Polygons | None:

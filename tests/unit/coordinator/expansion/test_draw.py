@@ -9,16 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coordinator.expansion.apportion import apportion, webster_sequence
 from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
 from coordinator.expansion.cells import cells, empty_splits
-from coordinator.expansion.draw import PlannedJob, expand, find_impossible, redraw, to_job
+from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
 from coordinator.expansion.file import shrink
+from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.scene_cells import scene_cells
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import InvalidPlan
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
+from schemas.support.apportion import apportion, webster_sequence
 from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
 
@@ -172,7 +173,7 @@ def test_absent_categories_are_reported_once_without_their_cells():
 def test_an_existing_category_without_targets_is_reported_as_out_of_reach():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
     entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
-    entry = replace(entry, info=entry.info.model_copy(update={"targets": entry.info.targets[:1]}))
+    entry = replace(entry, known=entry.info.model_copy(update={"targets": entry.info.targets[:1]}))
     assert "present but not reachable: trash_can" in find_impossible(plan, {"hospital": entry})[0]
 
 

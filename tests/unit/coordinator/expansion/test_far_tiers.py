@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
-from coordinator.expansion.draw import expand, find_impossible
+from coordinator.expansion.draw import expand
+from coordinator.expansion.possible import find_impossible
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target, encode_scene

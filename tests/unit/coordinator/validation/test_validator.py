@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
+import time
 import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +19,13 @@ from schemas.errors import InvalidBundle, TransientError
 from schemas.terms import Recording
 from tests.builders.bundle import bundle_bytes, job_for, parts_for
 from tests.builders.dataset import chair
+
+_TRIES = 50
+
+
+def child_processes() -> set[int]:
+    """Returns the child processes of all threads of this process."""
+    return {int(pid) for path in Path("/proc/self/task").glob("*/children") for pid in path.read_text().split()}
 
 
 @pytest.fixture
@@ -91,6 +101,24 @@ def test_repeated_child_crashes_do_not_fill_the_log(bundle: Path) -> None:
             with pytest.raises(InvalidBundle, match="2 validating processes died"):
                 validator.check(bundle, job_for())
     assert [line["event"] for line in lines].count("validator_died") == 1
+
+
+def test_a_bundle_is_not_refused_if_a_signal_from_outside_ends_the_validating_process(bundle: Path) -> None:
+    before = child_processes()
+    with Validator() as validator, ThreadPoolExecutor(1) as pool:
+        for _ in range(_TRIES):
+            validator.check(bundle, job_for())
+            (child,) = child_processes() - before
+            os.kill(child, signal.SIGSTOP)
+            checking = pool.submit(validator.check, bundle, job_for())
+            time.sleep(0.1)
+            os.kill(child, signal.SIGTERM)
+            os.kill(child, signal.SIGCONT)
+            error = checking.exception()
+            if error is not None:  # otherwise the signal came before the bundle, and another process validated it
+                break
+    assert isinstance(error, TransientError)
+    assert "a signal from outside ended the validating process" in str(error)
 
 
 def test_a_child_that_cannot_start_is_a_machine_error_and_not_a_bundle_error(bundle: Path) -> None:

@@ -12,7 +12,7 @@ from factory.cli.main import cli, main
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 
-SERVERS = {"factory coordinator start", "factory gateway start", "factory worker"}
+SERVERS = {"factory coordinator start", "factory gateway start", "factory serve", "factory worker"}
 """Run until they are stopped, and print where others connect."""
 
 

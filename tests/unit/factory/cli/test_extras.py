@@ -53,8 +53,9 @@ def test_each_extra_that_a_page_names_exists() -> None:
     assert {"sim", "eval", "train"} <= named <= set(declared)
 
 
-def test_make_setup_prints_the_next_command() -> None:
+@pytest.mark.parametrize(("target", "next_command"), [("setup", "make run"), ("run", "factory serve dataset")])
+def test_make_prints_the_next_command(target: str, next_command: str) -> None:
     own = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
-    words = ("make", "--dry-run", "setup")
+    words = ("make", "--dry-run", target)
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True, env=own)
-    assert "make run" in done.stdout.splitlines()[-1]
+    assert next_command in done.stdout.splitlines()[-1]

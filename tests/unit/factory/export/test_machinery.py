@@ -16,12 +16,12 @@ from click.testing import CliRunner
 
 from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
-from factory.export.execution.pool import run_tasks
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.execution.selection import parse_episodes, select
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.paper import PaperOptions
 from factory.export.registry import EXPORTERS, find_exporter
+from factory.support.task_pool import run_tasks
 from schemas.errors import UsageError, WorldError
 from tests.builders.dataset import make_dataset
 
@@ -74,7 +74,7 @@ def test_tasks_are_drawn_as_processes_become_free() -> None:
 
 
 def test_a_dead_process_is_reported() -> None:
-    with pytest.raises(WorldError, match="a process of the export died"):
+    with pytest.raises(WorldError, match="a process died"):
         list(run_tasks(die, [3], 1, threading.Event()))
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.possible import find_impossible
 from factory.cli.scene.package import draft_plan
 from schemas.terms import Split, Tier
 from tests.builders.catalog import make_entry, make_target

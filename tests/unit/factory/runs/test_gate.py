@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,9 @@ DIES_AT_WORK = (
 
 
 def pilot_of(count: int, command: tuple[str, ...] = QUICK, processes: int = 2) -> Pilot:
-    return Pilot(tuple(job_for(index) for index in range(1, count + 1)), Path("unused"), command, processes)
+    return Pilot(
+        tuple(job_for(index) for index in range(1, count + 1)), defaultdict(lambda: Path("unused")), command, processes
+    )
 
 
 def try_all(pilot: Pilot) -> list[Trial]:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from schemas.config import CameraConfig
 from schemas.instruction.start_view import IN_FRONT_RAD, StartView, start_view_findings
 
 TARGET, RIVAL, OTHER = 3, 5, 9
@@ -20,7 +21,9 @@ def _image(*shown: int, pixels: int = 32) -> np.ndarray:
 
 
 def _findings(view: StartView, *shown: int, bearing_deg: float = 0.0, pixels: int = 32) -> str:
-    return "; ".join(start_view_findings(view, TARGET, math.radians(bearing_deg), _image(*shown, pixels=pixels), 32))
+    ids = _image(*shown, pixels=pixels)
+    depth = np.ones(ids.shape, np.float32)
+    return "; ".join(start_view_findings(view, TARGET, math.radians(bearing_deg), ids, depth, CameraConfig(), 32))
 
 
 @pytest.mark.parametrize(
@@ -36,6 +39,13 @@ def _findings(view: StartView, *shown: int, bearing_deg: float = 0.0, pixels: in
         (StartView(within_rad=IN_FRONT_RAD), (TARGET, RIVAL), ""),
         (StartView(within_rad=IN_FRONT_RAD), (RIVAL,), "the target is not in view"),
         (StartView(), (RIVAL,), ""),
+        (StartView(alike=(RIVAL, OTHER), least_alike=1), (TARGET, RIVAL), ""),
+        (
+            StartView(alike=(RIVAL, OTHER), least_alike=2),
+            (TARGET, RIVAL),
+            "1 other objects of the target's category",
+        ),
+        (StartView(alike=(RIVAL,), least_alike=1), (RIVAL,), "the target is not in view"),
     ],
 )
 def test_a_start_meets_its_conditions_or_says_which_object_breaks_them(view, shown, finding):
@@ -57,10 +67,21 @@ def test_an_object_with_too_few_pixels_is_not_in_view():
     assert _findings(StartView(rivals=(RIVAL,)), TARGET, pixels=31) == "the target is not in view"
     ids = _image(TARGET)
     ids[7, :31] = RIVAL
-    assert start_view_findings(StartView(rivals=(RIVAL,)), TARGET, 0.0, ids, 32) == []
+    depth = np.ones(ids.shape, np.float32)
+    assert start_view_findings(StartView(rivals=(RIVAL,)), TARGET, 0.0, ids, depth, CameraConfig(), 32) == []
 
 
 @pytest.mark.parametrize("view", [StartView(rivals=(RIVAL,)), StartView(within_rad=0.5)])
 def test_the_target_is_required_in_view_where_only_it_may_be_meant(view):
     assert view.shows_target
     assert not StartView(alike=(RIVAL,)).shows_target
+
+
+@pytest.mark.parametrize(("share", "finding"), [(0.4, ""), (0.6, "the target is the nearest object of its category")])
+def test_the_target_is_the_nearest_of_two_only_if_the_drawn_share_is_below_a_half(share, finding):
+    ids = _image(TARGET, RIVAL)
+    depth = np.where(ids == TARGET, 1.0, 2.0).astype(np.float32)
+    view = StartView(alike=(RIVAL,), least_alike=1, ranks=(share, 0.0))
+    found = start_view_findings(view, TARGET, 0.0, ids, depth, CameraConfig(), 32)
+    assert "; ".join(found).startswith(finding)
+    assert bool(found) == bool(finding)

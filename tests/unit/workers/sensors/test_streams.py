@@ -64,3 +64,9 @@ def test_a_share_of_the_values_is_below(share: float) -> None:
     count = 200_000
     found = KEY.is_below(share, Effect.RAY_DROPOUT, count).mean()
     assert found == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count) + 1 / LEVELS)
+
+
+def test_numbers_drawn_in_parts_are_those_drawn_at_once() -> None:
+    draw = KEY.stream(Effect.RANGE, 3)
+    parts = [draw((2, 6)).ravel(), draw(8), draw(5)]
+    assert np.concatenate(parts).tolist() == KEY.bits(Effect.RANGE, 25, 3).tolist()

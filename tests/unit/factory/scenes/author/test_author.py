@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene, lay_out_scene
+from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_content, author_scene, lay_out_scene
 from factory.scenes.author.geometry import bounds, triangle_count
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.placement import FloorPlan
@@ -119,6 +119,27 @@ def test_authoring_into_the_same_directory_replaces_the_scene(shelves: Path) -> 
     other = read_meshes(author_scene("warehouse_multiple_shelves", 1, shelves.parent))
     assert before.keys() != other.keys()
     assert read_meshes(author_scene("warehouse_multiple_shelves", 7, shelves.parent)).keys() == before.keys()
+
+
+def test_content_of_a_layout_equals_what_the_importer_reads_from_its_usd(office: Path) -> None:
+    from factory.scenes.importer import extract_stage
+
+    imported, direct = extract_stage(office), author_content("office", 3)
+    expected = {part.path: part for part in imported.parts}
+    assert {part.path for part in direct.parts} == expected.keys()
+    assert direct.models == imported.models
+    assert direct.components == imported.components
+    for part in direct.parts:
+        other = expected[part.path]
+        assert np.allclose(part.triangles, other.triangles, atol=1e-4), part.path
+        assert (part.uvs is None) == (not other.surface.texture)
+        assert part.uvs is None or np.allclose(part.uvs, other.uvs, atol=1e-4)
+        assert Path(other.surface.texture).stem == part.surface.texture
+        assert np.allclose(part.surface.colour, other.surface.colour, atol=1e-6)
+        assert np.allclose(part.surface.emission, other.surface.emission, atol=1e-6)
+        assert part.surface.emits == other.surface.emits
+    for name, data in direct.images.items():
+        assert (office.parent / "textures" / f"{name}.png").read_bytes() == data
 
 
 def test_office_is_authored_in_centimetres_and_z_up(office: Path) -> None:

@@ -31,8 +31,12 @@ def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
 
 def apportion(shares: Mapping[Key, float], count: int) -> dict[Key, int]:
     """Returns the quota of each key; the quotas sum to `count`."""
-    tally = Counter(webster_sequence(shares, count))
-    return {key: tally[key] for key in shares}
+    total = sum(shares.values())
+    # fewer seats than Webster's method gives, so that large numbers need few steps
+    given = {key: max(0, int(count * share / total) - len(shares)) for key, share in shares.items()}
+    for _ in range(count - sum(given.values())):
+        given[max(given, key=lambda k: shares[k] / (2 * given[k] + 1))] += 1
+    return given
 
 
 def least_used(options: Sequence[Key], used: Counter[Key], rng: np.random.Generator) -> Key:

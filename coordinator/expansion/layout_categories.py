@@ -1,0 +1,43 @@
+"""Gives each cell of a layout its exact quota of categories, from the plan only. Reads no scene.
+
+The family has one sequence of categories for seen and one for held-out ones: random permutations of all categories, one
+after another. Its counts differ by at most one, and each layout takes the places that the plan deals to it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.expansion.cells import Cell
+from coordinator.expansion.scene_cells import categories_of
+from schemas.layouts import LayoutPlan
+from schemas.plan import Plan, ScenePlan
+
+_SEQUENCE_STREAM = 4
+
+
+def layout_categories(plan: Plan, scene: ScenePlan) -> dict[Cell, Counter[str]]:
+    """Returns the number of episodes of each category in each cell of a layout; empty for another scene and for a plan
+    that is balanced over instances."""
+    if not isinstance(scene, LayoutPlan) or plan.balance == "instances":
+        return {}
+    number = plan.scenes.index(scene.family)
+    found: dict[Cell, Counter[str]] = {}
+    for (split, tier), places in scene.places.items():
+        names = categories_of(scene, split)
+        seed = plan.seed, _SEQUENCE_STREAM, number, int(split.is_held_out)
+        sequence = _sequence(seed, len(names), scene.family.episodes)
+        found[split, tier] = Counter(names[int(sequence[place])] for place in places)
+    return found
+
+
+@lru_cache(maxsize=8)
+def _sequence(seed: tuple[int, ...], categories: int, episodes: int) -> NDArray[np.int16]:
+    """Returns the index of the category of each place of a family."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rounds = np.tile(np.arange(categories, dtype=np.int16), (-(-episodes // categories), 1))
+    return rng.permuted(rounds, axis=1).ravel()

@@ -1,0 +1,114 @@
+"""Finds the cells of a plan that its scenes cannot fulfil. Draws nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence, Set
+
+from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.layout_categories import layout_categories
+from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene
+from schemas.errors import InvalidPlan
+from schemas.layouts import LayoutPlan
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import SuccessMeasure
+
+
+def require_possible(plan: Plan, catalog: Catalog) -> None:
+    """Checks that every cell of a plan has a target; `expand` checks it too.
+
+    Raises:
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
+    """
+    raise_if_impossible(plan, tuple(each_scene(plan, catalog)))
+
+
+def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
+    """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
+    return _find_impossible(plan, each_scene(plan, catalog))
+
+
+def raise_if_impossible(plan: Plan, scenes: Sequence[SceneCells]) -> None:
+    """Checks the cells of some scenes of a plan.
+
+    Raises:
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
+    """
+    mistakes = _find_impossible(plan, scenes)
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
+
+
+def _find_impossible(plan: Plan, scenes: Iterable[SceneCells]) -> list[str]:
+    return [line for cells in scenes for line in faults_of(cells, _place(plan, cells.scene))]
+
+
+def _place(plan: Plan, scene: ScenePlan) -> str:
+    family = scene.family if isinstance(scene, LayoutPlan) else scene
+    return f"scenes[{plan.scenes.index(family)}] {scene.name}"
+
+
+def faults_of(cells: SceneCells, place: str) -> Iterator[str]:
+    """Yields a line for each reason why a scene cannot fulfil its quota.
+
+    Args:
+        cells: cells of the scene.
+        place: start of each line.
+    """
+    scene, entry = cells.scene, cells.entry
+    success = cells.plan.task.success
+    if success is SuccessMeasure.SURFACE and not entry.info.has_footprints:
+        yield (
+            f"{place}: its package is of an older version and has no footprints of targets, "
+            'which task.success = "surface" needs; create it again with `factory scene build` or `factory scene '
+            'import`, or set task.success = "centroid"'
+        )
+        return
+    present = {target.category for target in entry.info.targets if target.is_reachable(success)}
+    named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
+    if any(categories - present for categories in named.values()):
+        yield f"{place}: {_absent_message(scene, entry, present)}"
+    ambiguous = {name for categories in named.values() for name in categories & present} - cells.present
+    if ambiguous:
+        yield f"{place}: {_ambiguous_message(cells, ambiguous)}"
+    exact = layout_categories(cells.plan, scene) if cells.plan.balance == "categories_overall" else {}
+    for (split, tier), count in cells.quota.items():
+        lacking = exact.get((split, tier), {}).keys() - {target.category for target in cells.pool(split, tier)}
+        if lacking and cells.pool(split, tier):
+            yield f"{place}: cell {split} / {tier} has no startable {', '.join(sorted(lacking))}, which its quota names"
+        if named[split] & cells.present and not cells.pool(split, tier):
+            yield (
+                f"{place}: cell {split} / {tier} ({count} episodes) has no target that the "
+                f"{cells.plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
+                "change the scene"
+            )
+
+
+def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
+    absent = [[name for name in names if name not in present] for names in scene.categories]
+    missing = [
+        f"no reachable {', '.join(map(repr, names))} ({key})"
+        for key, names in zip(("seen", "held_out"), absent, strict=True)
+        if names
+    ]
+    shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
+    blocked = f"; present but not reachable: {', '.join(sorted(filter(None, shown)))}" if shown else ""
+    remedy = "remove the missing categories from seen and held_out, or change the scene"
+    if scene.file is not None:
+        remedy += ", its rules or its list of targets"
+    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
+
+
+def _ambiguous_message(cells: SceneCells, ambiguous: Set[str]) -> str:
+    if cells.plan.language is not None:
+        return (
+            f"language needs {cells.plan.language.least_others} other objects of the target's category, and "
+            f"{', '.join(sorted(ambiguous))} has fewer; categories with enough there: "
+            f"{', '.join(sorted(cells.present)) or 'none'}; remove the others from seen and held_out, or reduce "
+            "language.same_category and language.in_view"
+        )
+    unique = ", ".join(cells.wording.unique)
+    return (
+        f'instructions.unique is "scene", but no instruction fits only one {" or ".join(sorted(ambiguous))}; '
+        f"unique there: {unique or 'nothing'}; remove the other categories from seen and held_out, or set "
+        'instructions.unique to "view", or list them in `ambiguous` of the scene'
+    )

@@ -1,0 +1,78 @@
+"""Checks that the scenes of a plan permit its verified instructions, at sampled starts. Expands nothing."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.scene_cells import SceneCells, each_scene
+from schemas.language.compose import SceneLanguage, composer_of
+from schemas.language.graph import build_graph
+from schemas.language.possible import Probe, explain_impossible
+from schemas.language.view import look
+from schemas.plan import Plan
+from schemas.scene import CompiledScene, Target, decode_scene
+from schemas.support.numpy_types import Floats
+
+_KEPT_SCENES = 4
+_TARGETS, _STARTS = 12, 4
+"""Largest number of targets of a scene, and of starts for each of them, that are tried."""
+_RANGE_M = (1.5, 7.0)
+
+
+@functools.lru_cache(maxsize=_KEPT_SCENES)
+def scene_language(package: Path) -> SceneLanguage:
+    """Returns the scene graph of a package with its verifier; those of the most recently used scenes are kept.
+
+    Raises:
+        InvalidBundle: the package is damaged.
+    """
+    return SceneLanguage(build_graph(_decode(package)))
+
+
+def find_unsayable(plan: Plan, catalog: Catalog) -> list[str]:
+    """Returns a line for each scene in which the language block of a plan gives no instruction, with what is possible.
+
+    Args:
+        plan: plan; one without a language block gives no line.
+        catalog: scenes of the plan, which support it otherwise.
+    """
+    if plan.language is None:
+        return []
+    nouns = composer_of(plan.language).missing_nouns(
+        [name for each in plan.scenes for name in sum(each.categories, ())]
+    )
+    found = [f"language: {line}" for line in nouns]
+    for number, cells in enumerate(each_scene(plan, catalog) if not found else ()):
+        package = cells.entry.path
+        probes = list(_probes(plan, cells, _decode(package), scene_language(package)))
+        why = explain_impossible(scene_language(package), plan.language, probes) if probes else ""
+        found += [f"scenes[{number}] {cells.scene.name}: language: {why}"] if why else []
+    return found
+
+
+def _probes(plan: Plan, cells: SceneCells, scene: CompiledScene, prepared: SceneLanguage) -> Iterator[Probe]:
+    """Yields targets with starts that face them."""
+    targets = {target.target_id: target for cell in cells.quota for target in cells.pool(*cell)}
+    chosen = list(targets.values())[:: max(1, math.ceil(len(targets) / _TARGETS))]
+    for target in chosen:
+        for x, y in _starts(scene, target):
+            yaw = math.atan2(target.centroid_m[1] - y, target.centroid_m[0] - x)
+            yield prepared.graph.number_of[target.target_id], look(prepared.graph, (x, y, yaw), plan.camera)
+
+
+def _starts(scene: CompiledScene, target: Target) -> list[tuple[float, float]]:
+    """Returns some start points of a scene around a target, evenly spread over those in range."""
+    distances = np.linalg.norm(scene.spawns - np.asarray(target.centroid_m[:2]), axis=1)
+    points: Floats = scene.spawns[(distances > _RANGE_M[0]) & (distances < _RANGE_M[1])]
+    return [(float(x), float(y)) for x, y in points[:: max(1, math.ceil(len(points) / _STARTS))]]
+
+
+def _decode(package: Path) -> CompiledScene:
+    with package.open("rb") as file:
+        return decode_scene(file)

@@ -1,0 +1,170 @@
+"""Reads cells, running jobs, events and recent attempts of a run for the web page. Does not write.
+
+Every query takes about the same time for any number of jobs: it reads tallies, an index, or the newest rows only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, Table, func, select
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.outcomes import SUCCESS
+from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
+from coordinator.ledger.tables import attempts, events, jobs, workers
+from coordinator.ledger.tallies import job_counts
+
+_RECENT_ATTEMPTS = 20_000
+_EVENTS = 60
+_MOST_RUNNING = 2000
+_INTERVALS = 48
+_LEAST_INTERVAL_S = 10.0
+_RATE_S = 600.0
+
+
+@dataclass(frozen=True)
+class RunningJob:
+    """Job that a worker holds."""
+
+    index: int
+    """Episode number."""
+    scene: str
+    """Name of the scene."""
+    step: int
+    """Number of simulated steps according to the last heartbeat."""
+    state: str
+    """State of the job."""
+
+
+@dataclass(frozen=True)
+class FarmEvent:
+    """Event of a job, with its episode."""
+
+    index: int
+    """Episode number."""
+    event: str
+    """Name of the event."""
+    state: str
+    """State after the event."""
+    attempt: int
+    """Number of the attempt."""
+    worker: str
+    """Session id of the worker that caused the event; empty for the coordinator."""
+    detail: str
+    """Description of the event."""
+    at: datetime
+    """Time of the event, UTC."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Attempts that ended in an interval of time."""
+
+    begin: datetime
+    """Begin of the interval, UTC."""
+    end: datetime
+    """End of the interval, UTC."""
+    archived: int
+    """Number of successful attempts."""
+    failures: dict[str, int]
+    """Number of other attempts by outcome."""
+
+
+@dataclass(frozen=True)
+class FarmReading:
+    """State of a farm beyond its progress."""
+
+    cells: dict[tuple[str, str, str], dict[str, int]]
+    """Number of current draws by scene, tier and split, and then by state; their sum is the quota of the cell."""
+    running: dict[str, tuple[RunningJob, ...]]
+    """Held jobs by the session id of their worker."""
+    versions: dict[str, str]
+    """Software version by session id."""
+    frames_per_s: dict[str, float]
+    """Simulated frames per second by session id, over the last ten minutes."""
+    events: tuple[FarmEvent, ...]
+    """Newest events, newest first."""
+    history: tuple[Interval, ...]
+    """Recent attempts over time, oldest first; empty without attempts."""
+    paused: bool
+    """Whether no job may be leased until an operator resumes the run."""
+    requests: tuple[RecordedRequest, ...]
+    """Newest admin requests, newest first."""
+
+
+def read_farm(connection: Connection, now: datetime) -> FarmReading:
+    """Returns the state of the farm of an open ledger."""
+    recent = connection.execute(_newest(attempts, _RECENT_ATTEMPTS, attempts.c.id)).all()
+    return FarmReading(
+        cells=_cells(connection),
+        running=_running(connection),
+        versions={row.sid: row.version for row in connection.execute(select(workers.c.sid, workers.c.version))},
+        frames_per_s=_rates(recent, now.timestamp()),
+        events=_events(connection),
+        history=_history(recent),
+        paused=is_paused(connection),
+        requests=read_requests(connection)[::-1],
+    )
+
+
+def _newest(table: Table, count: int, key: ColumnElement[Any]) -> Any:
+    columns = (table.c.sid, table.c.outcome, table.c.steps, table.c.at)
+    return select(*columns).where(key > select(func.max(key)).scalar_subquery() - count).order_by(table.c.at)
+
+
+def _cells(connection: Connection) -> dict[tuple[str, str, str], dict[str, int]]:
+    found: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
+    for row in connection.execute(job_counts(connection)):
+        if not row.superseded and row.jobs:
+            found[row.scene, row.tier, row.split][row.state] += row.jobs
+    return {cell: dict(found[cell]) for cell in sorted(found)}
+
+
+def _running(connection: Connection) -> dict[str, tuple[RunningJob, ...]]:
+    columns = (jobs.c.sid, jobs.c.idx, jobs.c.scene, jobs.c.step, jobs.c.state)
+    held = select(*columns).where(jobs.c.state.in_(HELD_STATES)).order_by(jobs.c.idx).limit(_MOST_RUNNING)
+    found: defaultdict[str, list[RunningJob]] = defaultdict(list)
+    for row in connection.execute(held):
+        found[row.sid or ""].append(RunningJob(row.idx, row.scene, row.step, row.state))
+    return {sid: tuple(rows) for sid, rows in found.items()}
+
+
+def _events(connection: Connection) -> tuple[FarmEvent, ...]:
+    columns = (jobs.c.idx, events.c.event, events.c.state, events.c.attempt, events.c.sid, events.c.detail, events.c.at)
+    query = select(*columns).join(jobs, jobs.c.id == events.c.job_id).order_by(events.c.id.desc()).limit(_EVENTS)
+    return tuple(
+        FarmEvent(row.idx, row.event, row.state, row.attempt, row.sid, row.detail, datetime.fromtimestamp(row.at, UTC))
+        for row in connection.execute(query)
+    )
+
+
+def _rates(recent: list[Any] | Any, now: float) -> dict[str, float]:
+    steps: Counter[str] = Counter()
+    for row in recent:
+        if now - row.at <= _RATE_S:
+            steps[row.sid] += row.steps
+    return {sid: count / _RATE_S for sid, count in steps.items()}
+
+
+def _history(recent: list[Any] | Any) -> tuple[Interval, ...]:
+    if not recent:
+        return ()
+    first, last = recent[0].at, recent[-1].at
+    width = max((last - first) / _INTERVALS, _LEAST_INTERVAL_S)
+    counts = [Counter[str]() for _ in range(int((last - first) / width) + 1)]
+    for row in recent:
+        counts[int((row.at - first) / width)][row.outcome] += 1
+    return tuple(
+        Interval(
+            datetime.fromtimestamp(first + place * width, UTC),
+            datetime.fromtimestamp(min(first + (place + 1) * width, last), UTC),
+            count[SUCCESS],
+            {outcome: number for outcome, number in sorted(count.items()) if outcome != SUCCESS},
+        )
+        for place, count in enumerate(counts)
+    )

@@ -1,0 +1,130 @@
+"""`factory submit`: writes and submits the jobs of a run for a batch system."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.archive.contract import scene_file
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_toml import plan_to_toml
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import count_option, plan_argument, shrink_options, shrunk_plan, write_option
+from factory.cli.common.output import json_option, print_json, say_building
+from factory.keys import admit, create_authority
+from factory.runs.catalog import open_catalog
+from factory.submit.slurm import Mode, SlurmJob, submit_all, write_scripts
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+from schemas.errors import UsageError
+from schemas.plan import Plan
+from schemas.protocol.identity import Role
+from schemas.storage.disk import translated
+from schemas.storage.mounts import mount_of
+from schemas.support.child import python_module
+
+_TIME = re.compile(r"(\d+-)?\d+(:\d{2}){0,2}", re.ASCII)
+_AUTHORITY_DAYS = 365
+
+
+@click.group("submit", cls=CommandGroup)
+def command() -> None:
+    """Submit a run to a batch system."""
+
+
+@command.command("slurm")
+@plan_argument(default="demo")
+@write_option(
+    "DIR", "Folder of the run, on a file system that all nodes share. It must not exist.", "run", required=True
+)
+@count_option("--tasks", 8, "Number of array tasks: shards, or workers.", most=100_000)
+@count_option("--cpus", 4, "Number of cores of a task.", most=1024)
+@click.option("--partition", metavar="NAME", help="Slurm partition. Default: the default partition of the cluster.")
+@click.option(
+    "--time", default="04:00:00", show_default=True, metavar="TIME", help="Time limit of a task, e.g. 30 or 1-12:00:00."
+)
+@click.option(
+    "--mode",
+    type=click.Choice(["shards", "workers"]),
+    default="shards",
+    show_default=True,
+    help="shards: each task generates a part of the plan, and a last job joins them; workers: a coordinator and an "
+    "array of workers, which balances the load.",
+)
+@click.option(
+    "--setup",
+    multiple=True,
+    metavar="LINE",
+    help="Shell line that makes `factory` available, e.g. '. /shared/venv/bin/activate' or 'module load minivla'; "
+    "repeatable. Default: the tasks use the Python of this command.",
+)
+@click.option("--no-submit", is_flag=True, help="Write the scripts only.")
+@shrink_options
+@json_option
+def slurm(
+    plan_name: str,
+    run: Path,
+    tasks: int,
+    cpus: int,
+    partition: str | None,
+    time: str,
+    mode: Mode,
+    setup: tuple[str, ...],
+    no_submit: bool,
+    as_json: bool,
+    **changes: Any,
+) -> None:
+    """Submit a run to Slurm.
+
+    PLAN is a built-in plan or a TOML file. Compiles the scenes, writes the scripts to DIR/slurm and submits them. Tasks
+    that reach their time limit drain and queue themselves again; `scancel` drains and cancels. The dataset is
+    DIR/dataset.
+    """
+    configure_logs()
+    if _TIME.fullmatch(time) is None:
+        raise UsageError(f"--time {time!r} is not a valid time limit; examples: 30 (minutes), 04:00:00, 1-12:00:00")
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    if mode == "shards" and tasks > plan.episodes:
+        raise UsageError(f"--tasks {tasks}: plan {plan.name} has {plan.episodes} episodes; use at most as many tasks")
+    run = run.absolute()
+    mount = mount_of(run)
+    is_shared = mount is not None and mount.is_network
+    factory = ("factory",) if setup else python_module("factory")
+    job = SlurmJob(run, tasks, cpus, time, partition, setup, factory, has_local_ledgers=is_shared)
+    _prepare(job, plan, mode)
+    scripts = write_scripts(job, mode)
+    ids = {} if no_submit else submit_all(job, mode)
+    if as_json:
+        print_json({"run": str(run), "scripts": [str(script) for script in scripts], "jobs": ids})
+        return
+    for script in scripts:
+        click.echo(f"{script}: {f'job {ids[script.stem]}' if ids else 'not submitted'}")
+    click.echo(f"progress: factory status {run / 'shards' if mode == 'shards' else job.dataset}", err=True)
+
+
+def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
+    """Creates the folder of a run with its plan, its scenes and, for workers, its certificates."""
+    if job.run.exists():
+        raise UsageError(f"{job.run} exists: choose another --out, or submit the scripts in {job.run / 'slurm'} again")
+    catalog = open_catalog(plan, job.dataset, scene_cache(), say_building)
+    with translated("write", job.run):
+        job.plan.parent.mkdir(parents=True)
+        (job.run / "shards").mkdir()
+        job.plan.write_text(plan_to_toml(plan), encoding="utf-8")
+        _copy_scenes(catalog, job.scenes if mode == "shards" else job.dataset / "scenes")
+    if mode == "workers":
+        now = datetime.now(UTC)
+        create_authority(job.run / "pki", plan.run, _AUTHORITY_DAYS, now)
+        admit(job.run / "pki", "worker", Role.WORKER, (), _AUTHORITY_DAYS, now)
+
+
+def _copy_scenes(catalog: Catalog, folder: Path) -> None:
+    folder.mkdir(parents=True)
+    for name, entry in catalog.items():
+        shutil.copyfile(entry.path, folder / scene_file(name, entry.sha256))

@@ -1,0 +1,103 @@
+"""Builds the layouts of the families of a plan in processes; a seed without a valid layout is followed by the next one.
+
+The result depends on the plan only. Packages are kept in the cache, so that an interrupted build continues.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+from coordinator.expansion.catalog import read_entry
+from coordinator.expansion.possible import faults_of
+from coordinator.expansion.scene_cells import scene_cells
+from factory.scenes.build import build_scene
+from factory.scenes.rules import load_rules
+from factory.support.task_pool import run_tasks
+from schemas.errors import InvalidPlan, LayoutError
+from schemas.layouts import LayoutPlan
+from schemas.plan import Plan
+
+_TRIES = 20
+"""Largest number of seeds of one layout."""
+
+
+@dataclass(frozen=True)
+class BuiltLayout:
+    """Package of a layout."""
+
+    name: str
+    """Name of the layout."""
+    path: Path
+    """Path of the package."""
+    refused: tuple[str, ...] = ()
+    """Reasons why earlier seeds were not used, one line each."""
+
+
+@dataclass(frozen=True)
+class LayoutBuilds:
+    """Settings of the builds of layouts."""
+
+    processes: int = 0
+    """Number of processes; 0 builds in the calling process."""
+    stop: threading.Event = field(default_factory=threading.Event)
+    """Event that ends the builds."""
+    tell: Callable[[BuiltLayout, int], None] = lambda _built, _total: None
+    """Called with each built layout and the number of all layouts to build."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    plan: str
+    name: str
+    cache: Path
+
+
+def build_layouts(plan: Plan, names: Collection[str], cache: Path, builds: LayoutBuilds) -> Iterator[BuiltLayout]:
+    """Yields the layouts in order of completion.
+
+    Args:
+        plan: plan with the families.
+        names: names of the layouts to build.
+        cache: folder of packages; layouts in it are not built again.
+        builds: settings of the builds.
+
+    Raises:
+        InvalidPlan: no seed of a layout gives a package that fulfils the plan.
+        KeyboardInterrupt: the builds were stopped.
+        WorldError: the cache cannot be written, or a process died.
+    """
+    text = plan.model_dump_json()
+    tasks = (_Task(text, name, cache) for name in names)
+    for built in run_tasks(_build, tasks, min(builds.processes, len(names)), builds.stop):
+        builds.tell(built, len(names))
+        yield built
+    if builds.stop.is_set():
+        raise KeyboardInterrupt
+
+
+def _build(task: _Task) -> BuiltLayout:
+    plan = _parsed(task.plan)
+    part = plan.part(task.name)
+    if not isinstance(part, LayoutPlan):
+        raise TypeError(f"{task.name} is not a layout")
+    rules = None if part.rules is None else load_rules(Path(part.rules))
+    refused: list[str] = []
+    for seed in part.seeds(_TRIES):
+        try:
+            path = build_scene(part.family.name, seed, task.cache, rules, called=part.name)
+            faults = list(faults_of(scene_cells(plan, part, read_entry(path)), f"seed {seed}"))
+        except LayoutError as error:
+            faults = [f"seed {seed}: {error}"]
+        if not faults:
+            return BuiltLayout(part.name, path, tuple(refused))
+        refused += faults
+    raise InvalidPlan(f"none of {_TRIES} seeds of {part.name} gives a layout for plan {plan.name!r}", refused)
+
+
+@lru_cache(maxsize=1)
+def _parsed(text: str) -> Plan:
+    return Plan.model_validate_json(text)

@@ -1,0 +1,219 @@
+"""Slurm jobs of a run: their scripts, as text, and the commands of Slurm that submit them.
+
+The scripts call the command line only, so that a task needs no Python of the submitting process.
+"""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from schemas.errors import UsageError, WorldError
+
+Mode = Literal["shards", "workers"]
+_NOTICE_S = 120
+_HOST = "$(hostname -f)"
+_SCRATCH = "${SLURM_TMPDIR:-${TMPDIR:-/tmp}}/minivla-${USER:-factory}-${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}"
+_TASK = r"""
+requeue=
+stopped=
+child=
+# shellcheck disable=SC2317  # called by the traps
+drain() {
+    stopped=yes
+    if [ -n "${child}" ]; then kill -TERM "${child}" 2>/dev/null; fi
+}
+trap 'requeue=yes; drain' USR1  # before the time limit: --signal of this script
+trap drain TERM INT             # scancel, or a preemption, after which Slurm queues the task again
+
+# run_task UNFINISHED COMMAND...: runs a command; queues the task again if SIGUSR1 ended the command with that status
+run_task() {
+    unfinished=$1
+    shift
+    "$@" &
+    child=$!
+    # signalled before the command was started
+    if [ -n "${stopped}" ]; then kill -TERM "${child}" 2>/dev/null; fi
+    # a signal interrupts the wait; repeat until the command has exited, which may be before the first check
+    wait "${child}"
+    status=$?
+    while kill -0 "${child}" 2>/dev/null; do
+        wait "${child}"
+        status=$?
+    done
+    if [ -n "${stopped}" ] && [ "${status}" -gt 128 ]; then
+        wait "${child}" 2>/dev/null
+        status=$?
+        if [ "${status}" -eq 127 ]; then status=${unfinished}; fi
+    fi
+    if [ -n "${requeue}" ] && [ "${status}" -eq "${unfinished}" ]; then
+        echo "stopped before the run was finished: requeueing"
+        scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
+        exit $?
+    fi
+    exit "${status}"
+}
+"""
+
+
+@dataclass(frozen=True)
+class SlurmJob:
+    """Resources and files of the jobs of a run; all paths are on a file system that the nodes share."""
+
+    run: Path
+    """Folder of the run, absolute."""
+    tasks: int
+    """Number of tasks: shards, or workers."""
+    cpus: int
+    """Number of cores of a task."""
+    time: str
+    """Time limit of a task, in Slurm's form."""
+    partition: str | None = None
+    """Partition of the tasks; `None` for the default partition."""
+    setup: tuple[str, ...] = ()
+    """Shell lines before each command, such as `module load python`."""
+    factory: tuple[str, ...] = ("factory",)
+    """Command that starts the command line."""
+    has_local_ledgers: bool = False
+    """Whether ledgers are stored on the local disks of the nodes, because SQLite cannot use that of `run`."""
+
+    @property
+    def plan(self) -> Path:
+        """Path of the plan."""
+        return self.run / "slurm" / "plan.toml"
+
+    @property
+    def scenes(self) -> Path:
+        """Folder of the compiled scenes."""
+        return self.run / "scenes"
+
+    @property
+    def dataset(self) -> Path:
+        """Directory of the dataset."""
+        return self.run / "dataset"
+
+
+def shards_script(job: SlurmJob) -> str:
+    """Returns the script of an array whose tasks each generate one shard."""
+    options = ("--scenes", job.scenes, "--workers", job.cpus, "--gate", "skip")
+    shard = f'--shard "${{SLURM_ARRAY_TASK_ID}}/{job.tasks}" --out {_quoted(job.run)}/shards/"${{SLURM_ARRAY_TASK_ID}}"'
+    command = f"run_task 130 {_command(job, 'run', job.plan, *options)} {shard}"
+    return _script(job, "shards", command, array=job.tasks, cpus=job.cpus)
+
+
+def gather_script(job: SlurmJob) -> str:
+    """Returns the script that joins the shards after the array has ended."""
+    command = _command(job, "gather", job.plan, job.run / "shards", "--out", job.dataset)
+    return _script(job, "gather", f"run_task 130 {command}", cpus=1)
+
+
+def coordinator_script(job: SlurmJob) -> str:
+    """Returns the script of the coordinator, which creates its certificate for the node that it gets."""
+    keys = ("keys", "host", job.run / "pki", "hub", "--role", "coordinator", "--renew", "--days", 30)
+    start = ("coordinator", "start", job.plan, "--out", job.dataset, "--listen", "tls/0.0.0.0:0", "--pullers", job.cpus)
+    lines = (
+        f'{_command(job, *keys)} --address "{_HOST}" || exit $?',
+        f"run_task 0 {_command(job, *start, '--tls', job.run / 'pki' / 'hub')}",
+    )
+    return _script(job, "coordinator", "\n".join(lines), cpus=job.cpus)
+
+
+def workers_script(job: SlurmJob) -> str:
+    """Returns the script of an array of workers, which find the coordinator through the folder of the run."""
+    options = ("--connect", f"@{job.dataset}", "--tls", job.run / "pki" / "worker")
+    more = ("--cores", job.cpus, "--connect-timeout", 3600)
+    spool = '--spool "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID}"'
+    command = f"run_task 0 {_command(job, 'worker', *options, *more)} {spool}"
+    return _script(job, "workers", command, array=job.tasks, cpus=job.cpus)
+
+
+def submit(script: Path, *options: str) -> int:
+    """Submits a script and returns the id of its job.
+
+    Raises:
+        UsageError: this host has no `sbatch`.
+        WorldError: Slurm refuses the job.
+    """
+    try:
+        done = subprocess.run(["sbatch", "--parsable", *options, script], capture_output=True, text=True, check=False)
+    except FileNotFoundError as error:
+        raise UsageError(
+            f"sbatch is not installed on this host: submit {script} on a login node, or write the scripts only, with "
+            "--no-submit"
+        ) from error
+    if done.returncode:
+        raise WorldError(f"sbatch refused {script}: {' '.join(done.stderr.split())}")
+    return int(done.stdout.strip().partition(";")[0])
+
+
+def _script(job: SlurmJob, name: str, command: str, *, cpus: int, array: int | None = None) -> str:
+    log = job.run / "slurm" / (f"{name}-%a.log" if array else f"{name}.log")
+    options = {
+        "job-name": f"minivla-{name}",
+        "array": None if array is None else f"1-{array}",
+        "ntasks": 1,
+        "cpus-per-task": cpus,
+        "mem-per-cpu": "1500M",
+        "time": job.time,
+        "partition": job.partition,
+        "requeue": "",
+        "open-mode": "append",
+        "signal": f"B:USR1@{_NOTICE_S}",
+        "output": log,
+    }
+    head = [
+        f"#SBATCH --{key}{f'={value}' if value != '' else ''}" for key, value in options.items() if value is not None
+    ]
+    setup = [
+        *job.setup,
+        "# scenes, bundles and local ledgers are stored on the disk of the node",
+        f'export MINIVLA_CACHE="{_SCRATCH}"',
+        'mkdir -p "${MINIVLA_CACHE}" || exit $?',
+        *(_LOCAL_LEDGER if job.has_local_ledgers else ()),
+    ]
+    return "\n".join(["#!/bin/bash", *head, "set -u", *setup, _TASK, command, ""])
+
+
+_LOCAL_LEDGER = ('export MINIVLA_LEDGER="sqlite:///${MINIVLA_CACHE}/ledger-${SLURM_ARRAY_TASK_ID:-0}.db"',)
+
+
+def _command(job: SlurmJob, *words: object) -> str:
+    return shlex.join([*job.factory, *map(str, words)])
+
+
+def _quoted(path: Path) -> str:
+    return shlex.quote(str(path))
+
+
+def write_scripts(job: SlurmJob, mode: Mode) -> Sequence[Path]:
+    """Writes the scripts of a run to its folder; returns their paths in the order of submission."""
+    makers = (
+        {"shards": shards_script, "gather": gather_script}
+        if mode == "shards"
+        else {"coordinator": coordinator_script, "workers": workers_script}
+    )
+    paths = []
+    for name, make in makers.items():
+        path = job.run / "slurm" / f"{name}.sh"
+        path.write_text(make(job), encoding="utf-8")
+        path.chmod(0o755)
+        paths.append(path)
+    return paths
+
+
+def submit_all(job: SlurmJob, mode: Mode) -> dict[str, int]:
+    """Submits the written scripts with their dependencies; returns the job ids by name.
+
+    Raises:
+        UsageError: this host has no `sbatch`.
+        WorldError: Slurm refuses a job.
+    """
+    first, second = ("shards", "gather") if mode == "shards" else ("coordinator", "workers")
+    leading = submit(job.run / "slurm" / f"{first}.sh")
+    when = "afterany" if mode == "shards" else "after"
+    following = submit(job.run / "slurm" / f"{second}.sh", f"--dependency={when}:{leading}")
+    return {first: leading, second: following}

@@ -1,0 +1,107 @@
+"""Builds the web application: routes of all pages, static files, errors, behind the access rules."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable
+from http import HTTPStatus
+from pathlib import Path
+
+import structlog
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from coordinator.status.address import HttpAddress
+from factory.dataset.marks import Marks
+from factory.html import render
+from factory.html.palette import REASON_COLOURS
+from factory.web.access import Access
+from factory.web.context import WebContext, page
+from factory.web.forms import read_form
+from factory.web.frames import FrameStore
+from factory.web.guard import RequestGuard, signed_in
+from factory.web.pages import episode, episodes, farm, operations, scenes, statistics
+from factory.web.workspace import Workspace
+from schemas.errors import FactoryError, UsageError
+from schemas.protocol.administration import AdminReply, AdminRequest
+
+_STATIC = Path(__file__).parent / "static"
+log = structlog.get_logger(__name__)
+
+
+def create_app(
+    workspace: Workspace,
+    address: HttpAddress,
+    access: Access,
+    administer: Callable[[AdminRequest], AdminReply],
+    more_routes: Iterable[BaseRoute] = (),
+) -> ASGIApp:
+    """Returns the application of a dataset.
+
+    Args:
+        workspace: the dataset and its run.
+        address: configured address of the server.
+        access: token and reading rights.
+        administer: function that executes an admin request on the run.
+        more_routes: further routes, for example the status pages of a coordinator.
+    """
+    app = Starlette(
+        routes=[
+            Route("/login", login, methods=["GET", "POST"]),
+            Route("/static/page.css", style),
+            Mount("/static", StaticFiles(directory=_STATIC)),
+            *farm.routes(workspace),
+            *(route for module in (episodes, episode, scenes, statistics, operations) for route in module.routes()),
+            *more_routes,
+        ],
+        exception_handlers={HTTPException: _say_http, FactoryError: _say_failure, Exception: _say_bug},
+    )
+    app.state.context = WebContext(workspace, Marks(workspace.site), FrameStore(workspace), administer)
+    return RequestGuard(app, address, access)
+
+
+def style(_request: Request) -> Response:
+    """Answers with the stylesheet."""
+    return Response(_stylesheet(), media_type="text/css", headers={"cache-control": "max-age=300"})
+
+
+@functools.cache
+def _stylesheet() -> str:
+    return render("web/page.css", reasons=REASON_COLOURS)
+
+
+async def login(request: Request) -> Response:
+    """Answers with the form for the token, or sets the session cookie."""
+    if request.method != "POST":
+        return page(request, "login", "Log in", wrong=False)
+    token = (await read_form(request, has_key=False)).get("token", "")
+    access: Access = request.scope["access"]
+    if not access.is_token(token.strip()):
+        return page(request, "login", "Log in", 401, wrong=True)
+    return signed_in(request.scope, access, "/")
+
+
+def _say_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return _message(request, error.status_code, error.detail)
+
+
+def _say_failure(request: Request, error: Exception) -> Response:
+    return _message(request, 400 if isinstance(error, UsageError) else 503, str(error))
+
+
+def _say_bug(request: Request, error: Exception) -> Response:
+    log.error("page_failed", path=request.url.path[:80], error=repr(error))
+    return _message(request, 500, "the page failed; see the log of the server")
+
+
+def _message(request: Request, status: int, text: str) -> Response:
+    if "text/html" not in request.headers.get("accept", "text/html"):
+        return PlainTextResponse(f"{text}\n", status)
+    title = HTTPStatus(status).phrase
+    return page(request, "message", title, status, text=text, links=[("/episodes", "All episodes")])

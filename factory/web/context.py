@@ -1,0 +1,81 @@
+"""State that all requests of one application share, and how a page is answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+
+from factory.dataset.marks import Marks
+from factory.html import render
+from factory.web.figures import StatisticsStore
+from factory.web.floors import FloorStore
+from factory.web.frames import FrameStore
+from factory.web.table import Tables
+from factory.web.workspace import Workspace
+from schemas.protocol.administration import AdminReply, AdminRequest
+
+NAVIGATION = (("/", "Farm"), ("/episodes", "Episodes"), ("/scenes", "Scenes"), ("/statistics", "Statistics"))
+"""Paths and titles of the pages."""
+
+
+@dataclass(frozen=True)
+class WebContext:
+    """Parts of one application."""
+
+    workspace: Workspace
+    """The dataset and its run."""
+    marks: Marks
+    """Flags and notes."""
+    frames: FrameStore
+    """Encoded frames."""
+    administer: Callable[[AdminRequest], AdminReply]
+    """Executes an admin request on the run."""
+    tables: Tables = field(default_factory=Tables)
+    """Table of the episodes."""
+    floors: FloorStore = field(default_factory=FloorStore)
+    """Maps of the scenes."""
+    statistics: StatisticsStore = field(default_factory=StatisticsStore)
+    """Figures of the report."""
+
+
+def context_of(request: Request) -> WebContext:
+    """Returns the state of the application that received a request."""
+    found: WebContext = request.app.state.context
+    return found
+
+
+def page(request: Request, template: str, title: str, status: int = 200, **values: object) -> Response:
+    """Returns a page of the application.
+
+    Args:
+        request: the request.
+        template: name of the template without folder and suffix.
+        title: title of the page.
+        status: HTTP status.
+        values: further values of the template.
+    """
+    scope = request.scope
+    path, place = request.url.path, str(context_of(request).workspace.site)
+    here = next((at for at, _ in reversed(NAVIGATION) if path == at or path.startswith(f"{at.rstrip('/')}/")), "")
+    text = render(
+        f"web/{template}.html",
+        title=title,
+        place=place,
+        run=place.rstrip("/").rpartition("/")[2] or place,
+        navigation=NAVIGATION,
+        here=here if path != "/" else "/",
+        may_change=scope["may_change"],
+        key=scope["access"].form_key if scope["may_change"] else "",
+        **values,
+    )
+    return HTMLResponse(text, status)
+
+
+def svg_image(svg: str) -> Response:
+    """Returns an SVG image. It may contain a style, but neither scripts nor references."""
+    policy = "default-src 'none'; style-src 'unsafe-inline'"
+    headers = {"content-security-policy": policy, "cache-control": "private, max-age=60"}
+    return Response(svg, media_type="image/svg+xml", headers=headers)

@@ -1,0 +1,75 @@
+"""Sends fragments of a page to all open tabs as server-sent events. One poller serves every tab of the process."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from starlette.concurrency import run_in_threadpool
+from starlette.types import Receive, Scope, Send
+
+_SEND_S = 10.0
+"""Timeout of one event for one tab, seconds; a slower tab is disconnected and reconnects."""
+_MOST_TABS = 300
+
+
+class LiveFeed:
+    """Text that is computed again and again while a tab listens, and sent when it has changed.
+
+    Args:
+        compute: function that returns the current fragment; called in a thread, never twice at a time.
+        pause_s: time between two calls, seconds.
+    """
+
+    def __init__(self, compute: Callable[[], str], pause_s: float = 3.0) -> None:
+        self._compute, self._pause_s = compute, pause_s
+        self._text, self._version = "", 0
+        self._changed = asyncio.Event()
+        self._tabs = 0
+        self._poller: asyncio.Task[None] | None = None
+
+    async def __call__(self, _scope: Scope, receive: Receive, send: Send) -> None:
+        """Sends events until the tab closes; an ASGI application."""
+        if self._tabs >= _MOST_TABS:
+            await send({"type": "http.response.start", "status": 503, "headers": [(b"retry-after", b"30")]})
+            await send({"type": "http.response.body", "body": b"too many open tabs\n"})
+            return
+        self._tabs += 1
+        if self._poller is None or self._poller.done():
+            self._poller = asyncio.create_task(self._poll())
+        sending = asyncio.create_task(self._send_all(send))
+        try:
+            while (await receive())["type"] != "http.disconnect":
+                pass
+        finally:
+            self._tabs -= 1
+            sending.cancel()
+            if not self._tabs and self._poller is not None:
+                self._poller.cancel()
+                self._poller = None
+
+    async def _send_all(self, send: Send) -> None:
+        headers = [(b"content-type", b"text/event-stream; charset=utf-8")]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        seen = 0
+        while True:
+            changed = self._changed
+            if self._version != seen:
+                seen = self._version
+                async with asyncio.timeout(_SEND_S):
+                    await send({"type": "http.response.body", "body": _event(self._text), "more_body": True})
+            else:
+                await changed.wait()
+
+    async def _poll(self) -> None:
+        while True:
+            text = await run_in_threadpool(self._compute)
+            if text != self._text:
+                self._text, self._version = text, self._version + 1
+                self._changed.set()
+                self._changed = asyncio.Event()
+            await asyncio.sleep(self._pause_s)
+
+
+def _event(text: str) -> bytes:
+    return b"".join(b"data: %s\n" % line.encode() for line in text.split("\n")) + b"\n"

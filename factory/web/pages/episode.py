@@ -1,0 +1,188 @@
+"""Page of one episode: frames, map, plots, facts, flag and note."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from factory.dataset.episode import Episode
+from factory.dataset.marks import MOST_NOTE_CHARS, Mark
+from factory.visualize.panels import show_ids
+from factory.web.charts import draw_lines
+from factory.web.context import WebContext, context_of, page
+from factory.web.forms import read_form
+from factory.web.pages.downloads import DOWNLOADS, download
+from factory.web.pages.find import find_episode
+from factory.web.pages.frame import show_frame, show_mask
+from factory.web.table import EpisodeTable
+from schemas.measure import Goal
+
+_RIM_M = 1.5
+_LEAST_SPAN_M = 6.0
+
+
+def routes() -> list[Route]:
+    """Returns the routes of the page, its images, downloads and its form."""
+    here = "/episodes/{episode_id}"
+    return [
+        Route(here, show),
+        Route(f"{here}/frames/{{t:int}}.png", show_frame),
+        Route(f"{here}/mask.svg", show_mask),
+        Route(f"{here}/objects.json", list_objects),
+        Route(f"{here}/mark", mark, methods=["POST"]),
+        Route(f"{here}/download/{{kind}}", download),
+    ]
+
+
+@dataclass(frozen=True)
+class TrackView:
+    """Trajectory on the map; coordinates are x and -y in metres."""
+
+    box: tuple[float, float, float]
+    """West, negative north and side of the shown square, metres."""
+    points: str
+    """Points of the polyline."""
+    poses: str
+    """`x,-y,degrees` of each step, separated by blanks, for the page's script."""
+    start: tuple[float, float]
+    goal: tuple[float, float]
+    outline: str
+    """Points of the success region."""
+    here: tuple[float, float, float]
+    """Pose at the shown step: x, -y, clockwise turn in degrees."""
+
+    @property
+    def view_box(self) -> str:
+        """View box of the map."""
+        return f"{self.box[0]} {self.box[1]} {self.box[2]} {self.box[2]}"
+
+
+def show(request: Request) -> Response:
+    """Answers with the page; `?t=STEP` selects the shown step, for browsers without JavaScript."""
+    context = context_of(request)
+    episode = find_episode(context, request.path_params["episode_id"])
+    last = len(episode) - 1
+    given = request.query_params.get("t", "0")
+    t = min(int(given), last) if given.isascii() and given.isdigit() and len(given) < 9 else 0
+    summary, hz = episode.summary, episode.meta.job.task.control_hz
+    return page(
+        request,
+        "episode",
+        summary.episode_id,
+        episode=summary,
+        t=t,
+        last=last,
+        hz=hz,
+        track=_track(episode, t),
+        plots=_plots(episode, hz),
+        facts=_facts(episode),
+        mark=context.marks.read().get(summary.episode_id, Mark()),
+        neighbours=_neighbours(context, summary.index),
+        downloads=DOWNLOADS,
+        most_note=MOST_NOTE_CHARS,
+    )
+
+
+async def mark(request: Request) -> Response:
+    """Stores flag and note of an episode."""
+    fields = await read_form(request)
+    context, name = context_of(request), request.path_params["episode_id"]
+    await run_in_threadpool(find_episode, context, name)
+    note = " ".join(fields.get("note", "").split("\r\n")).strip()
+    if len(note) > MOST_NOTE_CHARS:
+        raise HTTPException(400, f"the note has {len(note)} characters, at most {MOST_NOTE_CHARS} are allowed")
+    await run_in_threadpool(context.marks.write, name, Mark(flagged="flagged" in fields, note=note))
+    return RedirectResponse(f"/episodes/{name}#mark", 303)
+
+
+def list_objects(request: Request) -> Response:
+    """Answers with the colour of each object in the image of ids, and its name."""
+    episode = find_episode(context_of(request), request.path_params["episode_id"])
+    instances = episode.instances
+    ids = np.array([item.id for item in instances], np.uint16)
+    colours = show_ids(ids, episode.meta.target_instance_id).tolist()
+    names = [
+        f"{item.prim_path.rpartition('/')[2]}" + (f" ({item.category})" if item.category else "") for item in instances
+    ]
+    found: dict[str, str] = {}
+    for colour, name in zip(colours, names, strict=True):
+        key = ",".join(map(str, colour))
+        found[key] = f"{found[key]} or {name}" if key in found else name
+    return JSONResponse(found)
+
+
+def _neighbours(context: WebContext, index: int) -> list[tuple[str, str]]:
+    """Returns title and id of the previous and the next episode."""
+    table: EpisodeTable = context.tables.of(context.workspace.dataset())
+    indices = table.dataset.column("index").to_numpy(zero_copy_only=False)
+    place, names = int(np.searchsorted(indices, index)), table.dataset.column("episode_id")
+    around = (("previous", place - 1), ("next", place + 1))
+    return [(title, str(names[at])) for title, at in around if 0 <= at < len(names)]
+
+
+def _track(episode: Episode, t: int) -> TrackView:
+    poses = episode.poses
+    yaw = np.degrees(2 * np.arctan2(poses[:, 6], poses[:, 3]))
+    rows = np.column_stack([poses[:, 0], -poses[:, 1], -yaw])
+    goal = Goal.of_episode(episode.meta)
+    outline = np.asarray(goal.outline(), float) * (1, -1)
+    points = np.vstack([rows[:, :2], outline])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    span = max(float(np.ptp(points, axis=0).max()) + 2 * _RIM_M, _LEAST_SPAN_M)
+    x, y, turn = map(float, rows[t])
+    return TrackView(
+        box=(round(float(middle[0]) - span / 2, 2), round(float(middle[1]) - span / 2, 2), round(span, 2)),
+        points=_points(rows[:, :2]),
+        poses=" ".join(f"{a:.3f},{b:.3f},{c:.1f}" for a, b, c in rows.tolist()),
+        start=(float(rows[0, 0]), float(rows[0, 1])),
+        goal=(goal.centre_m[0], -goal.centre_m[1]),
+        outline=_points(outline),
+        here=(x, y, turn),
+    )
+
+
+def _points(rows: Any) -> str:
+    return " ".join(f"{x:.3f},{y:.3f}" for x, y in rows.tolist())
+
+
+def _plots(episode: Episode, hz: int) -> list[tuple[str, str]]:
+    """Returns title and drawing of each plot over time."""
+    actions, tokens, end_s = episode.actions, episode.tokens, (len(episode) - 1) / hz
+    goal = Goal.of_episode(episode.meta)
+    distance = np.array([goal.distance(x, y) for x, y in episode.poses[:, :2].tolist()])
+    series = (
+        ("speed v", "m/s", actions[:, 0]),
+        ("turn rate w", "rad/s", actions[:, 1]),
+        ("distance to the target", "m", distance),
+        ("token of v", "token", tokens[:, 0]),
+        ("token of w", "token", tokens[:, 1]),
+    )
+    return [(title, draw_lines(title, unit, values, end_s)) for title, unit, values in series]
+
+
+def _facts(episode: Episode) -> list[tuple[str, str]]:
+    row = episode.summary
+    return [
+        ("scene", row.scene),
+        ("split", str(row.split)),
+        ("tier", str(row.spawn_tier)),
+        ("target", f"{row.target_id} ({row.colour} {row.target_category})"),
+        ("template", row.template_id),
+        ("end", str(row.end_reason)),
+        ("steps", str(row.num_steps)),
+        ("start distance", f"{row.spawn_dist_m:.2f} m"),
+        ("trajectory length", f"{row.trajectory_length_m:.2f} m"),
+        ("navigation error", f"{row.final_ne_m:.3f} m"),
+        ("attempt", str(row.attempt)),
+        ("recording", str(episode.meta.job.record)),
+        ("renderer", row.renderer),
+        ("worker", row.worker),
+        ("digest", row.content_digest),
+    ]

@@ -1,0 +1,90 @@
+"""Table of episodes: filters, sorting, text search and pages, all in the URL; computed from the dataset's columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+from urllib.parse import urlencode
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from factory.web.context import context_of, page
+from factory.web.table import FILTERS, SORTED, TableQuery, parse_query
+
+PAGE_ROWS = 50
+"""Number of episodes on a page."""
+_SHOWN = (
+    ("episode_id", "episode"),
+    ("scene", "scene"),
+    ("split", "split"),
+    ("spawn_tier", "tier"),
+    ("target_category", "category"),
+    ("num_steps", "steps"),
+    ("trajectory_length_m", "TL, m"),
+    ("final_ne_m", "NE, m"),
+    ("instruction", "instruction"),
+)
+"""Columns of the table with their titles."""
+
+
+def routes() -> list[Route]:
+    """Returns the route of the page."""
+    return [Route("/episodes", show)]
+
+
+def show(request: Request) -> Response:
+    """Answers with one page of the table."""
+    context = context_of(request)
+    query = parse_query(request.query_params)
+    table = context.tables.of(context.workspace.dataset())
+    marks = context.marks.read()
+    flagged = {name for name, mark in marks.items() if mark.flagged}
+    found = table.select(query, flagged)
+    rows = table.rows(found[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
+    last = max(0, (len(found) - 1) // PAGE_ROWS)
+    return page(
+        request,
+        "episodes",
+        "Episodes",
+        query=query,
+        count=len(found),
+        total=len(table),
+        rows=[(_cells(row), marks.get(row["episode_id"])) for row in rows],
+        heads=list(_heads(query)),
+        choices=[(name, table.values(column), query.filters.get(name, "")) for name, column in FILTERS.items()],
+        pages=[(text, _link(query, page=at), at == query.page) for text, at in _pages(query.page, last)],
+        last=last,
+    )
+
+
+def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
+    """Returns text and whether it is a number for each shown column."""
+    values = [row[name] for name, _ in _SHOWN]
+    return [
+        (f"{value:.2f}" if isinstance(value, float) else str(value), not isinstance(value, str)) for value in values
+    ]
+
+
+def _heads(query: TableQuery) -> Iterator[tuple[str, str, str]]:
+    """Yields title, link and direction of sorting of each column; both are empty where they do not apply."""
+    for name, title in _SHOWN:
+        is_sorted = name == query.sort
+        direction = "" if not is_sorted else "descending" if query.descending else "ascending"
+        link = _link(query, page=0, sort=name, descending=is_sorted and not query.descending)
+        yield title, link if name in SORTED else "", direction
+
+
+def _link(query: TableQuery, **changes: Any) -> str:
+    state = {"page": query.page, "sort": query.sort, "descending": query.descending, **changes}
+    fields = {**query.filters, "q": query.text, "flagged": "1" if query.flagged else "", "sort": state["sort"]}
+    fields |= {"order": "desc" if state["descending"] else "", "page": state["page"] or ""}
+    return "/episodes?" + urlencode({name: value for name, value in fields.items() if value != ""})
+
+
+def _pages(here: int, last: int) -> Iterator[tuple[str, int]]:
+    if here > 0:
+        yield from (("first", 0), ("previous", min(here, last + 1) - 1))
+    if here < last:
+        yield from (("next", here + 1), ("last", last))

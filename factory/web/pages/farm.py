@@ -1,0 +1,166 @@
+"""Farm page: progress, cells, workers, failures over time, events and disk; kept current by server-sent events."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from coordinator.ledger.reading.farm import FarmReading
+from factory.html import render
+from factory.support.text import say_bytes, say_duration, say_time
+from factory.web.charts import draw_columns
+from factory.web.context import context_of, page
+from factory.web.live import LiveFeed
+from factory.web.workspace import Farm, Workspace
+from schemas.errors import FactoryError
+from schemas.job import episode_id
+from schemas.protocol.status import Progress, WorkerStatus
+
+_STATES = ("archived", "submitted", "leased", "pending", "failed", "cancelled")
+
+
+@dataclass(frozen=True)
+class QuotaRow:
+    """Row of the matrix of cells."""
+
+    scene: str
+    tier: str
+    split: str
+    quota: int
+    """Number of planned episodes."""
+    counts: tuple[int, ...]
+    """Number of episodes in each state of `_STATES`."""
+
+
+@dataclass(frozen=True)
+class WorkerRow:
+    """Row of the table of workers."""
+
+    sid: str
+    host: str
+    slots: int
+    archived: int
+    jobs: str
+    """Held jobs with their steps."""
+    frames_per_s: str
+    version: str
+    state: str
+    last_beat: str
+
+
+def routes(workspace: Workspace) -> list[Route]:
+    """Returns the routes of the page."""
+    feed = LiveFeed(lambda: draw_fragment(workspace))
+    return [Route("/", show), Route("/farm/events", feed)]
+
+
+def show(request: Request) -> Response:
+    """Answers with the page."""
+    workspace = context_of(request).workspace
+    return page(request, "farm", "Farm", fragment=draw_fragment(workspace))
+
+
+def draw_fragment(workspace: Workspace) -> str:
+    """Returns the part of the page that changes, as HTML."""
+    try:
+        farm = workspace.farm()
+    except FactoryError as error:
+        return render("web/no_farm.html", trouble=str(error), tables=_tables(workspace), disk=_disk(workspace))
+    progress, reading = farm.progress, farm.reading
+    done = progress.jobs.get("archived", 0)
+    return render(
+        "web/farm_fragment.html",
+        progress=progress,
+        done=done,
+        tiles=_tiles(farm),
+        states=_STATES,
+        cells=list(_cells(reading)),
+        workers=[_worker(worker, farm) for worker in progress.workers],
+        hosts=progress.hosts,
+        failures=progress.failures,
+        chart=_chart(reading),
+        events=[(say_time(event.at, farm.at), episode_id(event.index), event) for event in reading.events],
+        disk=_disk(workspace),
+        paused=reading.paused,
+        requests=[(say_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
+    )
+
+
+def _tiles(farm: Farm) -> list[tuple[str, str, str]]:
+    progress = farm.progress
+    done, failed = progress.jobs.get("archived", 0), progress.jobs.get("failed", 0)
+    alive = [worker for worker in progress.workers if worker.alive]
+    rate = "–" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
+    frames = sum(farm.reading.frames_per_s.values())
+    return [
+        ("episodes", f"{done}", f"of {progress.planned}"),
+        ("rate", rate, "over ten minutes"),
+        ("remaining", "finished" if progress.finished else say_duration(progress.eta_s), ""),
+        ("workers", f"{len(alive)}", f"{sum(worker.slots for worker in alive)} simulations"),
+        ("frames", f"{frames:.0f}/s", "over ten minutes"),
+        ("failed", f"{failed}", f"{sum(progress.failures.values())} failed attempts"),
+    ]
+
+
+def _cells(reading: FarmReading) -> Iterator[QuotaRow]:
+    for (scene, tier, split), counts in reading.cells.items():
+        yield QuotaRow(scene, tier, split, sum(counts.values()), tuple(counts.get(state, 0) for state in _STATES))
+
+
+def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:
+    jobs = farm.reading.running.get(worker.sid, ())
+    rate = farm.reading.frames_per_s.get(worker.sid)
+    return WorkerRow(
+        sid=worker.sid,
+        host=worker.host,
+        slots=worker.slots,
+        archived=worker.archived,
+        jobs=", ".join(f"{episode_id(job.index)} step {job.step}" for job in jobs) or "–",
+        frames_per_s="–" if rate is None else f"{rate:.1f}",
+        version=farm.reading.versions.get(worker.sid, "") or "–",
+        state=_state_of(worker, farm.progress),
+        last_beat=say_time(worker.last_beat, farm.at),
+    )
+
+
+def _state_of(worker: WorkerStatus, progress: Progress) -> str:
+    if any(host.host == worker.host and host.barred_at is not None for host in progress.hosts):
+        return "barred"
+    return "left" if progress.finished else "alive" if worker.alive else "silent"
+
+
+def _chart(reading: FarmReading) -> str:
+    if not reading.history:
+        return ""
+    first, last = reading.history[0].begin, reading.history[-1].end
+    columns = [{"archived": one.archived, **one.failures} for one in reading.history]
+    return draw_columns("Attempts that ended, over time", columns, _clock(first), _clock(last))
+
+
+def _clock(at: datetime) -> str:
+    return f"{at:%d %b %H:%M:%S} UTC"
+
+
+def _tables(workspace: Workspace) -> list[tuple[str, str, int]]:
+    """Returns scene, split and number of episodes according to the tables of a dataset without ledger."""
+    try:
+        dataset = workspace.dataset()
+        scenes, splits = dataset.column("scene").to_pylist(), dataset.column("split").to_pylist()
+    except FactoryError:
+        return []
+    counts = Counter(zip(scenes, splits, strict=True))
+    return [(scene, split, count) for (scene, split), count in sorted(counts.items())]
+
+
+def _disk(workspace: Workspace) -> str:
+    if not workspace.site.home.is_dir():
+        return "unknown"
+    usage = shutil.disk_usage(workspace.site.home)
+    return f"{say_bytes(usage.free)} of {say_bytes(usage.total)} free"

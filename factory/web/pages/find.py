@@ -1,0 +1,33 @@
+"""Finds the episode of a request, or names the nearest one."""
+
+from __future__ import annotations
+
+import numpy as np
+from starlette.exceptions import HTTPException
+
+from factory.dataset.episode import Episode
+from factory.web.context import WebContext
+from schemas.job import index_of_file
+
+
+def find_episode(context: WebContext, episode_id: str) -> Episode:
+    """Returns an episode of the dataset.
+
+    Raises:
+        HTTPException: the dataset has no such episode; the message names the nearest one.
+    """
+    try:
+        return context.frames.episode(episode_id)
+    except KeyError as error:
+        near = _nearest(context, episode_id)
+        text = f"the dataset has no episode {episode_id[:80]!r}" + (f"; the nearest one is {near}" if near else "")
+        raise HTTPException(404, text) from error
+
+
+def _nearest(context: WebContext, episode_id: str) -> str:
+    dataset = context.workspace.dataset()
+    wanted = index_of_file(f"{episode_id}.zip")
+    digits = "".join(filter(str.isdigit, episode_id[:40]))
+    number = wanted or int(digits or 0)
+    indices = dataset.column("index").to_numpy(zero_copy_only=False)
+    return str(dataset.column("episode_id")[int(np.abs(indices - number).argmin())]) if len(indices) else ""

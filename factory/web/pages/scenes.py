@@ -1,0 +1,107 @@
+"""Pages of the scenes: floor plan with targets and start points, and how many episodes each target has."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from factory.dataset.packages import ScenePackage
+from factory.dataset.reader import Dataset
+from factory.web.context import WebContext, context_of, page, svg_image
+from factory.web.floors import Floor
+from factory.web.table import TableQuery
+from schemas.errors import FactoryError
+from schemas.support.suggest import did_you_mean
+
+_VIEWS = 6
+
+
+def routes() -> list[Route]:
+    """Returns the routes of the pages and their images."""
+    return [
+        Route("/scenes", show_all),
+        Route("/scenes/{name}", show),
+        Route("/scenes/{name}/floor.svg", draw_floor),
+    ]
+
+
+def show_all(request: Request) -> Response:
+    """Answers with the list of scenes."""
+    context = context_of(request)
+    meta = context.workspace.meta()
+    counts = _episode_counts(context)
+    scenes = [(name, counts.get(name, 0)) for name in (meta.scenes if meta else {})]
+    return page(request, "scenes", "Scenes", scenes=scenes)
+
+
+def show(request: Request) -> Response:
+    """Answers with the page of a scene."""
+    context, name = context_of(request), request.path_params["name"]
+    floor = context.floors.of(package_named(context, name))
+    by_target, views = _of_scene(context, name)
+    targets = [(target, by_target.get(target.target_id, 0)) for target in floor.info.targets]
+    return page(request, "scene", name, name=name, floor=floor, targets=targets, views=views, dot=_dot(floor))
+
+
+def draw_floor(request: Request) -> Response:
+    """Answers with the floor plan; `?view=X,-Y,WIDTH,HEIGHT` selects a part, metres."""
+    context = context_of(request)
+    floor = context.floors.of(package_named(context, request.path_params["name"]))
+    return svg_image(floor.image(_view_box(request.query_params.get("view", ""))))
+
+
+def _view_box(text: str) -> str:
+    """Returns a view box of four numbers; empty for an empty text.
+
+    Raises:
+        HTTPException: the text is not four finite numbers.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")] if text else []
+    except ValueError:
+        numbers = [math.nan]
+    if len(numbers) not in (0, 4) or not all(map(math.isfinite, numbers)):
+        raise HTTPException(400, f"view={text[:40]!r} is not X,-Y,WIDTH,HEIGHT in metres")
+    return " ".join(f"{number:.3f}" for number in numbers)
+
+
+def package_named(context: WebContext, name: str) -> ScenePackage:
+    """Returns the package of a scene of the dataset.
+
+    Raises:
+        HTTPException: the dataset has no such scene.
+    """
+    meta = context.workspace.meta()
+    scenes = meta.scenes if meta else {}
+    if name not in scenes:
+        raise HTTPException(404, f"the dataset has no scene {name[:80]!r}{did_you_mean(name[:80], scenes)}")
+    return ScenePackage(context.workspace.root, name, scenes[name])
+
+
+def _episode_counts(context: WebContext) -> Counter[str]:
+    try:
+        return Counter(context.workspace.dataset().column("scene").to_pylist())
+    except FactoryError:
+        return Counter()
+
+
+def _of_scene(context: WebContext, name: str) -> tuple[Counter[str], list[str]]:
+    """Returns the number of episodes by target, and some episodes whose first frames show the scene."""
+    try:
+        dataset: Dataset = context.workspace.dataset()
+    except FactoryError:
+        return Counter(), []
+    found = context.tables.of(dataset).select(TableQuery({"scene": name}))
+    targets = dataset.column("target_id").take(found).to_pylist()
+    step = max(1, len(found) // _VIEWS)
+    return Counter(targets), dataset.column("episode_id").take(found[::step][:_VIEWS]).to_pylist()
+
+
+def _dot(floor: Floor) -> float:
+    """Returns the radius of a target on the map, metres."""
+    return max(floor.width, floor.height) / 150

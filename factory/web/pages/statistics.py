@@ -1,0 +1,32 @@
+"""Statistics page: the figures of the report, drawn in the background and kept while the dataset does not change."""
+
+from __future__ import annotations
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from factory.web.context import context_of, page, svg_image
+
+
+def routes() -> list[Route]:
+    """Returns the routes of the page and its images."""
+    return [Route("/statistics", show), Route("/statistics/{name}.svg", image)]
+
+
+def show(request: Request) -> Response:
+    """Answers with the page, or with a page that loads itself again until the figures are drawn."""
+    context = context_of(request)
+    drawn = context.statistics.of(context.workspace.dataset())
+    return page(request, "statistics", "Statistics", drawn=drawn)
+
+
+def image(request: Request) -> Response:
+    """Answers with one drawing."""
+    context = context_of(request)
+    drawn = context.statistics.of(context.workspace.dataset())
+    svg = drawn.images.get(request.path_params["name"]) if drawn else None
+    if svg is None:
+        raise HTTPException(404, "no drawing has this name: load the page of statistics again")
+    return svg_image(svg)

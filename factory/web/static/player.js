@@ -1,0 +1,114 @@
+// Plays the frames of an episode: colour, depth, ids, the robot on the map and the cursors of the plots move together.
+const player = document.getElementById("player");
+const images = [...player.querySelectorAll("img[data-kind]")];
+const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];
+const stride = Math.max(1, Math.ceil(hz / 30));
+const AHEAD = 12;
+const robot = document.getElementById("robot");
+const poses = robot.dataset.poses.split(" ").map((text) => text.split(",").map(Number));
+const time = document.getElementById("time");
+const play = document.getElementById("play");
+const clock = document.getElementById("clock");
+const loaded = new Map();
+let shown = Number(player.dataset.t);
+let playing = false;
+
+const source = (t, kind) => `${player.dataset.frames}${t}.png?kind=${kind}${playing && kind !== "rgb" ? "&small=1" : ""}`;
+
+function load(t) {
+  if (!loaded.has(t)) {
+    const parts = images.map((image) => {
+      const part = new Image();
+      part.src = source(t, image.dataset.kind);
+      return part.decode().then(() => part);
+    });
+    loaded.set(t, Promise.all(parts));
+  }
+  return loaded.get(t);
+}
+
+async function show(t) {
+  shown = t;
+  for (const known of loaded.keys()) if (known < t - stride || known > t + AHEAD * stride) loaded.delete(known);
+  if (playing) for (let next = t; next <= Math.min(last, t + AHEAD * stride); next += stride) load(next).catch(() => {});
+  try {
+    const parts = await load(t);
+    if (shown !== t) return;
+    parts.forEach((part, place) => {
+      images[place].src = part.src;
+      images[place].alt = `${images[place].dataset.kind} at step ${t}`;
+    });
+  } catch {
+    clock.value = `step ${t} cannot be shown`;
+    return;
+  }
+  mark(t);
+}
+
+function mark(t) {
+  const [x, y, turn] = poses[t];
+  robot.setAttribute("transform", `translate(${x} ${y}) rotate(${turn})`);
+  for (const chart of document.querySelectorAll("svg.chart[data-left]")) {
+    const [left, right] = [Number(chart.dataset.left), Number(chart.dataset.right)];
+    const cursor = chart.querySelector(".cursor");
+    const at = left + ((right - left) * t) / Math.max(1, last);
+    cursor.setAttribute("x1", at);
+    cursor.setAttribute("x2", at);
+  }
+  time.value = t;
+  clock.value = `step ${t} of ${last}, ${(t / hz).toFixed(2)} s`;
+  player.dataset.t = t;
+}
+
+async function run() {
+  const begin = performance.now();
+  const first = shown >= last ? 0 : shown;
+  while (playing) {
+    const due = first + Math.floor(((performance.now() - begin) / 1000) * (hz / stride)) * stride;
+    const t = Math.min(last, Math.max(shown, due));
+    if (t !== shown || t === first) await show(t);
+    if (shown >= last) toggle();
+    await new Promise(requestAnimationFrame);
+  }
+}
+
+function toggle() {
+  playing = !playing;
+  loaded.clear();
+  play.textContent = playing ? "Pause" : "Play";
+  play.setAttribute("aria-pressed", playing);
+  if (playing) {
+    if (shown >= last) shown = 0;
+    run();
+  } else {
+    show(shown);
+  }
+}
+
+play.addEventListener("click", toggle);
+document.getElementById("step").addEventListener("click", () => show(Math.min(last, shown + 1)));
+time.addEventListener("input", () => show(Number(time.value)));
+document.querySelector(".player").hidden = false;
+document.getElementById("steps").hidden = true;
+mark(shown);
+
+const canvas = document.createElement("canvas");
+const pen = canvas.getContext("2d", { willReadFrequently: true });
+const ids = images.find((image) => image.dataset.kind === "ids");
+let objects = null;
+
+ids.addEventListener("pointermove", async (event) => {
+  objects ??= fetch(player.dataset.objects).then((reply) => reply.json());
+  const names = await objects;
+  const box = ids.getBoundingClientRect();
+  canvas.width = ids.naturalWidth;
+  canvas.height = ids.naturalHeight;
+  pen.drawImage(ids, 0, 0);
+  const x = Math.floor(((event.clientX - box.left) / box.width) * canvas.width);
+  const y = Math.floor(((event.clientY - box.top) / box.height) * canvas.height);
+  const key = [...pen.getImageData(x, y, 1, 1).data.slice(0, 3)].join(",");
+  document.getElementById("object").textContent = key === "0,0,0" ? ": nothing" : `: ${names[key] ?? "unknown"}`;
+});
+ids.addEventListener("pointerleave", () => {
+  document.getElementById("object").textContent = "";
+});

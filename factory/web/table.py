@@ -1,0 +1,198 @@
+"""Selects and sorts the episodes of a dataset by columns, without reading rows. Knows no web framework."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from factory.dataset.reader import Dataset
+from schemas.errors import UsageError
+from schemas.support.suggest import did_you_mean
+
+FILTERS = MappingProxyType(
+    {
+        "scene": "scene",
+        "split": "split",
+        "tier": "spawn_tier",
+        "category": "target_category",
+        "target": "target_id",
+        "template": "template_id",
+        "end": "end_reason",
+    }
+)
+"""Column by name of the filter."""
+SORTED = (
+    "episode_id",
+    "scene",
+    "split",
+    "spawn_tier",
+    "target_category",
+    "num_steps",
+    "trajectory_length_m",
+    "final_ne_m",
+)
+"""Columns that the table can be sorted by."""
+_OTHERS = ("q", "sort", "order", "page", "flagged")
+_MOST_TEXT = 200
+_MOST_CHOICES = 300
+_KEPT = 16
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TableQuery:
+    """Selection and order of a table."""
+
+    filters: Mapping[str, str] = field(default_factory=dict)
+    """Wanted value by name of the filter."""
+    text: str = ""
+    """Text that the instruction contains, in any case."""
+    sort: str = "episode_id"
+    """Column to sort by."""
+    descending: bool = False
+    """Whether the largest value is first."""
+    page: int = 0
+    """Number of the page, from 0."""
+    flagged: bool = False
+    """Whether only flagged episodes are wanted."""
+
+
+def parse_query(given: Mapping[str, str]) -> TableQuery:
+    """Returns the query of a URL.
+
+    Raises:
+        UsageError: a name or a value is not valid.
+    """
+    unknown = sorted({*given} - {*FILTERS, *_OTHERS})
+    if unknown:
+        near = did_you_mean(unknown[0], (*FILTERS, *_OTHERS))
+        raise UsageError(f"unknown filter {unknown[0][:40]!r}; valid filters: {', '.join((*FILTERS, *_OTHERS))}{near}")
+    sort, page, text = given.get("sort") or "episode_id", given.get("page") or "0", given.get("q", "").strip()
+    if sort not in SORTED:
+        raise UsageError(f"sort={sort[:40]!r} is not a column; valid columns: {', '.join(SORTED)}")
+    if not page.isascii() or not page.isdigit() or len(page) > 9:
+        raise UsageError(f"page={page[:40]!r} is not a number from 0")
+    if len(text) > _MOST_TEXT:
+        raise UsageError(f"q has {len(text)} characters, at most {_MOST_TEXT} are allowed")
+    filters = {name: given[name] for name in FILTERS if given.get(name)}
+    return TableQuery(filters, text, sort, given.get("order") == "desc", int(page), bool(given.get("flagged")))
+
+
+class EpisodeTable:
+    """Rows of a dataset, selected and sorted; thread-safe. Keeps the orders and the selections of recent queries.
+
+    Args:
+        dataset: the dataset.
+    """
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+        """The dataset."""
+        self._found: OrderedDict[object, Indices] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def values(self, column: str) -> list[str]:
+        """Returns the values of a text column, sorted; empty if there are too many to choose from."""
+        held = self.dataset.column(column)
+        distinct = held.dictionary if pa.types.is_dictionary(held.type) else pc.unique(held)
+        return sorted(map(str, distinct.to_pylist())) if len(distinct) <= _MOST_CHOICES else []
+
+    def select(self, query: TableQuery, flagged: Iterable[str] = ()) -> Indices:
+        """Returns the positions of the selected episodes, in order.
+
+        Args:
+            query: selection and order.
+            flagged: ids of the flagged episodes.
+        """
+        key = (tuple(sorted(query.filters.items())), query.text, query.sort, query.descending)
+        found = self._kept(key, lambda: self._sorted(query))
+        if not query.flagged:
+            return found
+        wanted = pc.is_in(self.dataset.column("episode_id").cast(pa.string()), pa.array(list(flagged), pa.string()))
+        return found[_as_mask(wanted)[found]]
+
+    def rows(self, positions: Indices) -> list[dict[str, Any]]:
+        """Returns the values of the columns that the table shows, for some rows."""
+        names = (*SORTED, "instruction")
+        taken = [self.dataset.column(name).take(pa.array(positions)).to_pylist() for name in names]
+        return [dict(zip(names, values, strict=True)) for values in zip(*taken, strict=True)]
+
+    def _sorted(self, query: TableQuery) -> Indices:
+        order = self._kept(("order", query.sort), lambda: self._order(query.sort))
+        order = order[::-1] if query.descending else order
+        mask = self._mask(query)
+        return order if mask is None else order[mask[order]]
+
+    def _order(self, column: str) -> Indices:
+        held = self.dataset.column("index" if column == "episode_id" else column)
+        if pa.types.is_dictionary(held.type):  # the ranks of few values, instead of the text of all rows
+            ranks = pc.rank(held.dictionary.cast(pa.string())).to_numpy()
+            numbers = ranks[held.indices.to_numpy(zero_copy_only=False)]
+        else:
+            numbers = held.to_numpy(zero_copy_only=False)
+        return np.argsort(numbers, kind="stable")
+
+    def _mask(self, query: TableQuery) -> NDArray[np.bool_] | None:
+        masks = [
+            _matches(self.dataset.column(FILTERS[name]), lambda held, value=value: pc.equal(held, value))
+            for name, value in query.filters.items()
+        ]
+        if query.text:
+            search = self.dataset.column("instruction")
+            masks.append(_matches(search, lambda held: pc.match_substring(held, query.text, ignore_case=True)))
+        return np.logical_and.reduce(masks) if masks else None
+
+    def _kept(self, key: object, compute: Any) -> Indices:
+        with self._lock:
+            if key in self._found:
+                self._found.move_to_end(key)
+                return self._found[key]
+        found: Indices = compute()
+        with self._lock:
+            self._found[key] = found
+            while len(self._found) > _KEPT:
+                self._found.popitem(last=False)
+        return found
+
+
+class Tables:
+    """The table of the current version of a dataset; thread-safe."""
+
+    def __init__(self) -> None:
+        self._table: EpisodeTable | None = None
+
+    def of(self, dataset: Dataset) -> EpisodeTable:
+        """Returns the table of a dataset; the same one for the same object."""
+        table = self._table
+        if table is None or table.dataset is not dataset:
+            self._table = table = EpisodeTable(dataset)
+        return table
+
+
+def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:
+    """Returns which rows match; a dictionary is searched once for each value."""
+    if not pa.types.is_dictionary(column.type):
+        return _as_mask(match(column.cast(pa.string())))
+    held = _as_mask(match(column.dictionary.cast(pa.string())))
+    found: NDArray[np.bool_] = np.append(held, False)[
+        column.indices.fill_null(len(held)).to_numpy(zero_copy_only=False)
+    ]
+    return found
+
+
+def _as_mask(found: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:
+    mask: NDArray[np.bool_] = pc.fill_null(found, False).to_numpy(zero_copy_only=False).astype(bool)
+    return mask

@@ -1,0 +1,155 @@
+"""Distributes the episodes of a family over its layouts, from the plan only: no layout need be built.
+
+Each cell of split x tier has its exact quota in the family, and is dealt to the layouts in turn: the totals of two
+layouts of one kind, and their episodes in each cell, differ by at most one. The last layouts are those of the
+unseen-scene splits. Pure functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pydantic import Field, InstanceOf
+
+from schemas.scene_plan import ScenePlan
+from schemas.support.apportion import apportion, webster_sequence
+from schemas.terms import Split, Tier, layout_name, layout_number
+
+Cell = tuple[Split, Tier]
+Cells = dict[Cell, int]
+"""Number of episodes of each cell; cells without episodes are omitted."""
+
+
+class LayoutPlan(ScenePlan):
+    """Entry of one layout of a family, which takes the place of the entry of the family; never written to a file."""
+
+    family: ScenePlan = Field(exclude=True)
+    """Entry of the family."""
+    places: Mapping[Cell, InstanceOf[range]] = Field(exclude=True)
+    """Places of this layout's episodes of each cell in the family's sequence of episodes with the same categories."""
+
+    @property
+    def quota(self) -> Cells:
+        """Number of episodes of each cell in this layout."""
+        return {cell: len(places) for cell, places in self.places.items()}
+
+    @property
+    def is_unseen(self) -> bool:
+        """Whether only the unseen-scene splits use the layout."""
+        return any(split.is_unseen_scene for split, _ in self.places)
+
+    def as_scene(self) -> ScenePlan:
+        """Returns the entry of the first seed of the layout as a fixed scene."""
+        return ScenePlan.model_construct(**{name: getattr(self, name) for name in ScenePlan.model_fields})
+
+    def seeds(self, tries: int) -> Iterator[int]:
+        """Yields the seeds to try, in order; no other layout of the family tries one of them."""
+        stride = self.family.layouts or 1
+        yield from range(self.seed, self.seed + tries * stride, stride)
+
+
+def cross_quota(splits: Mapping[Split, float], tiers: Mapping[Tier, float], episodes: int) -> Cells:
+    """Returns the exact quota of each cell of split x tier; cells without episodes are omitted."""
+    order = iter(webster_sequence({key: share for key, share in tiers.items() if share > 0}, episodes))
+    found: Cells = {}
+    for split, count in apportion({key: share for key, share in splits.items() if share > 0}, episodes).items():
+        for _ in range(count):
+            cell = split, next(order)
+            found[cell] = found.get(cell, 0) + 1
+    return found
+
+
+def layouts_of(scene: ScenePlan, splits: Mapping[Split, float], tiers: Mapping[Tier, float]) -> tuple[LayoutPlan, ...]:
+    """Returns the entries of the layouts of a family that have episodes.
+
+    Args:
+        scene: entry of the family, with `layouts`.
+        splits: fractions of the splits.
+        tiers: fractions of the tiers.
+    """
+    layouts, unseen = scene.layouts or 1, unseen_layouts(scene, splits)
+    dealt: list[dict[Cell, range]] = [{} for _ in range(layouts)]
+    groups = {False: dealt[: layouts - unseen], True: dealt[layouts - unseen :]}
+    turns, starts = dict.fromkeys(groups, 0), dict.fromkeys((False, True), 0)
+    for (split, tier), count in cross_quota(splits, tiers, scene.episodes).items():
+        group, start = groups[split.is_unseen_scene], starts[split.is_held_out]
+        for place, cells in enumerate(group):
+            own = range(start + (place - turns[split.is_unseen_scene]) % len(group), start + count, len(group))
+            if own:
+                cells[split, tier] = own
+        turns[split.is_unseen_scene] += count
+        starts[split.is_held_out] += count
+    shared = {name: getattr(scene, name) for name in ScenePlan.model_fields}
+    shared |= {"layouts": None, "unseen_layouts": None, "family": scene}
+    shares = {is_unseen: {"splits": _splits_of_kind(splits, is_unseen)} for is_unseen in groups}
+    return tuple(
+        LayoutPlan.model_construct(
+            **shared
+            | shares[number >= layouts - unseen]
+            | {"name": layout_name(scene.name, scene.seed + number), "seed": scene.seed + number}
+            | {"episodes": sum(map(len, cells.values())), "places": cells}
+        )
+        for number, cells in enumerate(dealt)
+        if cells
+    )
+
+
+def unseen_layouts(scene: ScenePlan, splits: Mapping[Split, float]) -> int:
+    """Returns the number of layouts of a family that only the unseen-scene splits use."""
+    share = sum(share for split, share in splits.items() if split.is_unseen_scene)
+    layouts = scene.layouts or 1
+    if share <= 0:
+        return 0
+    if scene.unseen_layouts is not None:
+        return scene.unseen_layouts
+    if share >= 1 - 1e-9:
+        return layouts
+    return min(max(1, round(layouts * share)), layouts - 1)
+
+
+def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator[str]:
+    """Yields what is wrong with the layouts of an entry of a plan.
+
+    Args:
+        scene: entry of a scene or of a family.
+        splits: fractions of the splits that apply to it.
+    """
+    has_unseen = any(share > 0 and split.is_unseen_scene for split, share in splits.items())
+    if scene.layouts is None or not has_unseen:
+        is_layout = layout_number(scene.name) is not None
+        if has_unseen and is_layout and not all(split.is_unseen_scene for split, share in splits.items() if share > 0):
+            yield "one layout has either the splits test_unseen_scene* or others; set the shares of one kind to 0"
+        if has_unseen and not is_layout:
+            yield "the splits test_unseen_scene* need `layouts`; set their shares of this scene to 0"
+        if scene.unseen_layouts is not None:
+            yield "`unseen_layouts` is for the splits test_unseen_scene*, whose shares are 0"
+        return
+    unseen = unseen_layouts(scene, splits)
+    unseen_episodes = _unseen_episodes(splits, scene.episodes)
+    for name, episodes, layouts in (
+        ("test_unseen_scene*", unseen_episodes, unseen),
+        ("other", scene.episodes - unseen_episodes, scene.layouts - unseen),
+    ):
+        if episodes and not 0 < layouts <= episodes:
+            yield f"{episodes} episodes of the {name} splits need 1 to {episodes} layouts, not {layouts}"
+
+
+def with_episodes(scene: ScenePlan, splits: Mapping[Split, float], episodes: int) -> ScenePlan:
+    """Returns an entry with another number of episodes; a family has fewer layouts where it has too few episodes."""
+    if scene.layouts is None:
+        return scene.model_copy(update={"episodes": episodes})
+    held_back, unseen = _unseen_episodes(splits, episodes), unseen_layouts(scene, splits)
+    fewer = min(unseen, held_back)
+    layouts = fewer + min(scene.layouts - unseen, episodes - held_back)
+    return scene.model_copy(update={"episodes": episodes, "layouts": layouts, "unseen_layouts": fewer or None})
+
+
+def _splits_of_kind(splits: Mapping[Split, float], is_unseen: bool) -> dict[Split, float]:
+    kept = {split: share for split, share in splits.items() if split.is_unseen_scene is is_unseen and share > 0}
+    total = sum(kept.values())
+    return {split: share / total for split, share in kept.items()}
+
+
+def _unseen_episodes(splits: Mapping[Split, float], episodes: int) -> int:
+    counts = apportion({key: share for key, share in splits.items() if share > 0}, episodes)
+    return sum(count for split, count in counts.items() if split.is_unseen_scene)

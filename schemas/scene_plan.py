@@ -1,0 +1,157 @@
+"""Model of the entry of a plan for one scene, or for the layouts of a family. Does not check the content of scenes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AliasChoices,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from schemas.base import Fraction, Model, Name
+from schemas.instruction.taxonomy import category_of
+from schemas.terms import (
+    BUILTIN_CATEGORIES,
+    CATEGORIES,
+    SceneCategories,
+    Screening,
+    Split,
+    Tier,
+    family_of,
+    layout_number,
+)
+
+MAX_EPISODES = 9_999_999
+MAX_LAYOUTS = 100_000
+_LATER_KEYS = frozenset(
+    {"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"}
+    | {"unit", "up", "models", "layouts", "unseen_layouts"}
+)
+"""Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
+
+
+class ScenePlan(Model):
+    """Entry of a plan for one scene."""
+
+    file: str | None = Field(default=None, validation_alias=AliasChoices("file", "usd"))
+    """Path of the root file of a custom scene, relative to the plan file; null for a built-in scene. Serialised as
+    `usd`, its former name, so that older digests stay valid."""
+    name: Name
+    """Name of a built-in scene, or the name of a custom scene in the dataset."""
+    episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
+    """Number of episodes in this scene."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Layout seed of a built-in scene; with `layouts`, seed of the first layout. The number in a name such as
+    `home_00017` is its default."""
+    layouts: Annotated[int, Field(ge=1, le=MAX_LAYOUTS)] | None = None
+    """Number of layouts of a built-in scene, each a scene with another seed; null for one scene with its name."""
+    unseen_layouts: Annotated[int, Field(ge=1, le=MAX_LAYOUTS)] | None = None
+    """Number of these layouts that only the splits `test_unseen_scene*` use; null for the share of these splits, at
+    least one."""
+    seen: tuple[Name, ...] = ()
+    """Categories of the in-distribution splits; empty selects those of the paper."""
+    held_out: tuple[Name, ...] = ()
+    """Categories of the split `test_ood_obj` only; empty selects those of the paper."""
+    rules: str | None = None
+    """Path of a custom table of category rules, relative to the plan file."""
+    targets: str | None = None
+    """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
+    allow_outside: bool = False
+    """Whether files of a custom scene may be stored outside its folder."""
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    """Unit of a custom scene; null is the unit that the file states."""
+    up: Literal["y", "z"] | None = None
+    """Axis of a custom scene that points up; null is the axis that the file states."""
+    models: tuple[str, ...] = ()
+    """Folders in which `model://` and `package://` names are searched, relative to the plan file."""
+    ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
+    """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
+    screening: Screening | None = None
+    """Selection of the starts in this scene; null selects `spawn.screening` of the plan."""
+    ambiguous: tuple[Name, ...] = ()
+    """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
+    tiers: dict[Tier, Fraction] = Field(default_factory=dict)
+    """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
+    splits: dict[Split, Fraction] = Field(default_factory=dict)
+    """Fraction of episodes in each split of this scene; empty selects the plan's fractions."""
+
+    @model_serializer(mode="wrap")
+    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = serialize(self)
+        used = {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
+        return {"usd" if key == "file" else key: value for key, value in used.items()}
+
+    @property
+    def categories(self) -> SceneCategories:
+        """Seen and held-out categories that apply to this scene."""
+        none = SceneCategories((), ())
+        seen, held_out = BUILTIN_CATEGORIES.get(family_of(self.name), none) if self.file is None else none
+        return SceneCategories(self.seen or seen, self.held_out or held_out)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _seed_of_its_name(cls, data: Any) -> Any:
+        name = data.get("name") if isinstance(data, dict) else None
+        number = layout_number(name) if isinstance(name, str) else None
+        return data if number is None else {"seed": number, **data}
+
+    @field_validator("name")
+    @classmethod
+    def _is_a_known_scene(cls, name: str, others: ValidationInfo) -> str:
+        if others.data.get("file") is None and family_of(name) not in BUILTIN_CATEGORIES:
+            known = ", ".join(BUILTIN_CATEGORIES)
+            raise ValueError(f"not a built-in scene ({known}); for a scene of a file give `file = PATH`")
+        return name
+
+    @field_validator("seen", "held_out")
+    @classmethod
+    def _are_known_categories(cls, categories: tuple[str, ...], others: ValidationInfo) -> tuple[str, ...]:
+        scene = others.data.get("name", "")
+        known = {*CATEGORIES, *(name for group in BUILTIN_CATEGORIES.get(family_of(scene), ()) for name in group)}
+        unknown = [name for name in categories if name not in known]
+        if unknown and others.data.get("file") is None:
+            meant = {name: category_of(name) for name in unknown}
+            hints = [f"{name} is a synonym of {found}" for name, found in meant.items() if found in known]
+            text = f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}"
+            raise ValueError("; ".join([text, *hints]))
+        return categories
+
+    @field_validator("ceiling_m")
+    @classmethod
+    def _is_for_a_stage(cls, ceiling_m: float | None, others: ValidationInfo) -> float | None:
+        if ceiling_m is not None and others.data.get("file") is None:
+            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a file (`file = PATH`)")
+        return ceiling_m
+
+    @model_validator(mode="after")
+    def _layouts_make_sense(self) -> ScenePlan:
+        if self.layouts is None:
+            if self.unseen_layouts is not None:
+                raise ValueError("`unseen_layouts` needs `layouts`, the number of all layouts")
+            return self
+        if self.file is not None or self.name != family_of(self.name):
+            raise ValueError(f"{self.name!r} is one fixed scene; `layouts` is for {', '.join(BUILTIN_CATEGORIES)}")
+        if self.targets is not None:
+            raise ValueError("`targets` edits one layout; remove it, or remove `layouts`")
+        if self.layouts > self.episodes:
+            raise ValueError(f"{self.layouts} layouts need at least {self.layouts} episodes, not {self.episodes}")
+        return self
+
+    @model_validator(mode="after")
+    def _categories_make_sense(self) -> ScenePlan:
+        seen, held_out = self.categories
+        both = sorted(set(seen) & set(held_out))
+        if both:
+            raise ValueError(f"categories both seen and held out: {', '.join(both)}")
+        unnamed = sorted(set(self.ambiguous) - {*seen, *held_out})
+        if unnamed:
+            raise ValueError(f"`ambiguous` lists categories that are neither seen nor held out: {', '.join(unnamed)}")
+        if not seen:
+            raise ValueError("a scene with `file` needs `seen = [...]`, the categories to train on")
+        return self

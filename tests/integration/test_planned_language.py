@@ -1,0 +1,115 @@
+"""Planned episodes with verified instructions: simulated, validated and compared with the scene, and false premises."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+
+import pytest
+
+from coordinator.validation.language import said_findings, sentence_findings
+from coordinator.validation.validate import validate
+from schemas.bundle import BundleReader
+from schemas.config import SpawnConfig, TaskConfig
+from schemas.instruction.language import FROM_START, instruction
+from schemas.job import Job
+from schemas.language.file import LanguageSpec
+from schemas.language.instruction import Instruction, InstructionKind
+from schemas.scene import encode_scene
+from schemas.terms import ExpertName, Recording, Split, Tier
+from tests.builders.bundle import job_for
+from tests.builders.language import furnished_scene
+from workers.sim.attempt import Success, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
+
+SCENE = furnished_scene()
+CHAIR, OTHER = SCENE.info.targets[:2]
+PACKAGE = encode_scene(SCENE, level=1)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    path: Path = tmp_path_factory.mktemp("scene") / "rooms.scene"
+    path.write_bytes(PACKAGE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def stage(package):
+    with SceneRenderer() as stage:
+        stage.load(package, hashlib.sha256(PACKAGE).hexdigest())
+        yield stage
+
+
+def _job(split: Split, attempt: int = 1) -> Job:
+    return job_for(
+        attempt=attempt,
+        scene=SCENE.info.name,
+        scene_sha256=hashlib.sha256(PACKAGE).hexdigest(),
+        tier=Tier.NEAR,
+        split=split,
+        category="chair",
+        colour="red",
+        template_id=FROM_START,
+        instruction=instruction(FROM_START, "chair", "red"),
+        target_id=CHAIR.target_id,
+        expert=ExpertName.PLANNER,
+        task=TaskConfig(success_radius_m=1.4, hold_steps=2, control_hz=10),
+        spawn=SpawnConfig(heading_noise_rad=0.4),
+        language=LanguageSpec(),
+        record=Recording.STATES,
+    )
+
+
+def _episode(stage: SceneRenderer, split: Split) -> BundleReader:
+    """Returns the first successful attempt."""
+    for attempt in range(1, 8):
+        file = io.BytesIO()
+        if isinstance(run_attempt(_job(split, attempt), stage, file, "host-1", lambda _: None), Success):
+            return BundleReader(file)
+    raise AssertionError("no attempt succeeds")
+
+
+def _said(bundle: BundleReader) -> Instruction:
+    assert bundle.meta.language is not None
+    return bundle.meta.language
+
+
+@pytest.mark.parametrize("split", [Split.TRAIN_ID, Split.TEST_PARAPHRASE_OOD])
+def test_an_episode_records_a_sentence_that_fits_its_target_only(stage, package, split):
+    with _episode(stage, split) as bundle:
+        said, meta = _said(bundle), bundle.meta
+        assert validate(bundle, meta.job, CHAIR) == []
+        assert said_findings(meta, package) == []
+        assert meta.instruction == said.text
+        assert meta.phrase_is_unique
+        assert said.held_out == (split is Split.TEST_PARAPHRASE_OOD)
+        wrong = said.model_copy(update={"text": "Go to the green chair."})
+        found = sentence_findings(meta.job, wrong, meta.rollout.spawn_pose, package)
+        assert "it does not fit the target" in found[0]
+        moved = said.model_copy(update={"template_id": "en_terse_999"})
+        assert "does not exist" in sentence_findings(meta.job, moved, meta.rollout.spawn_pose, package)[0]
+
+
+def test_the_sentence_of_a_job_is_the_same_each_time(stage):
+    with _episode(stage, Split.TRAIN_ID) as one, _episode(stage, Split.TRAIN_ID) as two:
+        assert one.meta.content_digest == two.meta.content_digest
+
+
+def test_the_robot_stops_at_its_start_if_the_named_object_does_not_exist(stage, package):
+    with _episode(stage, Split.TEST_FALSE_PREMISE) as bundle:
+        said, meta = _said(bundle), bundle.meta
+        assert (said.kind, said.fits) == (InstructionKind.FALSE_PREMISE, 0)
+        assert validate(bundle, meta.job, CHAIR) == []
+        assert said_findings(meta, package) == []
+        assert bundle.length == meta.job.task.control_hz + 1
+        assert not bundle.arrays.actions_continuous.any()
+        there = said.model_copy(update={"text": "Go to the chair."})
+        assert "an object of the scene fits" in sentence_findings(meta.job, there, meta.rollout.spawn_pose, package)[0]
+
+
+def test_an_episode_without_the_planned_sentence_is_refused(stage):
+    with _episode(stage, Split.TEST_FALSE_PREMISE) as bundle:
+        bundle.meta = bundle.meta.model_copy(update={"language": None})
+        assert "the episode has no verified instruction" in validate(bundle, bundle.meta.job, CHAIR)

@@ -1,0 +1,71 @@
+"""Plans with a language block: what a plan may ask, which targets are drawn, and the conditions on the start."""
+
+from __future__ import annotations
+
+import pytest
+
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.draw import expand, find_impossible, to_job
+from coordinator.expansion.file import parse_plan
+from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.summary import summarise
+from schemas.errors import InvalidPlan
+from schemas.instruction.language import FROM_START
+from schemas.language.file import LanguageSpec
+from schemas.language.possible import explain_impossible
+from schemas.plan import Plan
+from tests.builders.catalog import make_entry, make_target
+from tests.builders.language import number_at, two_rooms, views
+
+ENTRY = make_entry("office", [*(make_target("chair", n, n) for n in (1, 2, 3)), make_target("plant", 1, 4)])
+
+
+def _plan(seen: tuple[str, ...] = ("chair",), **language: object) -> Plan:
+    part = {"name": "office", "episodes": 40, "seen": seen}
+    return Plan.model_validate({"name": "x", "scenes": [part], "splits": {"train_id": 1}, "language": language})
+
+
+@pytest.mark.parametrize(
+    ("data", "fault"),
+    [
+        ({"language": {"per_episode": 2}}, "language.per_episode: an episode of a plan has one instruction"),
+        ({"language": {"false_premises": 0.1}}, "set splits.test_false_premise"),
+        ({"language": {"balanced": True}}, "set `in_view` to 1 or more"),
+        ({"language": {"colours": 1}}, "language.colours: no such key"),
+        ({"language": {}, "instructions": {"unique": "view"}}, "instructions.unique is for templates"),
+        ({"splits": {"test_false_premise": 1.0}}, "the templates have no false premises, the table"),
+    ],
+)
+def test_a_language_block_that_a_plan_does_not_support_is_named(data, fault):
+    with pytest.raises(InvalidPlan, match=fault):
+        parse_plan({"name": "x", "scenes": [{"name": "office", "episodes": 4}], **data}, "x.toml")
+
+
+def test_a_plan_without_a_language_block_has_its_former_digest():
+    assert "language" not in BUILTIN_PLANS["paper"].model_dump(mode="json")
+    assert "language" in plan_to_toml(BUILTIN_PLANS["referring"])
+
+
+def test_only_categories_with_enough_objects_are_drawn_and_the_error_lists_them():
+    (line,) = find_impossible(_plan(("chair", "plant"), same_category=1), {"office": ENTRY})
+    assert "plant has fewer; categories with enough there: chair" in line
+    jobs = expand(_plan(same_category=2), {"office": ENTRY})
+    assert {job.episode.template_id for job in jobs} == {FROM_START}
+
+
+def test_the_start_shows_others_of_the_category_and_shares_are_drawn_once_for_each_episode():
+    plan = _plan(in_view=1, balanced=True)
+    catalog = {"office": ENTRY}
+    found = [to_job(plan, catalog, job, 1).start_view for job in expand(plan, catalog)]
+    assert all(view is not None and view.least_alike == 1 and len(view.alike) == 2 for view in found)
+    assert len({view.ranks for view in found if view is not None}) == len(found)
+    assert summarise(plan, catalog).distractors == {2: 40}
+
+
+def test_a_block_that_no_target_can_satisfy_names_what_is_possible():
+    probes = [(number_at(-3.0, 1.6), view) for view in views(2)]
+    features = dict.fromkeys(LanguageSpec().families, 0.0) | {"support": 1.0}
+    why = explain_impossible(two_rooms(), LanguageSpec(features=features), probes)
+    assert "possible there: " in why
+    assert "near" in why
+    assert explain_impossible(two_rooms(), LanguageSpec(), probes) == ""

@@ -1,0 +1,34 @@
+"""Writes the verified instruction of a job at the start of its episode. Draws no start."""
+
+from __future__ import annotations
+
+from schemas.job import Job
+from schemas.language.instruction import Instruction
+from workers.geometry.pose import Pose
+from workers.sim.scene_renderer import LoadedScene
+
+
+def write_instruction(job: Job, place: LoadedScene, start: Pose) -> Instruction | None:
+    """Returns the instruction of a job from its start pose; the result depends on job, scene and pose only.
+
+    Args:
+        job: job with parameters of the language.
+        place: scene of the job.
+        start: pose of base_link at rest.
+
+    Returns:
+        The instruction; `None` if the job has a template, or if no sentence fits its target only.
+    """
+    if job.language is None:
+        return None
+    from schemas.language.compose import composer_of  # not at the start of workers without language: it needs scipy
+    from schemas.language.view import look
+
+    scene = place.language
+    view = look(scene.graph, (start.x, start.y, start.yaw), job.camera)
+    number, held_out = scene.graph.number_of[job.target_id], job.split.is_paraphrased
+    composer, rng = composer_of(job.language), job.language_rng()
+    if job.is_false_premise:
+        return composer.write_false_premise(scene, view, number, held_out, rng)
+    found = composer.write(scene, view, number, held_out, rng)
+    return found[0] if found else None
