@@ -29,16 +29,19 @@ TYPE = pa.list_(
 """Type of the column (lerobot/datasets/language.py)."""
 
 
-def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int) -> list[dict[str, Any]]:
+def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: int) -> list[dict[str, Any]]:
     """Returns the rows of an episode.
 
     Args:
         steps: sub-instructions in their order.
         hz: recorded frames per second.
-        stride: stride of the exported frames; a row begins at the first exported frame of its span.
+        stride: stride of the exported frames; a row begins at the first exported frame of its span, and a step
+            without an exported frame has no row.
+        frames: number of exported frames.
     """
     shared = {"role": "assistant", "style": "subtask", "camera": None, "tool_calls": None}
-    return [shared | {"content": each.text, "timestamp": -(-each.start // stride) * stride / hz} for each in steps]
+    first = {min(-(-each.start // stride), frames - 1): each for each in steps}
+    return [shared | {"content": each.text, "timestamp": t * stride / hz} for t, each in first.items()]
 
 
 def with_subtasks(table: pa.Table, rows: Sequence[dict[str, Any]]) -> pa.Table:

@@ -137,7 +137,9 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
             for numbered in group:
                 table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout)
                 if dataset.has_routes:
-                    rows = subtask_rows(numbered.piece.episode.steps, dataset.fps * dataset.stride, dataset.stride)
+                    rows = subtask_rows(
+                        numbered.piece.episode.steps, dataset.fps * dataset.stride, dataset.stride, numbered.frames
+                    )
                     table = with_subtasks(table, rows).cast(schema)
                 writer.write_table(table)
     return places
