@@ -46,6 +46,7 @@ def changed_camera(camera: Camera, change: CameraChange | None) -> Camera:
     if change is None:
         return camera
     mount = {key: getattr(camera.mount, key) + getattr(change, key) for key in Mount.model_fields}
+    mount |= {key: math.remainder(angle, 360.0) for key, angle in mount.items() if key.endswith("_deg")}
     mount["z_m"] = max(mount["z_m"], _LEAST_HEIGHT_M)
     try:
         return type(camera).model_validate({**camera.model_dump(), "mount": mount, **_lens(camera, change.focal)})

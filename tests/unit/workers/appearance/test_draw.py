@@ -17,7 +17,7 @@ from schemas.appearance import (
 )
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
-from schemas.rig import PinholeCamera
+from schemas.rig import Mount, PinholeCamera
 from schemas.support.numpy_types import Floats
 from tests.builders.lit import lit_room, room_light
 from workers.appearance import (
@@ -133,6 +133,12 @@ def test_a_change_moves_camera_and_focal_length() -> None:
     assert changed_camera(camera, None) is camera
     low = camera.model_copy(update={"mount": camera.mount.model_copy(update={"z_m": 0.03})})
     assert changed_camera(low, CameraChange(z_m=-0.1)).mount.z_m == 0.02
+
+
+def test_a_camera_that_looks_back_turns_beyond_180_degrees() -> None:
+    back = recorded_camera(CameraConfig(), 64).model_copy(update={"mount": Mount(yaw_deg=180.0, roll_deg=-179.5)})
+    mount = changed_camera(back, CameraChange(yaw_deg=1.5, roll_deg=-1.0)).mount
+    assert (mount.yaw_deg, mount.roll_deg) == (-178.5, 179.5)
 
 
 def test_a_focal_length_that_the_lens_does_not_permit_is_refused() -> None:
