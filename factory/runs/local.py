@@ -119,25 +119,18 @@ def run_locally(
     require_sensor_packages(run.plan.rig)
     require_room(run.root, settings.reserve_bytes)
     spool = folder_of(run.root / _SPOOL, run.plan.run)
-    with (
-        Coordinator(
-            run.root,
-            run.plan,
-            run.catalog,
-            CoordinatorOptions(
-                listen=_LISTEN,
-                ledger_url=run.ledger_url,
-                settings=settings,
-                gate=run.gate,
-                store=run.store,
-                take_over=run.take_over,
-                shard=run.shard,
-                find_states=run.find_states,
-                nearby=lambda lease: find_bundle(spool, lease),
-            ),
-        ) as coordinator,
-        pages(coordinator),
-    ):
+    options = CoordinatorOptions(
+        listen=_LISTEN,
+        ledger_url=run.ledger_url,
+        settings=settings,
+        gate=run.gate,
+        store=run.store,
+        take_over=run.take_over,
+        shard=run.shard,
+        find_states=run.find_states,
+        nearby=lambda lease: find_bundle(spool, lease),
+    )
+    with Coordinator(run.root, run.plan, run.catalog, options) as coordinator, pages(coordinator):
         write_target_lists(run.catalog, run.store or run.root)
         progress = coordinator.progress()
         tell(progress)
@@ -152,9 +145,7 @@ def run_locally(
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:
-            shutil.rmtree(
-                run.root / _SPOOL, ignore_errors=True
-            )  # the run is finished; its bundles are no longer needed
+            shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # its bundles are no longer needed
         return progress
 
 

@@ -211,7 +211,7 @@ def test_status_pages_are_served_beside_the_web_page(farm):
 def test_tabs_receive_the_page_when_it_has_changed(coordinator, farm):
     host, port = farm.host.split(":")
     with socket.create_connection((host, int(port)), timeout=60) as tab:
-        tab.sendall(b"GET /farm/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        tab.sendall(b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n")
         received = b""
         while b"0 of 2 episodes archived" not in received:
             received += tab.recv(65536)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.plan import Plan
+from schemas.protocol.status import Progress
 from schemas.storage.disk import require_room
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
@@ -105,11 +107,9 @@ def start(
     guard, listen = open_door(tls, listen)
     if states is not None and plan_name is not None:
         raise UsageError(f"--states {states}: the plan is that of the dataset; omit PLAN {plan_name}")
-    rendering = (
-        None
-        if states is None
-        else prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
-    )
+    rendering = None
+    if states is not None:
+        rendering = prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     plan, is_new = begin(plan_name, site, changes)
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
     require_room(site.home, settings.reserve_bytes)
@@ -139,12 +139,22 @@ def start(
         ):
             write_target_lists(catalog, site.place)
             _say_endpoints(coordinator, plan, site, guard)
-            finished = coordinator.wait(stop=stop)
-            if stay:
-                stop.wait()
-            elif finished:
-                coordinator.wait_for_departures(stop)
-            progress = coordinator.progress()
+            progress = _wait(coordinator, stop, stay)
+    return _say_end(site, progress)
+
+
+def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:
+    """Waits for the end of the run and the departure of the workers, or with `stay` until `stop` is set."""
+    finished = coordinator.wait(stop=stop)
+    if stay:
+        stop.wait()
+    elif finished:
+        coordinator.wait_for_departures(stop)
+    return coordinator.progress()
+
+
+def _say_end(site: Site, progress: Progress) -> int:
+    """Prints the result of the run and returns the exit code."""
     if not progress.finished:
         click.echo(f"stopped; continue with: factory coordinator start --out {site}", err=True)
         return 0

@@ -58,7 +58,7 @@ class WorkerRow:
 def routes(workspace: Workspace) -> list[Route]:
     """Returns the routes of the page."""
     feed = LiveFeed(lambda: draw_fragment(workspace))
-    return [Route("/", show), Route("/farm/events", feed)]
+    return [Route("/", show), Route("/live", feed)]
 
 
 def show(request: Request) -> Response:
