@@ -196,7 +196,14 @@ def test_further_signals_of_a_batch_system_do_not_shorten_the_drain(tmp_path, nu
             assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1])
+@pytest.fixture(params=[signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1])
+def number(request):
+    """Signal that ends a child process, also if the tests were started by nohup or in the background of a shell."""
+    before = signal.signal(request.param, signal.SIG_DFL)
+    yield request.param
+    signal.signal(request.param, before)
+
+
 def test_a_simulation_that_a_signal_from_outside_ends_is_released_and_not_a_crash(tmp_path, number):
     with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         wait_until(lambda: 1 in begun(tmp_path), "the attempt")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from coordinator.expansion.draw import expand, find_impossible, to_job
+from coordinator.expansion.draw import expand, to_job
 from coordinator.expansion.file import parse_plan
 from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.summary import summarise
 from schemas.errors import InvalidPlan
 from schemas.instruction.language import FROM_START

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib import resources
+from pathlib import Path
 
 import jinja2
 import pytest
@@ -35,15 +36,20 @@ def test_the_page_has_both_colour_schemes_and_forbids_requests() -> None:
     assert page.count("--ink:") == 2
 
 
-def test_only_drawings_are_inserted_unescaped() -> None:
-    folder = resources.files("factory.html").joinpath("templates")
+def test_only_drawings_and_rendered_templates_are_inserted_unescaped() -> None:
+    folder = Path(str(resources.files("factory.html"))) / "templates"
     unescaped = [
         line.strip()
-        for file in folder.iterdir()
+        for file in sorted(folder.rglob("*.*"))
         for line in file.read_text(encoding="utf-8").splitlines()
         if re.search(r"\|\s*safe\b|autoescape|Markup", line)
     ]
-    assert unescaped == ["{{ drawing | safe }}"]
+    assert unescaped == [
+        "{{ drawing | safe }}",
+        "<div><h3>{{ title }}</h3>{{ drawing | safe }}</div>",
+        '<div id="live" data-events="/live">{{ fragment | safe }}</div>',
+        "{{ chart | safe }}",
+    ]
 
 
 def test_numbers_stay_on_one_line_with_their_units() -> None:

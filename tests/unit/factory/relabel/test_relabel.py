@@ -107,7 +107,7 @@ def test_a_language_file_that_no_target_can_satisfy_names_what_is_possible(sourc
     only_support = LanguageSpec(features={str(each): 0.0 for each in Family if each is not Family.SUPPORT})
     with pytest.raises(
         InvalidLanguage,
-        match=r"scene office: no instruction with these features fits a target; possible there: .*nearest",
+        match=r"scene office: no instruction with these features fits a target; possible there: .*ordinal",
     ):
         relabel(source, tmp_path / "out", only_support)
     with pytest.raises(InvalidLanguage, match=r"at most [0-9]+ other objects"):
