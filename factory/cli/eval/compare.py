@@ -29,7 +29,8 @@ _RESULTS = click.Path(path_type=Path)
 def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
     """Compare two policies on the episodes that both have run.
 
-    A and B are folders OUT/policies/NAME of `factory eval -o OUT`, or OUT if it contains one policy.
+    A and B are folders OUT/policies/NAME of `factory eval -o OUT`, e.g. OUT/policies/bc:bc, or OUT if it contains one
+    policy.
     """
     (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
     found = compare(ones, others, Variant(variant))

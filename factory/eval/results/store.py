@@ -163,7 +163,7 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
     """Reads the results of one policy; returns its name and results.
 
     Args:
-        path: `OUT/policies/NAME`, or `OUT` if it contains one policy only.
+        path: `OUT/policies/NAME` with the name of the folder or of the policy, or `OUT` if it contains one policy only.
 
     Raises:
         UsageError: The folder contains several policies, or none.
@@ -176,6 +176,8 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
             there = ", ".join(str(entry) for entry in folders) or "none"
             raise UsageError(f"{path} contains {len(folders)} policies; give the folder of one of them: {there}")
         folder = folders[0]
+    elif not path.exists():
+        folder = path.with_name(folder_name(path.name))
     if not (folder / _LOG).exists():
         raise UsageError(f"{path} contains no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
     out = folder.parent.parent

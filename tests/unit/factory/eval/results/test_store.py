@@ -114,9 +114,11 @@ def test_a_comparison_uses_the_only_policy_or_requires_a_name(tmp_path: Path) ->
         store.add(result_of(1))
         assert read_policy_folder(tmp_path)[0] == "expert"
         store.add(result_of(1, policy="stop"))
-    with pytest.raises(UsageError, match="contains 2 policies; give the folder of one"):
+        store.add(result_of(1, policy="bc:out"))
+    with pytest.raises(UsageError, match="contains 3 policies; give the folder of one"):
         read_policy_folder(tmp_path)
     assert read_policy_folder(tmp_path / "policies" / "stop")[0] == "stop"
+    assert read_policy_folder(tmp_path / "policies" / "bc:out")[0] == "bc:out"
     with pytest.raises(UsageError, match="no results"):
         read_policy_folder(tmp_path / "policies" / "random")
 
