@@ -99,9 +99,9 @@ def start(
 ) -> int:
     """Assign the jobs of a plan to workers and archive their episodes.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
-    Exits when the run has finished: with 0, or with 1 if episodes are missing. Exits with 0 if it is stopped earlier.
-    The pilot of --gate runs on this host before the first job is assigned.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: the plan of the dataset in
+    --out, or demo. Exits when the run has finished: with 0, or with 1 if episodes are missing. Exits with 0 if it
+    is stopped earlier. The pilot of --gate runs on this host before the first job is assigned.
     """
     configure_logs(verbose)
     guard, listen = open_door(tls, listen)

@@ -107,9 +107,9 @@ def rollout(
 ) -> None:
     """Measure the speed of collection on one core.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Includes physics, control,
-    rendering, encoding and writing of the bundle. `frames_per_s_per_core` uses wall-clock time. `frames_per_cpu_s` uses
-    CPU time of the process, which does not depend on the load of the machine.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: paper. Includes physics,
+    control, rendering, encoding and writing of the bundle. `frames_per_s_per_core` uses wall-clock time.
+    `frames_per_cpu_s` uses CPU time of the process, which does not depend on the load of the machine.
     """
     plan = shrunk_plan(narrow(load_plan(plan_name), scenes or (), episodes), {"record": record})
     machine, recorder = describe_machine(), StageRecorder()
@@ -168,8 +168,8 @@ def collect(
 ) -> None:
     """Measure whole runs: episodes per hour and CPU time per episode.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Every combination of --record and
-    --expert is run, in turns; by default those of the plan.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: paper. Every combination of
+    --record and --expert is run, in turns; by default those of the plan.
     """
     base = shrunk_plan(load_plan(plan_name), {"scenes": scenes, "episodes": episodes})
     variants = {

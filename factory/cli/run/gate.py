@@ -73,9 +73,9 @@ def command(
 ) -> int:
     """Measure the success rate of first attempts in one scene.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Nothing is archived. Exits with
-    1 if the success rate is below --min-success. The paper requires 80 % of 50 attempts before it generates episodes
-    in a scene.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: paper. Nothing is archived.
+    Exits with 1 if the success rate is below --min-success. The paper requires 80 % of 50 attempts before it
+    generates episodes in a scene.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory gate`")

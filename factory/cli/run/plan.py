@@ -44,9 +44,9 @@ def command() -> None:
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     """Show a plan's quotas, categories, templates and ambiguity.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Files named in the plan must exist.
-    Categories, templates, ambiguity and the share of far starts around a corner need scenes that are built and support
-    the plan.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Files named in the
+    plan must exist. Categories, templates, ambiguity and the share of far starts around a corner need scenes that
+    are built and support the plan.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
@@ -103,8 +103,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
 def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> None:
     """Find the nearest plan that the scenes support.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Scenes that are not in the cache are
-    built or imported. Layouts are not checked: their seeds are chosen so that they fulfil the plan.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Scenes that are not in
+    the cache are built or imported. Layouts are not checked: their seeds are chosen so that they fulfil the plan.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     fixed = _without_families(plan)

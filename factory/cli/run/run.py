@@ -91,9 +91,9 @@ def command(
 ) -> int:
     """Generate a dataset from a plan, or continue an interrupted run.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
-    After Ctrl-C, SIGTERM or a crash, the same command continues the run; finished episodes are kept. Exits with 1 if
-    episodes are missing at the end.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: the plan of the dataset in
+    --out, or demo. After Ctrl-C, SIGTERM or a crash, the same command continues the run; finished episodes are
+    kept. Exits with 1 if episodes are missing at the end.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory run`")
