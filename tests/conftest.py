@@ -32,12 +32,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection() -> None:
-    """Collects no garbage while tests are collected: millions of objects are made, and all are kept."""
+    """Disables the garbage collector while tests are collected, which creates millions of objects that are kept."""
     gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Leaves what the collection made out of all later garbage collections."""
+    """Excludes the objects of the collection from later garbage collections."""
     gc.freeze()
     gc.enable()
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.antialias import shrink_frame
-from factory.dataset.appearance import DressedPackage, drawn_for
+from factory.dataset.appearance import AppearancePackage, drawn_for
 from factory.dataset.packages import ScenePackage
 from factory.dataset.shared_renderer import View, shared_renderer
 from schemas.appearance import Appearance, DrawnAppearance
@@ -52,10 +52,10 @@ class EpisodeBundle(BundleReader):
         return drawn_for(self._ranges, self.meta.job, self.package, self.arrays.poses)
 
     @cached_property
-    def shown(self) -> ScenePackage | DressedPackage:
+    def shown(self) -> ScenePackage | AppearancePackage:
         """Scene of the episode with its appearance."""
         drawn = self.appearance
-        return self.package if drawn is None or not drawn.changes_scene else DressedPackage(self.package, drawn)
+        return self.package if drawn is None or not drawn.changes_scene else AppearancePackage(self.package, drawn)
 
     @property
     def package(self) -> ScenePackage:

@@ -26,7 +26,7 @@ class FittingObjects(NamedTuple):
     possible: frozenset[int]
     """Objects that it possibly fits; includes those that it surely fits."""
     fault: str = ""
-    """Why the expression has no meaning in the scene, such as a landmark that is not unique."""
+    """Reason why the expression has no meaning in the scene, such as a landmark that is not unique."""
 
     def fits_only(self, number: int) -> bool:
         """Returns whether the expression fits one object and no other."""
