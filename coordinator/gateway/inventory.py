@@ -120,7 +120,7 @@ def _offer(
     except InvalidBundle as error:
         return str(error)
     ack = core.request_until_reply(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)
-    return "" if ack.accepted else "the core does not want it any more"
+    return "" if ack.accepted else "the core no longer needs it"
 
 
 def _job_of(path: Path, job: Job) -> Job:
