@@ -77,9 +77,9 @@ Categories: {categories}.
 - `metadata.parquet`: one row for each episode: `episode_id`, `split`, `scene`, `instruction`, `target_category`,
   `target_id`, `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`,
   `template_id`, then colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer,
-  `geodesic_m` (the shortest path on the floor to the success region, the l of SPL), `spawn_surface_m` and `final_surface_m`
-  (distance to the target's footprint at the start and at the end; `spawn_dist_m` and `final_ne_m` are to its centroid),
-  `target_in_view` (at the end), and `instance_side` (see Splits).
+  `geodesic_m` (the shortest path on the floor to the success region, the l of SPL), `spawn_surface_m` and
+  `final_surface_m` (distance to the target's footprint at the start and at the end; `spawn_dist_m` and `final_ne_m` are
+  to its centroid), `target_in_view` (at the end), and `instance_side` (see Splits).
 - `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: {frames}`actions_continuous.npy` (v in
   m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy` (exact x, y, z, qw, qx, qy, qz of base_link in the
   world), `meta.json`. Frame t is the view before action t.{rendered}
