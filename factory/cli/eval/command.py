@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from coordinator.protocol.tls import Guard
-from factory.cli.common.admission import open_door
+from factory.cli.common.admission import choose_listening
 from factory.cli.common.groups import DefaultCommand, DefaultGroup
 from factory.cli.common.options import (
     appearance_option,
@@ -169,7 +169,7 @@ def _door(
         require_tls_endpoints(connect)
         return FleetAccess((), connect, Guard(tls, listens=False), _invite)
     require_loopback(connect)
-    guard, endpoints = open_door(tls, listen) if listen else (None, ())
+    guard, endpoints = choose_listening(tls, listen) if listen else (None, ())
     return FleetAccess(endpoints, connect, guard, _invite)
 
 
