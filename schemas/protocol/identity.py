@@ -89,7 +89,7 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
     return found
 
 
-def spell_admitted(admitted: Mapping[str, Role]) -> str:
+def format_admitted(admitted: Mapping[str, Role]) -> str:
     """Returns the content of `hosts.txt` for the admitted hosts."""
     lines = [f"{name} {role}" for name, role in sorted(admitted.items())]
     return "\n".join(

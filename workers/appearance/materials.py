@@ -105,12 +105,12 @@ def _sheets(kind: str, materials: list[Material], chance: Chance, scene: SceneSu
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
     total = sum(scene.area[number] for number in own)
     for layer in sorted({scene.slots[number].layer for number in own}):
-        sheet = [number for number in own if scene.slots[number].layer == layer]
+        group = [number for number in own if scene.slots[number].layer == layer]
         material = chance.choose(materials)
-        largest = max(scene.area[number] for number in sheet)
+        largest = max(scene.area[number] for number in group)
         if largest < _MAIN_SHARE * total / 4:
             continue
-        for number in sheet:
+        for number in group:
             slot, colour = scene.slots[number], chance.choose(material.colours)
             kept = colour if scene.area[number] >= _MAIN_SHARE * largest else slot.colour
             changes.append(_change(slot, kept, material))
