@@ -90,7 +90,7 @@ def draw_materials(
     changes: list[SurfaceChange] = []
     for kind, names, table in (("wall", ranges.walls, WALLS), ("floor", ranges.floors, FLOORS)):
         if names:
-            changes += _sheets(kind, [table[name] for name in names], surfaces, scene)
+            changes += _surface_changes(kind, [table[name] for name in names], surfaces, scene)
     if ranges.ceilings:
         factor = np.array(rgb_of(surfaces.choose(CEILINGS))) / 255
         changes += [_tinted(slot, factor) for slot in scene.slots if slot.surface == "ceiling"]
@@ -99,7 +99,9 @@ def draw_materials(
     return tuple(change for change in changes if change.to_colour != change.colour or change.texture)
 
 
-def _sheets(kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
+def _surface_changes(
+    kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces
+) -> list[SurfaceChange]:
     """Returns changes of walls or floors: one material for all surfaces with one texture, whose trims stay."""
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]

@@ -127,11 +127,11 @@ def run(
         print_result(evaluation, as_json, partial(print_evaluation, all_tables=all_tables))
         if out:
             click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
-            _tell_how_to_drive_again(evaluation, store)
+            _print_repeat_command(evaluation, store)
     return _judged(evaluation)
 
 
-def _tell_how_to_drive_again(evaluation: Evaluation, store: Store) -> None:
+def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
     folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
     if folders:
         again = f"run `rm -r {' '.join(folders)}` and the same command again"

@@ -17,7 +17,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import choose_listening, find_hosts
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.gating import GateMode, gate_option, measure_gate
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
@@ -116,7 +116,7 @@ def start(
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = _build(plan, site, stop) if rendering is None else rendering.catalog
-        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
+        gate = measure_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
