@@ -99,9 +99,7 @@ def draw_materials(
     return tuple(change for change in changes if change.to_colour != change.colour or change.texture)
 
 
-def _surface_changes(
-    kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces
-) -> list[SurfaceChange]:
+def _surface_changes(kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
     """Returns changes of walls or floors: one material for all surfaces with one texture, whose trims stay."""
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
