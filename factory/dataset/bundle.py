@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.dataset.antialias import shrink_frame
-from factory.dataset.appearance import AppearancePackage, drawn_for
 from factory.dataset.packages import ScenePackage
-from factory.dataset.shared_renderer import View, shared_renderer
+from factory.dataset.rendering.antialias import shrink_frame
+from factory.dataset.rendering.appearance import AppearancePackage, drawn_for
+from factory.dataset.rendering.shared_renderer import View, shared_renderer
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader, encode_depth
 from schemas.encoding.arrays import FRAME_SIZE_PX

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple, cast
 
-from factory.dataset.appearance import AppearancePackage
 from factory.dataset.packages import ScenePackage
+from factory.dataset.rendering.appearance import AppearancePackage
 from factory.support.settings import read_renderer
 from schemas.appearance import CameraChange
 from schemas.config import CameraConfig
