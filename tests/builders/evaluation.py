@@ -15,7 +15,7 @@ from factory.eval.models.messages import Setup
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
-from schemas.config import TaskConfig
+from schemas.config import RobotConfig, TaskConfig
 from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.instruction.language import instruction
@@ -54,7 +54,8 @@ def room_job(index: int, **changes: object) -> Job:
         "split": SPLITS[(index - 1) % len(SPLITS)],
         "tier": Tier.NEAR,
         "expert": ExpertName.PROPORTIONAL,
-        "task": TaskConfig(),
+        "task": TaskConfig(control_hz=20),
+        "robot": RobotConfig(physics_substeps=12, max_braking_mps2=4.0),
     }
     return job_for(index, **values | changes)
 

@@ -15,7 +15,7 @@ name = "small"
 [[sensors]]
 name = "front"
 model = "pinhole"
-rate_hz = 20
+rate_hz = 10
 width = 96
 height = 64
 fov_deg = 90
@@ -26,7 +26,7 @@ noise = { colour = {}, depth = { model = "stereo" } }
 [[sensors]]
 name = "scan"
 model = "lidar2d"
-rate_hz = 10
+rate_hz = 5
 samples = 90
 range_min_m = 0.1
 range_max_m = 20
@@ -36,7 +36,7 @@ noise = {}
 [[sensors]]
 name = "imu"
 model = "imu"
-rate_hz = 30
+rate_hz = 10
 mount = { x_m = 0.2, z_m = 0.5 }
 noise = {}
 
