@@ -30,6 +30,8 @@ from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
+TASK, ROBOT = TaskConfig(control_hz=20), RobotConfig(physics_substeps=12, max_braking_mps2=4.0)
+"""A third of the usual frames per second, in the usual physics steps, and gentle braking for the long control period."""
 
 
 @functools.cache
@@ -54,8 +56,8 @@ def room_job(index: int, **changes: object) -> Job:
         "split": SPLITS[(index - 1) % len(SPLITS)],
         "tier": Tier.NEAR,
         "expert": ExpertName.PROPORTIONAL,
-        "task": TaskConfig(control_hz=20),
-        "robot": RobotConfig(physics_substeps=12, max_braking_mps2=4.0),
+        "task": TASK,
+        "robot": ROBOT,
     }
     return job_for(index, **values | changes)
 
@@ -67,6 +69,8 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
         scenes=(ScenePlan(name="office", episodes=episodes, seen=("crate",), held_out=("barrel",)),),
         tiers={Tier.NEAR: 1.0},
         splits={Split.TRAIN_ID: 0.5, Split.TEST_ID: 0.5},
+        task=TASK,
+        robot=ROBOT,
     )
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(room_package())

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 from schemas.rig import Rig
@@ -64,8 +63,7 @@ def small_rig(*, has_noise: bool = True) -> Rig:
     return Rig.model_validate(data)
 
 
-def render_rigged(root: Path, states: Path) -> None:
+def render_rigged(root: Path, states: Path, factory: Callable[..., object]) -> None:
     """Renders a states dataset with the small rig into `root`, with one worker. Needs an EGL driver."""
     rig = write_rig(root.parent)
-    words = ("render", states, "--rig", rig, "-o", root, "--workers", 1, "--renderer", "gl")
-    subprocess.run([sys.executable, "-m", "factory", *map(str, words)], check=True, capture_output=True)
+    factory("render", states, "--rig", rig, "-o", root, "--workers", 1, "--renderer", "gl")

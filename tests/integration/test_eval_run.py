@@ -93,7 +93,7 @@ def test_playback_executes_the_actions_of_another_episode_and_stop_executes_none
             simulator.reset(spec, places.load(spec.scene, spec.scene_sha256))
             for v, w in drives[others[spec.spec_id]].actions[:20]:
                 simulator.step(Twist(float(v), float(w)))
-            assert row.track == thin_track(simulator.track, 60)
+            assert row.track == thin_track(simulator.track, specs.settings.task.control_hz)
     assert [row.trajectory_length_m < 0.01 for row in found["stop"]] == [True] * 3
 
 
