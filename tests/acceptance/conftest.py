@@ -32,6 +32,13 @@ def reference(factory: FactoryCli, plan: Path, shared: Path) -> Path:
     return build_once(shared / "reference", lambda root: factory.fresh("run", plan, "--out", root, "--workers", 1))
 
 
+@pytest.fixture(scope="session")
+def states(factory: FactoryCli, plan: Path, shared: Path) -> Path:
+    """The states recording of the plan of `reference`; tests only read it."""
+    words = ("--record", "states", "--workers", 1)
+    return build_once(shared / "reference-states", lambda root: factory("run", plan, "--out", root, *words))
+
+
 @pytest.fixture
 def reference_copy(reference: Path, tmp_path: Path) -> Path:
     """A copy for tests that start a coordinator on it."""

@@ -1,6 +1,6 @@
 """Runs the installed `factory` in separate processes with an empty home.
 
-`fresh` starts a new interpreter, for runs of reference datasets and the README's example. `start`, `run` and a call
+`fresh` starts a new interpreter, for the run of the reference dataset. `start`, `run` and a call
 fork a process that has imported the commands, which saves the seconds that an interpreter needs to import them.
 """
 

@@ -31,7 +31,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 TASK, ROBOT = TaskConfig(control_hz=20), RobotConfig(physics_substeps=12, max_braking_mps2=4.0)
-"""A third of the usual frames per second, in the usual physics steps, and gentle braking for the long control period."""
+"""A third of the usual frames per second, in the usual physics steps; the long control period needs gentle braking."""
 
 
 @functools.cache
