@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.acceptance.factory_cli import FactoryCli, start_server
+from tests.builders.fork_server import ForkServer
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
 from tests.builders.process_state import unchanged_process
@@ -52,6 +54,21 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cache(shared: Path) -> Path:
     """Cache (`MINIVLA_CACHE`) shared by the tests of one session: each built-in scene is compiled once."""
     return shared / "cache"
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[ForkServer]:
+    """The process that commands are forked from."""
+    with start_server() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def factory(server: ForkServer, tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
+    """The command line, with an empty home and the shared cache."""
+    cli = FactoryCli(server, tmp_path_factory.mktemp("empty-home"), cache)
+    yield cli
+    cli.end()
 
 
 @pytest.fixture(scope="session")
