@@ -29,6 +29,9 @@ from schemas.support.log_limit import LogLimit, Repeated
 
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
+_SMALL_BYTES = 1 << 20
+"""Largest size of a bundle whose validation takes a small part of the shortest lease, so that the lease is not extended,
+bytes; a commit is a large part of the work for a bundle of states."""
 _TURN_S = 0.25
 """Duration of a turn of one bundle while others wait, seconds."""
 _FAILURES = 5
@@ -185,7 +188,8 @@ class Pullers(Closing):
         elif not staged.is_taken and self._is_another(pull, staged.sha256):
             return True
         else:
-            self._ledger.keep(pull, _VALIDATION_S)
+            if pull.size > _SMALL_BYTES:
+                self._ledger.keep(pull, _VALIDATION_S)
             verdict = self._judge(pull, staged)
             if verdict is not None and not (staged.is_taken and self._is_another(pull, verdict.receipt.file_sha256)):
                 self._publish(pull, staged, verdict)

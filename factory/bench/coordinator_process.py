@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -13,8 +14,10 @@ from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.scope import Scope
+from coordinator.validation.validator import Validator
 from factory.bench.machine import cpu_s_of_children, measure_memory, resident_mib
 from factory.bench.model import Memory
+from factory.bench.sample import BenchSample
 from factory.support.logs import configure_logs
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, summary_of
@@ -78,9 +81,23 @@ def serve_coordinator(
     _serve(pipe, root, plan, catalog, CoordinatorOptions(listen=_LOOPBACK, settings=settings, checker=checker))
 
 
-def serve_archive(pipe: Connection, root: Path, plan: Plan, catalog: Catalog, settings: CoordinatorSettings) -> None:
-    """Opens a coordinator that validates bundles, and replies as `serve_coordinator` does."""
-    _serve(pipe, root, plan, catalog, CoordinatorOptions(listen=_LOOPBACK, settings=settings))
+def serve_archive(
+    pipe: Connection, root: Path, plan: Plan, catalog: Catalog, settings: CoordinatorSettings, sample: BenchSample
+) -> None:
+    """Opens a coordinator whose validating processes are started, and replies as `serve_coordinator` does.
+
+    Args:
+        pipe: Pipe to the benchmark.
+        root: Directory of the dataset with its ledger.
+        plan: Plan of the ledger.
+        catalog: Scenes of the plan.
+        settings: Settings of the coordinator.
+        sample: Bundle that starts each validating process.
+    """
+    packages = {entry.sha256: entry.path for entry in catalog.values()}
+    with Validator(settings.pullers, packages=packages) as checker, ThreadPoolExecutor(settings.pullers) as pool:
+        list(pool.map(lambda _: checker.check(sample.path, sample.job), range(settings.pullers)))
+        _serve(pipe, root, plan, catalog, CoordinatorOptions(listen=_LOOPBACK, settings=settings, checker=checker))
 
 
 def _serve(pipe: Connection, root: Path, plan: Plan, catalog: Catalog, options: CoordinatorOptions) -> None:

@@ -64,8 +64,10 @@ def bench_delivery(
     for number, (share, count) in enumerate((share, count) for share in shares for count in pullers):
         root = folder / f"run{number}"
         _fill(root, plan, catalog, recordings)
-        settings = CoordinatorSettings(lease_ttl_s=_LEASE_S, reserve_bytes=0, pullers=count, spot_checks=share)
-        with process(serve_archive, root, plan, catalog, settings) as coordinator:
+        settings = CoordinatorSettings(
+            lease_ttl_s=_LEASE_S, reserve_bytes=0, checkpoint_s=_LEASE_S, pullers=count, spot_checks=share
+        )
+        with process(serve_archive, root, plan, catalog, settings, samples[0]) as coordinator:
             opened: CoordinatorReady = receive(coordinator)
             at_once = max(2, min(_WAITING, _WAITING_BYTES // max(sizes)) // workers)
             load = (

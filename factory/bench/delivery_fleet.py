@@ -26,7 +26,7 @@ from schemas.protocol.keys import Verb, bundle_key, parse_bundle_chunk
 from schemas.protocol.messages import Beat, BeatReply, ClaimReply, Done, Lease
 
 _META = "meta.json"
-_BEAT_S = 0.25
+_BEAT_S = 2.0
 _IDLE_S = 0.02
 
 
