@@ -30,7 +30,7 @@ from schemas.support.log_limit import LogLimit, Repeated
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
 _SMALL_BYTES = 1 << 20
-"""Largest size of a bundle whose validation takes a small part of the shortest lease, so that the lease is not extended,
+"""Largest size of a bundle whose validation takes a small part of a lease, so that the lease is not extended first,
 bytes; a commit is a large part of the work for a bundle of states."""
 _TURN_S = 0.25
 """Duration of a turn of one bundle while others wait, seconds."""
