@@ -149,7 +149,8 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
         ShardRecorder(site, shard, plan, catalog).finish(coordinator.progress())
     out = tmp_path / "joined"
     target = JoinTarget(out, out, f"sqlite:///{out}/ledger.db", plan, catalog)
-    report = join_shards(target, find_shards(site.place), checker, datetime.now(UTC))
+    found = list(find_shards(site.place))
+    report = join_shards(target, found, checker, datetime.now(UTC))
     joined = progress_of(site_of(out))
     assert joined.finished
     assert (joined.jobs["failed"], joined.jobs["archived"], joined.jobs["pending"]) == (1, 1, 0)
@@ -157,9 +158,7 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
     with sqlite3.connect(out / "ledger.db") as ledger:
         ((reason,),) = ledger.execute("SELECT reason FROM jobs WHERE state = 'failed'").fetchall()
     assert "quarantined in shard 1/1 after 2 failures of workers, last crash: as asked" in reason
-    assert join_shards(target, find_shards(site.place), checker, datetime.now(UTC)) == report.model_copy(
-        update={"gathered": 0}
-    )
+    assert join_shards(target, found, checker, datetime.now(UTC)) == report.model_copy(update={"gathered": 0})
 
 
 @pytest.mark.parametrize(

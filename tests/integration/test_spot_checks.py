@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sqlalchemy import select
+from structlog.testing import capture_logs
 
 from coordinator.ledger.engine import open_reader
 from coordinator.ledger.opening import ledger_url_of
@@ -99,10 +100,17 @@ def test_a_lying_host_is_barred_and_its_accepted_episodes_are_generated_again(tm
 
 
 def test_workers_do_not_validate_and_their_claims_are_ignored_without_spot_checks(tmp_path: Path) -> None:
-    with started(tmp_path, None) as coordinator, WireWorker(coordinator.endpoints, coordinator.run, "liar") as liar:
-        hello = liar.hello(version("minivla-factory"))
-        assert isinstance(hello, HelloReply)
-        assert not hello.validates
+    with (
+        capture_logs() as lines,
+        started(tmp_path, None) as coordinator,
+        WireWorker(coordinator.endpoints, coordinator.run, "liar") as liar,
+    ):
+        for _ in range(2):
+            hello = liar.hello(version("minivla-factory"))
+            assert isinstance(hello, HelloReply)
+            assert not hello.validates
+        joined = [(line["host"], line["worker"], line["cores"]) for line in lines if line["event"] == "worker_joined"]
+        assert joined == [("liar", liar.sid, 2)]
         for make in (bundle_for, forged_for):
             job, lease = liar.job()
             assert liar.deliver(lease, make(job), is_validated=True)
