@@ -131,13 +131,7 @@ class RayCluster(Closing):
         name = f"ray-{node_id[:12]}"
         folder = admit(self._keys, name, Role.WORKER, (), _DAYS, datetime.now(UTC), renew=True)
         place = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node_id, soft=False)
-        options = {
-            "num_cpus": cores,
-            "max_concurrency": 2,
-            "max_restarts": -1,
-            "max_task_retries": -1,
-            "scheduling_strategy": place,
-        }
+        options = {"num_cpus": cores, "max_concurrency": 2, "max_restarts": -1, "max_task_retries": -1}
         actor = (
             self._ray.remote(RayWorker)
             .options(**options, scheduling_strategy=place)

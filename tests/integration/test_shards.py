@@ -141,9 +141,6 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
                 while (given := worker.job())[0].index != 1:
                     assert worker.deliver(given[1], bundle_for(given[0]))
                 assert worker.fail(given[1], FailReason.CRASH)
-                if host == "two" and coordinator.progress().jobs["archived"] == 0:
-                    job, lease = worker.job()
-                    assert worker.deliver(lease, bundle_for(job))
                 until(lambda: coordinator.progress().jobs["submitted"] == 0)
         assert coordinator.wait(60)
         ShardRecorder(site, shard, plan, catalog).finish(coordinator.progress())

@@ -24,11 +24,13 @@ HURTS = {"crash", "hang", "invalid"}
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     """A head without CPUs and two nodes of one CPU each."""
+    handler = signal.getsignal(signal.SIGTERM)  # the head replaces it
     started = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     for _ in range(2):
         started.add_node(num_cpus=1)
     yield started
     started.shutdown()
+    signal.signal(signal.SIGTERM, handler)
 
 
 def factory(*words: object) -> list[str]:
