@@ -29,7 +29,7 @@ from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, STEPS_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
 from schemas.support.suggest import did_you_mean
@@ -141,6 +141,18 @@ class Dataset:
         if not has_routes(self.root):
             raise UsageError(f'{self.root} has no routes: `factory relabel` with kinds = ["route"] writes them')
         return self._own_rows(read_text_table(self.root / STEPS_FILE))
+
+    @cached_property
+    def questions(self) -> pa.Table:
+        """Table with one row for each question about these episodes (docs/language.md#questions).
+
+        Raises:
+            UsageError: The dataset has no questions.
+            ArchiveCorrupt: The table is damaged.
+        """
+        if not (self.root / QUESTIONS_FILE).is_file():
+            raise UsageError(f"{self.root} has no questions: `factory relabel` with questions = true writes them")
+        return self._own_rows(read_text_table(self.root / QUESTIONS_FILE))
 
     def _own_rows(self, table: pa.Table) -> pa.Table:
         return table.filter(pc.is_in(table["episode_id"], self.column("episode_id").cast(pa.string())))

@@ -31,7 +31,7 @@ from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.instruction import InstructionKind
 from schemas.language.possible import explain_impossible
 from schemas.language.view import look
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE, STEPS_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTIONS_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500
 _PROBES = 12
@@ -70,6 +70,8 @@ class RelabelReport(Model):
     """Number of instructions that describe the driven path."""
     false_premises: int = 0
     """Number of instructions that name an object that does not exist."""
+    questions: int = 0
+    """Number of questions with verified answers."""
     recorded: int = 0
     """Number of episodes that keep their recorded instruction."""
     distinct: int = 0
@@ -227,11 +229,15 @@ def _part_file(output: Output, number: int) -> Path:
 
 
 def _other_tables(tasks: Sequence[PartTask], spec: LanguageSpec) -> dict[str, pa.Table]:
-    """Returns the table of steps by its file name if the language file has routes."""
-    if TextKind.ROUTE not in spec.kinds:
-        return {}
-    order = [(name, "ascending") for name in ("index", "number", "step")]
-    return {STEPS_FILE: pa.concat_tables([pq.read_table(task.beside(STEPS_FILE)) for task in tasks]).sort_by(order)}
+    """Returns the tables of steps and of questions by their file name, if the language file has them."""
+    keys = {STEPS_FILE: ("index", "number", "step")} if TextKind.ROUTE in spec.kinds else {}
+    keys |= {QUESTIONS_FILE: ("index", "number")} if spec.questions else {}
+    return {
+        name: pa.concat_tables([pq.read_table(task.beside(name)) for task in tasks]).sort_by(
+            [(key, "ascending") for key in order]
+        )
+        for name, order in keys.items()
+    }
 
 
 def _write_parts(tasks: Sequence[PartTask], workers: int, on_progress: Progress, stop: threading.Event) -> Counter[str]:
@@ -257,6 +263,7 @@ def _report(out: Path, episodes: int, table: pa.Table, rejected: Counter[str]) -
         instructions=len(goals),
         routes=sum(row["kind"] == InstructionKind.ROUTE for row in rows),
         false_premises=sum(row["kind"] == InstructionKind.FALSE_PREMISE for row in rows),
+        questions=pq.read_metadata(out / QUESTIONS_FILE).num_rows if (out / QUESTIONS_FILE).is_file() else 0,
         recorded=sum(row["kind"] == InstructionKind.RECORDED for row in rows),
         distinct=len(pc.unique(table["instruction"])),
         patterns=len(pc.unique(table["template_id"])),

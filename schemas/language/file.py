@@ -71,6 +71,8 @@ class LanguageSpec(Model):
     balanced: bool = False
     """Whether starts in a plan are drawn until the target is as often the nearest and the most central object of its
     category in view as a random one; needs `in_view`."""
+    questions: bool = Field(default=False, exclude_if=lambda it: not it)
+    """Whether each episode gets questions with computed answers; omitted if not."""
     false_premises: Fraction = 0.0
     """Share of episodes with one more instruction, which names an object that does not exist."""
     seed: Count = 0

@@ -58,6 +58,7 @@ def _print(report: RelabelReport) -> None:
         ("minimal expressions", report.minimal),
         ("routes", report.routes),
         ("false premises", report.false_premises),
+        ("questions", report.questions),
         ("rejected by the verifier", sum(report.rejected.values())),
     )
     print_table("", ("measure", "number"), numbers)
