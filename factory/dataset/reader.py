@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from factory.dataset.columns import NAMES, Columns
 from factory.dataset.episode import Episode, Frame
+from factory.dataset.questions import recorded_questions
 from factory.dataset.steps import has_routes, read_text_table
 from factory.dataset.vocabulary import require_known
 from schemas.appearance import Appearance
@@ -146,13 +147,18 @@ class Dataset:
     def questions(self) -> pa.Table:
         """Table with one row for each question about these episodes (docs/language.md#questions).
 
+        `factory relabel` writes the table; questions of a plan are read from the metadata of every episode.
+
         Raises:
             UsageError: The dataset has no questions.
-            ArchiveCorrupt: The table is damaged.
+            ArchiveCorrupt: The table or an episode is damaged.
         """
-        if not (self.root / QUESTIONS_FILE).is_file():
+        if (self.root / QUESTIONS_FILE).is_file():
+            return self._own_rows(read_text_table(self.root / QUESTIONS_FILE))
+        language = self.meta.plan.language
+        if language is None or not language.questions:
             raise UsageError(f"{self.root} has no questions: `factory relabel` with questions = true writes them")
-        return self._own_rows(read_text_table(self.root / QUESTIONS_FILE))
+        return recorded_questions(self)
 
     def _own_rows(self, table: pa.Table) -> pa.Table:
         return table.filter(pc.is_in(table["episode_id"], self.column("episode_id").cast(pa.string())))

@@ -16,11 +16,11 @@ import pyarrow.parquet as pq
 
 from factory.dataset.episode import Episode
 from factory.dataset.packages import ScenePackage
+from factory.dataset.questions import QUESTIONS_SCHEMA, question_rows
 from factory.dataset.reader import Dataset
-from factory.relabel.question import QUESTIONS_SCHEMA, question_rows
 from factory.relabel.route import STEPS_SCHEMA, route_row, step_rows
 from schemas.config import CameraConfig
-from schemas.language.compose import Composer, SceneLanguage
+from schemas.language.compose import Composer
 from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.graph import build_graph
 from schemas.language.instruction import Instruction, InstructionKind
@@ -29,6 +29,7 @@ from schemas.language.question.model import Question
 from schemas.language.route.compose import RouteComposer
 from schemas.language.route.model import RouteText
 from schemas.language.route.steps import SceneRoutes
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.scene import decode_scene
 from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
@@ -171,9 +172,7 @@ class PartWriter:
             self.tables[QUESTIONS_FILE][0].extend(asked)
 
     def _rng(self, start: LanguageStart, stream: int) -> np.random.Generator:
-        return np.random.default_rng(
-            np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(stream,))
-        )
+        return np.random.default_rng(np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(stream,)))
 
     def _routes(self, start: LanguageStart, episode: Episode) -> list[RouteText]:
         held_out = Split(start.split).is_paraphrased

@@ -6,9 +6,8 @@ Opens no file; chance is an argument.
 from __future__ import annotations
 
 import functools
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy as np
 from schemas.language.draw import draw_index, draw_weighted
 from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
 from schemas.language.file import LanguageSpec, SpokenLanguage
-from schemas.language.generator.facts import SceneFacts, ViewFacts
+from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import (
     indefinite_expressions,
     minimal_expressions,
@@ -24,10 +23,10 @@ from schemas.language.generator.minimal import (
 )
 from schemas.language.generator.search import Search
 from schemas.language.grammar import SentencePattern
-from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.graph import UNKNOWN
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.reading import Reader
-from schemas.language.verifier.verify import Verifier
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
@@ -36,28 +35,6 @@ _FEW = 4
 """Number of features of a short search."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
 _SYNONYMS = 6
-
-
-@dataclass
-class SceneLanguage:
-    """Prepared scene: facts for the generator, and the verifier.
-
-    Args:
-        graph: scene graph.
-    """
-
-    graph: SceneGraph
-    rejected: Counter[str] = field(default_factory=Counter)
-    """Number of sentences that the verifier rejected, by reason."""
-
-    def __post_init__(self) -> None:
-        self.facts = SceneFacts(self.graph)
-        self.verifier = Verifier(self.graph)
-        self._of_kind = Counter(each.kind for each in self.graph.objects)
-
-    def distractors(self, number: int) -> int:
-        """Returns the number of other objects of an object's kind."""
-        return self._of_kind[self.graph.objects[number].kind] - 1
 
 
 class _Options(NamedTuple):

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from factory.scenes import build_scene
-from schemas.language.compose import Composer, SceneLanguage
+from schemas.language.compose import Composer
+from schemas.language.scene import SceneLanguage
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
 from schemas.language.generator.minimal import minimal_expressions

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.language import thresholds as limit
-from schemas.language.compose import Composer, SceneLanguage
+from schemas.language.compose import Composer
 from schemas.language.draw import draw_weighted
 from schemas.language.expression import Expression
 from schemas.language.file import SpokenLanguage
@@ -58,6 +58,7 @@ class AskedEpisode(NamedTuple):
     """Whether the robot stands still because its instruction names no object; the target is no goal then."""
     images: FrameImages | None = None
     """Recorded instance ids and depth; `None` for an episode of states."""
+
 
 _Answer = tuple[QuestionMeaning, tuple[int, int]]
 
@@ -109,9 +110,7 @@ class QuestionComposer:
 class _Answers:
     """Computes answers about one episode; chance chooses frame and object."""
 
-    def __init__(
-        self, place: SceneRoutes, episode: AskedEpisode, composer: Composer, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, place: SceneRoutes, episode: AskedEpisode, composer: Composer, rng: np.random.Generator) -> None:
         self._place, self._scene, self._episode, self._composer, self._rng = place, place.scene, episode, composer, rng
         self._graph, self._facts = place.scene.graph, place.scene.facts
         self._path = DrivenPath(episode.poses)
@@ -229,13 +228,13 @@ class _Answers:
             wrong = self._composer.write_false_premise(scene, view, number, held_out, self._rng, language.code)
             text = None if wrong is None else wrong.text
         else:
-            text, reason = self._several(scene, number, language, held_out), ReasonKind.SEVERAL_FIT
+            text, reason = self._several(number, language, held_out), ReasonKind.SEVERAL_FIT
         if text is None:
             return None
         meaning = QuestionMeaning(kind=QuestionKind.FEASIBLE, answer=answer, reason=reason, instruction=text)
         return meaning, (0, 1)
 
-    def _several(self, scene: SceneLanguage, number: int, language: SpokenLanguage, held_out: bool) -> str | None:
+    def _several(self, number: int, language: SpokenLanguage, held_out: bool) -> str | None:
         """Returns an instruction whose words fit the target and other objects alike."""
         named = self._named(number).model_copy(update={"definite": True})
         if self._facts.described(named.kind, named.colour).sure.sum() < 2:

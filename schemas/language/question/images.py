@@ -1,4 +1,4 @@
-"""Compares a question with the recorded instance ids and depth of its frame. Reads no text and no scene graph's views."""
+"""Compares a question with the recorded instance ids and depth of its frame. Reads no text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads a question with its answer and reason back: returns every meaning. Written without the code that writes them."""
+"""Reads a question with its answer and reason back: returns every meaning. Written without the writer of questions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from schemas.language.expression import Expression
 from schemas.language.grammar import alternatives
 from schemas.language.question.model import AnswerKind, QuestionKind, QuestionMeaning, ReasonKind, SeenSide
-from schemas.language.question.words import SLOT, QuestionWords, question_words
+from schemas.language.question.words import SLOT, question_words
 from schemas.language.reading import Reader
 
 Kind = TypeVar("Kind", bound=str)
@@ -116,7 +116,8 @@ class QuestionReader:
         if slot == "side":
             return f"(?P<side>{'|'.join(re.escape(self._language.normal(each)) for each in sides.values())})"
         if slot == "metres":
-            ends = dict.fromkeys(re.escape(self._language.normal(each.replace("{n}", ""))) for each in self._words.metres)
+            units = [self._language.normal(each.replace("{n}", "")) for each in self._words.metres]
+            ends = dict.fromkeys(map(re.escape, units))
             return f"(?P<metres>\\d{{1,2}})(?:{'|'.join(sorted(ends, key=len, reverse=True))})"
         return f"(?P<{slot}>.+)"
 

@@ -166,7 +166,7 @@ class QuestionVerifier:
         return (low + high) / 2 if high - low < math.pi else math.pi
 
     def _is_shown(self, number: int, t: int) -> bool:
-        """Returns whether at least two in five points of a footprint are in the image without an obstacle before them."""
+        """Returns whether at least 40 % of the points of a footprint are in the image, without an obstacle before."""
         return self._replay.shown_share(number, t) >= 0.4
 
     def _feasible_fault(self, meaning: QuestionMeaning, language: Reader) -> str:
@@ -179,7 +179,9 @@ class QuestionVerifier:
             return "the instruction is not one of the grammar"
         match meaning.reason:
             case ReasonKind.ONE_FITS:
-                is_right = all(not each.fault and len(each.possible) == 1 and each.sure == each.possible for each in verdicts)
+                is_right = all(
+                    not each.fault and len(each.possible) == 1 and each.sure == each.possible for each in verdicts
+                )
             case ReasonKind.NONE_FITS:
                 is_right = not any(each.possible or each.fault for each in verdicts)
             case _:

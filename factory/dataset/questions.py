@@ -1,12 +1,13 @@
-"""Writes questions about episodes as rows of `questions.parquet`. Opens no file."""
+"""Rows of `questions.parquet`: from the questions of an episode, and from the metadata of recorded episodes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import pyarrow as pa
 
+from factory.dataset.episode import Episode
 from schemas.language.question.model import Question
 
 QUESTIONS_SCHEMA = pa.schema(
@@ -40,3 +41,16 @@ def question_rows(episode_id: str, index: int, questions: Sequence[Question]) ->
         }
         for number, each in enumerate(questions, 1)
     ]
+
+
+def recorded_questions(episodes: Iterable[Episode]) -> pa.Table:
+    """Returns the table of the questions that workers recorded in the metadata of episodes.
+
+    Raises:
+        ArchiveCorrupt: an episode is damaged.
+    """
+    rows = []
+    for episode in episodes:
+        with episode:
+            rows += question_rows(episode.episode_id, episode.summary.index, episode.meta.questions)
+    return pa.Table.from_pylist(rows, schema=QUESTIONS_SCHEMA)
