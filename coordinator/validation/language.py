@@ -8,8 +8,11 @@ from coordinator.expansion.sentences import scene_language
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.language.compose import composer_of
+from schemas.language.file import LanguageSpec
 from schemas.language.instruction import Instruction
+from schemas.language.mistakes import mistake_fault
 from schemas.language.question.verify import QuestionVerifier
+from schemas.language.reading import Reader
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.view import look
 from schemas.terms import Recording
@@ -35,14 +38,24 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
     view = look(scene.graph, start, job.camera)
     reader = composer.reader(said.language)
     if job.is_false_premise:
-        is_absent = scene.verifier.is_false_premise(said.text, reader, view)
+        is_absent = scene.verifier.is_false_premise(said.meant, reader, view)
         fault = "" if is_absent else "an object of the scene fits, or may fit"
     else:
-        fault = scene.verifier.check(said.text, reader, view, number)
+        fault = scene.verifier.check(said.meant, reader, view, number)
+    if said.clean is not None and not fault:
+        fault = _mistake_fault(said, job.language, reader)
     found = [f"instruction {said.text!r}: {fault}"] if fault else []
     if said.distractors != scene.distractors(number):
         found.append(f"distractors {said.distractors}, the scene has {scene.distractors(number)}")
     return found
+
+
+def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
+    """Returns why the sentence is not the clean one with a planned error; empty if it is."""
+    assert said.clean is not None
+    if said.mistake is None or not spec.mistakes.get(said.mistake):
+        return "its error is not planned"
+    return mistake_fault(said.text, said.clean, said.mistake, said.language, reader.vocabulary)
 
 
 def said_findings(bundle: BundleReader, package: Path | None) -> list[str]:

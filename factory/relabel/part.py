@@ -51,6 +51,7 @@ SCHEMA = pa.schema(
         ("is_minimal", pa.bool_()),
         ("fits", pa.int64()),
         ("distractors", pa.int64()),
+        *((name, pa.string()) for name in ("clean", "mistake")),
     ]
 )
 """Columns of `instructions.parquet` (docs/language.md#files)."""

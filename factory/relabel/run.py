@@ -21,6 +21,7 @@ from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.assemble import assemble
+from factory.relabel.paraphrase import ParaphraseReport
 from factory.relabel.part import LanguageStart, PartTask, make_part, prepared_scene
 from factory.support.task_pool import run_tasks
 from schemas.base import Model, Sha256
@@ -86,6 +87,8 @@ class RelabelReport(Model):
     """Number of instructions by features; an instruction may have several."""
     rejected: dict[str, int] = Field(default_factory=dict)
     """Number of sentences that the verifier rejected, by reason, in this call."""
+    paraphrases: ParaphraseReport | None = None
+    """Paraphrases that an endpoint was asked for in this call; `None` if it was not asked."""
 
 
 class _Job(NamedTuple):
@@ -164,15 +167,35 @@ def _require_same(out: Path, order: RelabelOrder) -> None:
         if out.exists() and (not out.is_dir() or any(entry.name != WORK_FOLDER for entry in out.iterdir())):
             raise UsageError(f"{out} exists and is not a relabelled dataset: choose another --out")
         return
-    try:
-        found = RelabelOrder.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise WorldError(f"{path} is damaged: delete {out}, or choose another --out") from error
+    found = _read_order(path)
     differing = [name for name in RelabelOrder.model_fields if getattr(found, name) != getattr(order, name)]
     if differing:
         named = {"source_digest": "dataset", "rows_digest": "instructions of the dataset", "spec": "language file"}
         what = ", ".join(named.get(name, name) for name in differing)
         raise UsageError(f"{out} was relabelled with another {what}: delete it, or choose another --out")
+
+
+def _read_order(path: Path) -> RelabelOrder:
+    try:
+        return RelabelOrder.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise WorldError(f"{path} is damaged: delete {path.parent}, or choose another --out") from error
+
+
+def recorded_paraphrases(out: Path, spec: LanguageSpec) -> LanguageSpec | None:
+    """Returns the language file of an interrupted or finished relabelling if it differs in its paraphrases only.
+
+    Args:
+        out: directory of the new dataset; it need not exist.
+        spec: content of the language file without paraphrases of an endpoint.
+
+    Raises:
+        WorldError: `relabel.json` is damaged.
+    """
+    path = out / RELABEL_FILE
+    found = _read_order(path).spec if path.is_file() else None
+    is_same = found is not None and found.model_copy(update={"paraphrases": spec.paraphrases}) == spec
+    return found if is_same else None
 
 
 def _jobs(dataset: Dataset) -> Iterator[_Job]:

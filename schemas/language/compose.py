@@ -25,6 +25,7 @@ from schemas.language.generator.search import Search
 from schemas.language.grammar import SentencePattern
 from schemas.language.graph import UNKNOWN
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.mistakes import MistakeKind, with_mistake
 from schemas.language.reading import Reader
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import SceneView
@@ -171,7 +172,7 @@ class Composer:
         fits = 1 if expression.definite else len(scene.verifier.evaluate(expression, view).possible)
         return self._instruction(
             InstructionKind.GOAL, text, code, pattern, expression, features_of(expression, kind), is_minimal, fits,
-            scene.distractors(number),
+            scene.distractors(number), rng,
         )  # fmt: skip
 
     def say(
@@ -223,7 +224,7 @@ class Composer:
             if scene.verifier.is_false_premise(text, self._by_language[code].reader, view):
                 return self._instruction(
                     InstructionKind.FALSE_PREMISE, text, code, pattern, absent, absent.families, True, 0,
-                    scene.distractors(number),
+                    scene.distractors(number), rng,
                 )  # fmt: skip
         return None
 
@@ -241,6 +242,15 @@ class Composer:
             [Expression(kind=own.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
         ]
 
+    def _mistake(self, rng: np.random.Generator) -> MistakeKind | None:
+        """Draws the kind of error of a sentence; `None` for most, or if the language file has none."""
+        draw = rng.random() if self.spec.mistakes else 1.0
+        for kind, share in self.spec.mistakes.items():
+            if draw < share:
+                return kind
+            draw -= share
+        return None
+
     def _instruction(
         self,
         kind: InstructionKind,
@@ -252,10 +262,15 @@ class Composer:
         is_minimal: bool,
         fits: int,
         distractors: int,
+        rng: np.random.Generator,
     ) -> Instruction:
+        mistake = self._mistake(rng)
+        wrong = mistake and with_mistake(text, mistake, code, self._by_language[code].reader.vocabulary, rng)
         return Instruction(
             kind=kind,
-            text=text,
+            text=wrong or text,
+            clean=text if wrong else None,
+            mistake=mistake if wrong else None,
             language=code,
             register_name=pattern.register,
             template_id=pattern.template_id,

@@ -221,7 +221,7 @@ class _Answers:
         scene, number = self._scene, self._episode.number
         text, answer, reason = None, AnswerKind.NO, ReasonKind.NONE_FITS
         if draw < 0.4:
-            said = [each.text for each in self._episode.goals if each.fits == 1 and each.language == language.code]
+            said = [each.meant for each in self._episode.goals if each.fits == 1 and each.language == language.code]
             text = said[0] if said else None
             answer, reason = AnswerKind.YES, ReasonKind.ONE_FITS
         elif draw < 0.7:
