@@ -35,7 +35,7 @@ from schemas.language.view import look
 from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTIONS_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500
-_PROBES = 12
+_PROBES = 200
 """Number of episodes of each scene that are tried before the work begins."""
 _COLUMNS = (
     *("episode_id", "index", "split", "scene", "scene_sha256", "target_id", "target_category"),

@@ -24,7 +24,6 @@ from schemas.config import CameraConfig
 from schemas.language.compose import Composer
 from schemas.language.expression import Expression
 from schemas.language.file import LanguageSpec
-from schemas.language.grammar import LANGUAGES
 from schemas.language.graph import SceneGraph, build_graph
 from schemas.language.question.compose import AskedEpisode, QuestionComposer
 from schemas.language.route.compose import RouteComposer

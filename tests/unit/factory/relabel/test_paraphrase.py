@@ -165,9 +165,7 @@ def test_built_in_patterns_with_an_action_pass_the_check(code):
 def test_patterns_of_a_language_file_are_checked(tmp_path):
     path = Path(tmp_path / "language.toml")
     path.write_text('[paraphrases.en]\npolite = ["Never go to {np}."]')
-    with pytest.raises(
-        InvalidLanguage, match="paraphrases: 'Never go to {np}.' is not a sentence pattern: it has a neg"
-    ):
+    with pytest.raises(InvalidLanguage, match=r"'Never go to .np..' is not a sentence pattern: it has a neg"):
         load_language(str(path))
     path.write_text('[paraphrases.en]\npoli = ["Go over to {np}."]')
     with pytest.raises(InvalidLanguage, match="unknown register 'poli'"):
