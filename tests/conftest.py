@@ -24,22 +24,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """`--scene-seeds N`: number of seeds of each built-in scene in the contract suite."""
     parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to test")
     parser.addoption("--install", action="store_true", help="run tests/install, which installs the wheel from an index")
+    parser.addoption("--ray", action="store_true", help="run tests/ray, which starts a Ray cluster on loopback")
     parser.addoption("--slurm", action="store_true", help="run tests/slurm, which starts a Slurm on loopback")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Collects tests/install only with `--install`, and tests/slurm only with `--slurm`."""
-    option = next((name for name in ("install", "slurm") if collection_path == Path(__file__).parent / name), None)
+    """Collects tests/install, tests/ray and tests/slurm only with the option of that name."""
+    option = next(
+        (name for name in ("install", "ray", "slurm") if collection_path == Path(__file__).parent / name), None
+    )
     return True if option is not None and not config.getoption(f"--{option}") else None
 
 
 def pytest_collection() -> None:
-    """Collects no garbage while tests are collected: millions of objects are made, and all are kept."""
+    """Disables the garbage collector while tests are collected, which creates millions of objects that are kept."""
     gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Leaves what the collection made out of all later garbage collections."""
+    """Excludes the objects of the collection from later garbage collections."""
     gc.freeze()
     gc.enable()
 

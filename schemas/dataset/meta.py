@@ -51,7 +51,7 @@ class GateOutcome(Model):
 
 
 class Relabelling(Model):
-    """How the instructions of a dataset were written anew (docs/language.md)."""
+    """Source of the new instructions of a relabelled dataset (docs/language.md)."""
 
     spec: str
     """Language file, as JSON with all defaults."""
@@ -108,7 +108,7 @@ class DatasetMeta(Model):
     gate: tuple[GateOutcome, ...] = ()
     """Results of the pilot attempts before the run; empty if the gate was skipped."""
     relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)
-    """How the instructions were written anew; omitted for a dataset with its recorded instructions."""
+    """Source of the new instructions; omitted for a dataset with its recorded instructions."""
 
 
 def described_as_frames(meta: DatasetMeta) -> DatasetMeta:

@@ -96,13 +96,13 @@ class ChecksInput(_Quiet):
         assert observation["rgb"].shape == (640, 640, 3)
         assert observation["depth"].shape == (640, 640)
         assert observation["instruction"] == self.instruction
-        assert not hasattr(self, "situation")
+        assert not hasattr(self, "state")
         print("a policy may print")  # noqa: T201 - output must not disturb the reports
         return (0.0, 0.0) if self.instruction else (0.0, 1.0)
 
-    def enter(self, situation: Any) -> None:
+    def enter(self, state: Any) -> None:
         """Tries to get the privileged input of built-in experts."""
-        self.situation = situation
+        self.state = state
 
 
 class NoMethods:

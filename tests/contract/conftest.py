@@ -16,7 +16,7 @@ KINDS = [
     pytest.param(("tiny", False), id="tiny"),
     pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
 ]
-"""Which renderer, and whether it runs in a separate process."""
+"""Renderer, and whether it runs in a separate process."""
 
 
 @contextmanager

@@ -33,7 +33,7 @@ from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 EPISODES = 2
 RUN = room_plan(EPISODES, crashes=20)
-"""As `room_coordinator` has it."""
+"""Plan of `room_coordinator`."""
 LEASE_S = 60.0
 SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=3.0)
 EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"

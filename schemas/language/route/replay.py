@@ -8,6 +8,7 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ _EVERY = 4
 _RAY_M = 0.03
 _WALL = 2
 _BEFORE_M = 0.25
+_OWN_M = 0.2
+"""Distance before a footprint within which an obstacle is taken for the object itself, metres."""
 _PASSAGE_M, _DIRECTIONS = 0.7, 8
 
 
@@ -116,6 +119,21 @@ class PoseReplay:
                 return True
         return False
 
+    def shown_share(self, number: int, t: int) -> float:
+        """Returns the share of points of a footprint that are in the image and have no obstacle before them."""
+        way = self._ways[t] / abs(self._ways[t])
+        eye = self._points[t] + way * complex(self._camera.x_m, self._camera.y_m)
+        half = math.radians(self._camera.fov_deg) / 2
+        corners = [complex(x, y) for x, y in self.graph.objects[number].outline_m]
+        middle, shown = sum(corners) / len(corners), 0
+        points = [middle, *(middle + 0.9 * (corner - middle) for corner in corners)]
+        for line in (point - eye for point in points):
+            entered = _entry(eye, line, corners)  # the object itself does not block the line
+            if abs(line) > 0 and abs(cmath.phase(line / way)) <= half:
+                free = self._free(eye, line / abs(line), abs(line), blocked=1)
+                shown += free >= min(abs(line), entered * abs(line)) - _OWN_M
+        return shown / len(points)
+
     def position(self, t: int) -> tuple[float, float]:
         """Returns x, y of the robot, metres."""
         return self._points[t].real, self._points[t].imag
@@ -127,3 +145,19 @@ class PoseReplay:
     def bearing(self, point: tuple[float, float], t: int) -> float:
         """Returns the angle from the heading to a point, radians, positive to the left."""
         return cmath.phase((complex(*point) - self._points[t]) / self._ways[t])
+
+
+def _entry(eye: complex, line: complex, corners: Sequence[complex]) -> float:
+    """Returns the share of a line after which it enters a convex polygon; 1 if it does not enter it."""
+    low, high = 0.0, 1.0
+    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+        inward = (b - a) * 1j  # counter-clockwise polygon
+        towards = (line * inward.conjugate()).real
+        before = ((a - eye) * inward.conjugate()).real
+        if towards > 0:
+            low = max(low, before / towards)
+        elif towards < 0:
+            high = min(high, before / towards)
+        elif before > 0:
+            return 1.0
+    return low if low <= high else 1.0
