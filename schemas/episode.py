@@ -46,7 +46,7 @@ class Rollout(Model):
     """Measurements of a rollout in the world frame; each number can be computed from the arrays."""
 
     end_reason: EndReason
-    """Why the rollout ended."""
+    """Reason for the end of the rollout."""
     num_steps: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
     """Number of frames and of actions, T."""
     spawn_pose: tuple[Finite, Finite, Finite]

@@ -87,9 +87,9 @@ class Job(EpisodeSpec):
     )
     """Requirements on a demonstration; omitted if there are none."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
-    """What the episode stores; omitted for frames, so that former digests stay valid."""
+    """Content that the episode stores; omitted for frames, so that former digests stay valid."""
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
-    """What the episode is rendered with; omitted if it is the default, as in every states recording."""
+    """Settings of rendering; omitted if they are the default, as in every states recording."""
 
     @property
     def episode_id(self) -> str:

@@ -51,6 +51,7 @@ DOORS = {
     "rosbags": {"factory/export/mcap/ros2_cdr.py"},
     "rerun": {"factory/visualize/rerun.py"},
     "embreex": {"workers/geometry/rays.py"},
+    "ray": {"factory/runs/ray_engine.py"},
     "obstore": {"schemas/storage/object_store.py"},
     "pyarrow": {"coordinator/tables/", "factory/", "schemas/encoding/table_digest.py", "schemas/storage/"},
 }

@@ -96,7 +96,7 @@ class SceneGraph:
         """Returns the room at a point, or 0."""
         return int(self.room_grid.at(np.array((x, y))))
 
-    def the_room(self, kind: str) -> int:
+    def unique_room(self, kind: str) -> int:
         """Returns the only room of a type; 0 if there is none or several."""
         found = [room.label for room, own in zip(self.rooms, self.types, strict=True) if own == kind]
         return found[0] if len(found) == 1 else 0

@@ -237,7 +237,7 @@ def masks_of(clause: Clause, search: Search) -> Masks | None:
         return view.ego[clause.relation]
     if clause.relation in (Relation.THIS_ROOM, Relation.IN_ROOM):
         assert view is not None
-        return facts.in_room(view.view.room if clause.room is None else graph.the_room(clause.room))
+        return facts.in_room(view.view.room if clause.room is None else graph.unique_room(clause.room))
     if clause.relation is Relation.SAME_ROOM:
         return facts.in_room(graph.objects[int(np.flatnonzero(fitting[0].possible)[0])].room)
     if clause.relation is Relation.BETWEEN:

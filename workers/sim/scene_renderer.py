@@ -88,17 +88,17 @@ class SceneRenderer(Closing):
     """Renderer with an LRU cache of loaded scenes."""
 
     def __init__(
-        self, renderer_kind: RendererKind = "auto", lap: StageTimer = no_stage_timer, apart: bool = False
+        self, renderer_kind: RendererKind = "auto", timer: StageTimer = no_stage_timer, apart: bool = False
     ) -> None:
         """Opens the renderer.
 
         Args:
             renderer_kind: type of the renderer.
-            lap: called at the end of every stage of every attempt.
+            timer: called at the end of every stage of every attempt.
             apart: whether the renderer runs in a separate process, see `open_renderer`.
         """
-        self.lap = lap
-        self.renderer: Renderer = open_renderer(renderer_kind, lap=lap, apart=apart)
+        self.timer = timer
+        self.renderer: Renderer = open_renderer(renderer_kind, timer=timer, apart=apart)
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 

@@ -1,4 +1,4 @@
-"""Measures footprints as polygons, one object at a time, for the verifier. Knows no words."""
+"""Measures footprints as polygons, one object at a time, for the verifier. Does not read words."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class FittingObjects(NamedTuple):
     possible: frozenset[int]
     """Objects that it possibly fits; includes those that it surely fits."""
     fault: str = ""
-    """Why the expression has no meaning in the scene, such as a landmark that is not unique."""
+    """Reason why the expression has no meaning in the scene, such as a landmark that is not unique."""
 
     def fits_only(self, number: int) -> bool:
         """Returns whether the expression fits one object and no other."""
@@ -165,7 +165,7 @@ class Verifier:
                 return down(each.corner_gap_m, limit.CORNER_M)
             case Relation.IN_ROOM:
                 assert clause.room is not None
-                return self._in(number, self._the_room(clause.room))
+                return self._in(number, self._unique_room(clause.room))
             case Relation.THIS_ROOM:
                 assert view is not None
                 if not view.room:
@@ -175,7 +175,7 @@ class Verifier:
                 assert view is not None
                 return self._ego(clause.relation, number, view)
 
-    def _the_room(self, kind: str) -> int:
+    def _unique_room(self, kind: str) -> int:
         labels = [room.label for room, own in zip(self.graph.rooms, self.graph.types, strict=True) if own == kind]
         if len(labels) > 1:
             raise _Ambiguous(f"the scene has {len(labels)} rooms of the type {kind}")
