@@ -23,7 +23,7 @@ _WALL = 2
 _BEFORE_M = 0.25
 _OWN_M = 0.2
 """Distance before a footprint within which an obstacle is taken for the object itself, metres."""
-_PASSAGE_M, _DIRECTIONS = 0.7, 8
+_PASSAGE_M, _DIRECTIONS, _MOST_M = 0.7, 8, 3.0
 
 
 class PoseReplay:
@@ -84,15 +84,15 @@ class PoseReplay:
 
     def passage_width(self, t: int) -> float:
         """Returns the smallest width of the free space in any direction within 0.7 m of a frame, metres."""
-        near = [k for k in range(len(self)) if abs(self._points[k] - self._points[t]) < _PASSAGE_M]
-        ways = [cmath.rect(1.0, angle * math.pi / _DIRECTIONS) for angle in range(_DIRECTIONS)]
-        return min(
-            self._free(self._points[k], way, blocked=1) + self._free(self._points[k], -way, blocked=1)
-            for k in near[:: max(1, len(near) // 12)]
-            for way in ways
-        )
+        near = [point for point in self._points if abs(point - self._points[t]) < _PASSAGE_M]
+        points = np.array(near[:: max(1, len(near) // 12)])[:, None, None]
+        ways = np.exp(1j * np.pi * np.arange(2 * _DIRECTIONS) / _DIRECTIONS)[:, None]
+        rays = points + ways * np.arange(0.0, _MOST_M, _RAY_M)  # (points, directions, steps)
+        hit = self.graph.sight_grid.at(np.stack((rays.real, rays.imag), axis=-1)) >= 1
+        free = np.where(hit.any(axis=-1), hit.argmax(axis=-1) * _RAY_M, _MOST_M)
+        return float((free[:, :_DIRECTIONS] + free[:, _DIRECTIONS:]).min())
 
-    def _free(self, point: complex, way: complex, most_m: float = 3.0, blocked: int = _WALL) -> float:
+    def _free(self, point: complex, way: complex, most_m: float, blocked: int = _WALL) -> float:
         """Returns the distance to the next cell with at least a value, metres."""
         steps = np.arange(0.0, most_m, _RAY_M)
         places = np.column_stack((point.real + way.real * steps, point.imag + way.imag * steps))
