@@ -172,7 +172,8 @@ class _Fleet:
         self._ask(session, Verb.HELLO, hello, now, lambda _reply: None)
         for _ in range(self._load.cores):
             self._claim(session, now)
-        self._beat(session, now)
+        first = now + self._rng.uniform(0.0, self._load.lease_s / _BEATS_PER_LEASE)
+        self._at(first, lambda at: self._beat(session, at))
 
     def _claim(self, session: _Session, now: float) -> None:
         claim = Claim(sid=session.sid, token=f"{next(self._tokens):032x}")

@@ -115,7 +115,7 @@ class RayCluster(Closing):
                 continue
             one = self._nodes.pop(name)
             self._ray.kill(one.actor)
-            log.warning("ray_worker_ended", node=name[:12], status=status, remedy="none; a living node starts it again")
+            log.warning("ray_worker_ended", node=name[:12], status=status, remedy="none; it is started again")
             self._deaths += isinstance(status, int)
             if self._deaths > _MOST_DEATHS:
                 raise WorldError(f"workers exited {self._deaths} times without an episode, last with status {status}")
