@@ -14,6 +14,7 @@ from schemas.errors import InvalidBundle
 from schemas.fingerprint import Fingerprint
 from schemas.job import Job
 from schemas.language.instruction import Instruction
+from schemas.language.question.model import Question
 from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
@@ -135,6 +136,8 @@ class EpisodeMeta(Model):
     """Factors of the appearance that the frames show; null and omitted for the scene as it was compiled."""
     language: Instruction | None = Field(default=None, exclude_if=lambda it: it is None)
     """Verified instruction of a job with `language`; null and omitted for a template."""
+    questions: Annotated[tuple[Question, ...], Field(max_length=8)] = Field(default=(), exclude_if=lambda it: not it)
+    """Questions with verified answers of a job whose `language` has them; empty and omitted otherwise."""
     provenance: Provenance
     """Time, worker and software of the episode."""
 

@@ -5,6 +5,7 @@ Also collects the versions of the installed software. Does not read episodes.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Sequence
 from datetime import datetime
@@ -170,13 +171,16 @@ def _refuse_newer(path: Place, text: str) -> None:
 
 def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
     """Returns the versions of the installed packages among those given."""
-    found: dict[str, str] = {}
-    for name in packages:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
+    found = ((name, _version(name)) for name in packages)
+    return {name: version for name, version in found if version is not None}
+
+
+@functools.cache
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def git_commit(checkout: Path) -> str | None:

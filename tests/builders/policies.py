@@ -56,10 +56,10 @@ class Hangs(_Quiet):
 
 
 class Slow(_Quiet):
-    """Does not move and takes three seconds for 60 steps."""
+    """Does not move and takes three seconds for 20 steps."""
 
     def act(self, observation: dict[str, Any]) -> Any:
-        time.sleep(0.05)
+        time.sleep(0.15)
         return 0.0, 0.0
 
 

@@ -302,15 +302,15 @@ def test_another_camera_configuration_can_be_used(renderer: Renderer) -> None:
     assert renderer.render(ORIGIN).depth[320, 320] == pytest.approx(2.0, abs=1e-3)
 
 
-def test_rendering_without_a_scene_is_refused_with_the_remedy(renderer: Renderer) -> None:
+def test_rendering_without_a_scene_is_refused_with_the_remedy(new_renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
-        renderer.render(ORIGIN)
+        new_renderer.render(ORIGIN)
 
 
-def test_closing_twice_has_no_effect(renderer: Renderer) -> None:
-    renderer.load(box_room(), CAMERA)
-    renderer.close()
-    renderer.close()
+def test_closing_twice_has_no_effect(new_renderer: Renderer) -> None:
+    new_renderer.load(box_room(), CAMERA)
+    new_renderer.close()
+    new_renderer.close()
 
 
 def test_a_renderer_describes_itself(renderer: Renderer) -> None:
@@ -432,6 +432,6 @@ def test_measurements_from_parts_equal_those_from_the_frame() -> None:
                 assert view.sighting.measure_depth() == frame.sighting.measure_depth()
 
 
-def test_a_depth_and_id_frame_requires_a_scene(renderer: Renderer) -> None:
+def test_a_depth_and_id_frame_requires_a_scene(new_renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
-        renderer.render_depth_and_ids(ORIGIN)
+        new_renderer.render_depth_and_ids(ORIGIN)

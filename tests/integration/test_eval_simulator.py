@@ -90,7 +90,7 @@ def test_speeds_out_of_range_are_clipped_and_slew_limited(
         simulator.reset(specs.specs[0], place)
         simulator.step(Twist(-3.0, 9.0))
         assert simulator.command.v_mps == 0.0
-        assert simulator.command.w_rps == pytest.approx(3.2 / 60)
+        assert simulator.command.w_rps == pytest.approx(3.2 / specs.settings.task.control_hz)
         for _ in range(40):
             simulator.step(Twist(0.0, 9.0))
         assert simulator.command.w_rps == 1.5

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from schemas.protocol.messages import Lease, LeaseProgress, RunKind
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
-from workers.client.settings import WorkerSettings
+from workers.client.settings import CheckBundle, WorkerSettings
 from workers.client.spool import Spool
 
 _MAX_HOST = 48
@@ -140,6 +140,8 @@ class Host:
     """Command line of a simulation process."""
     lease_ttl_s: float
     """Time after which a lease without heartbeat expires, seconds."""
+    check_bundle: CheckBundle | None
+    """Function that validates bundles before they are announced; `None` if the coordinator does not request it."""
     link: Link
     """Connection to the coordinator."""
     spool: Spool

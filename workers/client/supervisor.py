@@ -92,6 +92,7 @@ def _work_for(
             trade=terms.trade,
             command=settings.command_for(terms.trade),
             lease_ttl_s=terms.lease_ttl_s,
+            check_bundle=settings.check_bundle if terms.validates else None,
             link=link,
             spool=spool,
             scenes=SceneCache(settings.scene_dir, settings.max_scene_bytes),

@@ -30,7 +30,7 @@ from workers.planning import Waypoint, geodesic_m
 from workers.render import Renderer, as_partial
 from workers.sim.appearance import show_appearance
 from workers.sim.frames import add_frames, add_sampled_digests
-from workers.sim.language import write_instruction
+from workers.sim.language import write_instruction, write_questions
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.sensors import LoadedSurroundings, add_measurements
@@ -182,7 +182,8 @@ def _drive_and_seal(
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
     if said is not None:
-        meta = meta.model_copy(update={"language": said, "phrase_is_unique": said.fits == 1})
+        asked = write_questions(job, place, poses, said)
+        meta = meta.model_copy(update={"language": said, "phrase_is_unique": said.fits == 1, "questions": asked})
     if shown is not None:
         meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
     sealed = writer.finish(done.arrays, meta)

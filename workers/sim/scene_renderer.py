@@ -29,7 +29,7 @@ from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
 
 if TYPE_CHECKING:
-    from schemas.language.compose import SceneLanguage
+    from schemas.language.scene import SceneLanguage
     from workers.sensors.rays import SceneRays
 
 _KEPT_SCENES = 2
@@ -56,8 +56,8 @@ class LoadedScene:
     @functools.cached_property
     def language(self) -> SceneLanguage:
         """Objects of the scene that instructions name."""
-        from schemas.language.compose import SceneLanguage
         from schemas.language.graph import build_graph
+        from schemas.language.scene import SceneLanguage
 
         return SceneLanguage(build_graph(self.scene))
 

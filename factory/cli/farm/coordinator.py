@@ -70,6 +70,13 @@ def command() -> None:
     least=1.0,
 )
 @pullers_option()
+@click.option(
+    "--spot-checks",
+    type=click.FloatRange(0.0, 1.0),
+    metavar="SHARE",
+    help="Let the workers validate their bundles, and validate this share of them again, e.g. 0.05. A host whose "
+    "bundle then fails is barred. Default: validate all bundles here.",
+)
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
 @http_options
@@ -89,6 +96,7 @@ def start(
     ledger: str | None,
     lease_ttl_s: float,
     pullers: int,
+    spot_checks: float | None,
     stay: bool,
     tls: Path | None,
     http: str | None,
@@ -112,7 +120,7 @@ def start(
     if states is not None:
         rendering = prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     plan, is_new = begin(plan_name, site, changes)
-    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = _build(plan, site, stop) if rendering is None else rendering.catalog

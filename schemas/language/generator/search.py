@@ -185,6 +185,8 @@ class Search:
             (self.facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
         ):
             own, rest = values[self.number], values[others]
+            if most is Size.TALLEST and not self.facts.has_same_base[self.number, others].all():
+                continue
             if own >= ratio * rest.max():
                 yield most
             if own * ratio <= rest.min():

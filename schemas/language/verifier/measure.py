@@ -127,6 +127,10 @@ class Footprints:
         """Returns whether the lower sides of two objects have very different heights, such as a chair and a sign."""
         return abs(self._objects[one].base_m - self._objects[two].base_m) >= limit.LEVEL_M
 
+    def has_same_base(self, one: int, two: int) -> bool:
+        """Returns whether the lower sides of two objects have a similar height."""
+        return abs(self._objects[one].base_m - self._objects[two].base_m) < limit.SAME_BASE_M
+
     def is_supported(self, number: int) -> bool:
         """Returns whether an object may rest on another one."""
         return any(self.rests_on(number, other) for other in range(len(self._objects)) if other != number)

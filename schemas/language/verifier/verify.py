@@ -111,6 +111,8 @@ class Verifier:
         inside, alike = table.kinds_of(kind), table.borderline_of(kind)
         for number, each in enumerate(self.graph.objects):
             truth = Truth.YES if each.kind in inside else Truth.MAYBE if each.kind in alike else Truth.NO
+            if each.looks is not None and (each.kind in inside) != (each.looks in inside):
+                truth = Truth.MAYBE
             if colour is not None and each.colour != colour:
                 truth = min(truth, Truth.MAYBE if each.colour == UNKNOWN else Truth.NO)
             if truth is not Truth.NO:
@@ -227,6 +229,7 @@ class Verifier:
         way = down(beside(angle, turn[relation]), limit.DIRECTION_RAD)
         if relation in (Relation.BEHIND, Relation.IN_FRONT_OF):
             way = min(way, down(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
+            way = way if self._prints.has_same_base(number, other) else min(way, Truth.MAYBE)
         if way is Truth.NO:
             return Truth.NO
         return min(shown, way, down(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
