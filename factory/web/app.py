@@ -26,12 +26,12 @@ from factory.web.evaluations import Evaluations
 from factory.web.forms import read_form
 from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
-from factory.web.pages import episode, episodes, evaluation, farm, operations, scenes, statistics
+from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError, UsageError
 from schemas.protocol.administration import AdminReply, AdminRequest
 
-_PAGES = (episodes, episode, scenes, statistics, evaluation, operations)
+_PAGES = (episodes, episode, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 

@@ -14,10 +14,12 @@ from sqlalchemy import ColumnElement, Table, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.host_memory import read_memory
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
 from coordinator.ledger.tables import attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts
+from schemas.protocol.messages import HostMemory
 
 _RECENT_ATTEMPTS = 20_000
 _EVENTS = 60
@@ -95,6 +97,8 @@ class FarmReading:
     """Whether no job may be leased until an operator resumes the run."""
     requests: tuple[RecordedRequest, ...]
     """Newest admin requests, newest first."""
+    memory: dict[str, HostMemory]
+    """Memory by name of the host."""
 
 
 def read_farm(connection: Connection, now: datetime) -> FarmReading:
@@ -109,6 +113,7 @@ def read_farm(connection: Connection, now: datetime) -> FarmReading:
         history=_history(recent),
         paused=is_paused(connection),
         requests=read_requests(connection)[::-1],
+        memory=read_memory(connection),
     )
 
 

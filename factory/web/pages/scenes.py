@@ -10,15 +10,18 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from coordinator.ledger.reading.failures import FailedPlace
 from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.web.context import WebContext, context_of, page, svg_image
-from factory.web.floors import Floor
-from factory.web.table import TableQuery
+from factory.web.floors import Floor, FloorMark
+from factory.web.table import TableQuery, page_number
 from schemas.errors import FactoryError
 from schemas.support.suggest import did_you_mean
+from schemas.terms import family_of
 
 _VIEWS = 6
+_PAGE_SCENES = 24
 
 
 def routes() -> list[Route]:
@@ -27,16 +30,23 @@ def routes() -> list[Route]:
         Route("/scenes", show_all),
         Route("/scenes/{name}", show),
         Route("/scenes/{name}/floor.svg", draw_floor),
+        Route("/scenes/{name}/failures.svg", draw_failures),
     ]
 
 
 def show_all(request: Request) -> Response:
-    """Answers with the list of scenes."""
-    context = context_of(request)
+    """Answers with one page of the list of scenes; `?family=NAME` selects the layouts of a family."""
+    context, query = context_of(request), request.query_params
     meta = context.workspace.meta()
+    family, number = query.get("family", ""), page_number(query)
+    names = [name for name in (meta.scenes if meta else {}) if family in ("", name, family_of(name))]
+    last = max(0, (len(names) - 1) // _PAGE_SCENES)
     counts = _episode_counts(context)
-    scenes = [(name, counts.get(name, 0)) for name in (meta.scenes if meta else {})]
-    return page(request, "scenes", "Scenes", scenes=scenes)
+    shown = names[number * _PAGE_SCENES : (number + 1) * _PAGE_SCENES]
+    scenes = [(name, counts.get(name, 0)) for name in shown]
+    return page(
+        request, "scenes", "Scenes", scenes=scenes, total=len(names), number=number, last=last, family=family[:80]
+    )
 
 
 def show(request: Request) -> Response:
@@ -45,7 +55,19 @@ def show(request: Request) -> Response:
     floor = context.floors.of(package_named(context, name))
     by_target, views = _of_scene(context, name)
     targets = [(target, by_target.get(target.target_id, 0)) for target in floor.info.targets]
-    return page(request, "scene", name, name=name, floor=floor, targets=targets, views=views, dot=_dot(floor))
+    failures = _placed(context, name, floor)
+    return page(
+        request,
+        "scene",
+        name,
+        name=name,
+        floor=floor,
+        targets=targets,
+        views=views,
+        dot=_dot(floor),
+        failures=failures,
+        reasons=Counter(failure.reason for failure, _ in failures),
+    )
 
 
 def draw_floor(request: Request) -> Response:
@@ -53,6 +75,25 @@ def draw_floor(request: Request) -> Response:
     context = context_of(request)
     floor = context.floors.of(package_named(context, request.path_params["name"]))
     return svg_image(floor.image(_view_box(request.query_params.get("view", ""))))
+
+
+def draw_failures(request: Request) -> Response:
+    """Answers with the floor plan and the locations of failed attempts."""
+    context, name = context_of(request), request.path_params["name"]
+    floor = context.floors.of(package_named(context, name))
+    return svg_image(floor.image(marks=[mark for _, mark in _placed(context, name, floor)]))
+
+
+def _placed(context: WebContext, name: str, floor: Floor) -> list[tuple[FailedPlace, FloorMark]]:
+    """Returns the newest failed attempts whose location, or whose target's location, is known."""
+    targets = {target.target_id: target.centroid_m for target in floor.info.targets}
+    found = []
+    for failure in context.workspace.failures(name):
+        xy_m = failure.xy_m or targets.get(failure.target_id)
+        if xy_m is not None:
+            mark = FloorMark(failure.reason, (float(xy_m[0]), float(xy_m[1])), failure.xy_m is not None)
+            found.append((failure, mark))
+    return found
 
 
 def _view_box(text: str) -> str:

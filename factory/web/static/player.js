@@ -55,6 +55,12 @@ function mark(t) {
     cursor.setAttribute("x1", at);
     cursor.setAttribute("x2", at);
   }
+  const now = document.getElementById("now");
+  if (now) for (const end of ["x1", "x2"]) now.setAttribute(end, (600 * t) / (last + 1));
+  for (const step of document.querySelectorAll(".steps li")) {
+    const holds = Number(step.dataset.first) <= t && t <= Number(step.dataset.last);
+    holds ? step.setAttribute("aria-current", "step") : step.removeAttribute("aria-current");
+  }
   time.value = t;
   clock.value = `step ${t} of ${last}, ${(t / hz).toFixed(2)} s`;
   player.dataset.t = t;
@@ -88,6 +94,11 @@ function toggle() {
 play.addEventListener("click", toggle);
 document.getElementById("step").addEventListener("click", () => show(Math.min(last, shown + 1)));
 time.addEventListener("input", () => show(Number(time.value)));
+for (const link of document.querySelectorAll(".steps a"))
+  link.addEventListener("click", (event) => {
+    event.preventDefault();
+    show(Number(link.closest("li").dataset.first));
+  });
 document.querySelector(".player").hidden = false;
 document.getElementById("steps").hidden = true;
 mark(shown);
