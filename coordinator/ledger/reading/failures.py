@@ -46,7 +46,14 @@ def read_failures(connection: Connection, scene: str | None = None, limit: int =
         scene: name of the scene; `None` for all scenes.
         limit: largest number of attempts to return.
     """
-    columns = (attempts.c.idx, attempts.c.attempt, attempts.c.outcome, attempts.c.detail, jobs.c.scene, jobs.c.target_id)
+    columns = (
+        attempts.c.idx,
+        attempts.c.attempt,
+        attempts.c.outcome,
+        attempts.c.detail,
+        jobs.c.scene,
+        jobs.c.target_id,
+    )
     oldest = select(func.max(attempts.c.id)).scalar_subquery() - _RECENT_ATTEMPTS
     query = (
         select(*columns)

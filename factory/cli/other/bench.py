@@ -42,6 +42,7 @@ from factory.cli.common.options import (
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
 from factory.cli.other.bench_dataset import dataset
+from factory.cli.other.bench_serve import serve
 from factory.cli.other.bench_tables import (
     show_collect,
     show_coordinator,
@@ -290,6 +291,7 @@ def coordinator(
 
 
 command.add_command(dataset)
+command.add_command(serve)
 
 
 @command.command("read")

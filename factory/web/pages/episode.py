@@ -187,8 +187,14 @@ def _plots(episode: Episode, hz: int) -> list[tuple[str, str]]:
 def _steps(episode: Episode, last: int) -> list[StepView]:
     """Returns the sub-instructions of the episode; empty if its dataset has no routes."""
     return [
-        StepView(step.number, step.text, step.start, min(step.end, last + 1) - 1, WIDTH * step.start / (last + 1),
-                 WIDTH * (min(step.end, last + 1) - step.start) / (last + 1))
+        StepView(
+            step.number,
+            step.text,
+            step.start,
+            min(step.end, last + 1) - 1,
+            WIDTH * step.start / (last + 1),
+            WIDTH * (min(step.end, last + 1) - step.start) / (last + 1),
+        )
         for step in episode.steps
     ]
 

@@ -66,7 +66,9 @@ def show(request: Request) -> Response:
         query=request.query_params,
         variants=list(Variant),
         most=_MOST_FAILURES,
-        known=_archived(request, [row.spec_id for policy in reading.policies for row in policy.failures[:_MOST_FAILURES]]),
+        known=_archived(
+            request, [row.spec_id for policy in reading.policies for row in policy.failures[:_MOST_FAILURES]]
+        ),
     )
 
 

@@ -1,5 +1,5 @@
 // Reads a binary glTF file of `factory export --to vlnce` as three.js meshes: unlit colours and textures, no hierarchy.
-import { BufferAttribute, BufferGeometry, Group, Mesh, MeshBasicMaterial, RepeatWrapping, SRGBColorSpace, Texture } from "./vendor/three.module.min.js";
+import { BufferAttribute, BufferGeometry, Group, Mesh, MeshLambertMaterial, RepeatWrapping, SRGBColorSpace, Texture } from "./vendor/three.module.min.js";
 
 const ARRAYS = { 5120: Int8Array, 5121: Uint8Array, 5122: Int16Array, 5123: Uint16Array, 5125: Uint32Array, 5126: Float32Array };
 const SIZES = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
@@ -26,9 +26,10 @@ export async function readGlb(url) {
     for (const [ours, theirs] of Object.entries(ATTRIBUTES))
       if (theirs in attributes) geometry.setAttribute(ours, array(attributes[theirs]));
     if (indices !== undefined) geometry.setIndex(array(indices));
+    geometry.computeVertexNormals();
     const source = tree.materials[material]?.pbrMetallicRoughness?.baseColorTexture;
     const map = source ? await readTexture(tree.images[tree.textures[source.index].source], tree, bytes) : null;
-    group.add(new Mesh(geometry, new MeshBasicMaterial({ map, vertexColors: true })));
+    group.add(new Mesh(geometry, new MeshLambertMaterial({ map, vertexColors: true })));
   }
   return group;
 }

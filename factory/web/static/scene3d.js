@@ -1,5 +1,5 @@
 // Shows a scene in 3D with the trajectory and the robot of an episode. Draws a picture only when something has changed.
-import { BoxGeometry, BufferGeometry, Box3, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "./vendor/three.module.min.js";
+import { Box3, BoxGeometry, CatmullRomCurve3, DirectionalLight, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshLambertMaterial, PerspectiveCamera, Plane, Scene, TubeGeometry, Vector3, WebGLRenderer } from "./vendor/three.module.min.js";
 import { readGlb } from "./glb.js";
 
 const canvas = document.getElementById("scene3d");
@@ -8,8 +8,12 @@ const [time, play, clock] = ["time", "play", "clock"].map((id) => document.getEl
 const poses = (canvas.dataset.poses ?? "").split(" ").filter(Boolean).map((text) => text.split(",").map(Number));
 const [hz, floor] = [Number(canvas.dataset.hz), Number(canvas.dataset.floor)];
 const LIFT_M = 0.06;
+const SPACING_M = 0.05;
+const UNDER_CEILING_M = 0.4;
 const style = getComputedStyle(document.documentElement);
 const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+const cut = document.getElementById("cut");
+const ceiling = new Plane(new Vector3(0, -1, 0), 0);
 const target = new Vector3();
 const orbit = { turn: 0.8, tilt: 0.9, distance: 10 };
 let renderer, camera, scene, robot, playing = false, step = 0, isWaiting = false;
@@ -58,11 +62,15 @@ function place(t) {
 }
 
 function addEpisode() {
-  const line = new BufferGeometry().setFromPoints(poses.map(point));
-  scene.add(new Line(line, new LineBasicMaterial({ color: colour("scene1"), depthTest: false })));
+  const points = [];
+  for (const at of poses.map(point)) if (!points.length || at.distanceTo(points.at(-1)) > SPACING_M) points.push(at);
+  if (points.length > 1) {
+    const tube = new TubeGeometry(new CatmullRomCurve3(points), 4 * points.length, 0.03, 6);
+    scene.add(new Mesh(tube, new MeshBasicMaterial({ color: colour("scene1"), depthTest: false, transparent: true })));
+  }
   robot = new Group();
-  const body = new Mesh(new BoxGeometry(0.75, 0.5, 0.5), new MeshBasicMaterial({ color: colour("object") }));
-  const front = new Mesh(new BoxGeometry(0.1, 0.12, 0.3), new MeshBasicMaterial({ color: colour("card") }));
+  const body = new Mesh(new BoxGeometry(0.75, 0.5, 0.5), new MeshLambertMaterial({ color: colour("object") }));
+  const front = new Mesh(new BoxGeometry(0.1, 0.12, 0.3), new MeshLambertMaterial({ color: colour("card") }));
   body.position.set(-0.23, 0.25, 0);
   front.position.set(0.14, 0.4, 0);
   robot.add(body, front);
@@ -112,6 +120,10 @@ function listen() {
     event.preventDefault();
     keys[event.key]();
   });
+  cut.addEventListener("input", () => {
+    ceiling.constant = floor + Number(cut.value);
+    draw();
+  });
   new ResizeObserver(draw).observe(canvas);
   if (!poses.length) return;
   play.addEventListener("click", toggle);
@@ -121,7 +133,7 @@ function listen() {
 
 async function start() {
   try {
-    renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
+    renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "low-power" });
   } catch {
     message.textContent = "This browser does not provide WebGL, which the 3D view needs. The map shows the same scene.";
     return;
@@ -131,13 +143,19 @@ async function start() {
     scene = new Scene();
     camera = new PerspectiveCamera(50, 1, 0.05, 500);
     const mesh = await readGlb(canvas.dataset.scene);
-    scene.add(mesh);
+    const sun = new DirectionalLight(0xffffff, 1.2);
+    sun.position.set(0.4, 1, 0.7);
+    scene.add(mesh, new HemisphereLight(0xffffff, 0xb0b0b0, 2.2), sun);
     const box = new Box3().setFromObject(mesh);
     box.getCenter(target);
     orbit.distance = 0.8 * box.getSize(new Vector3()).length();
+    cut.max = (box.max.y - floor).toFixed(2);
+    cut.value = Math.max(0.5, box.max.y - floor - UNDER_CEILING_M);
+    ceiling.constant = floor + Number(cut.value);
+    renderer.clippingPlanes = [ceiling];
     if (poses.length) addEpisode();
     listen();
-    canvas.hidden = false;
+    canvas.hidden = document.getElementById("cutting").hidden = false;
     if (poses.length) place(0);
     draw();
     message.textContent = "Drag or use the arrow keys to turn the view; use the wheel, + or - to zoom.";
