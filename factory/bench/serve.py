@@ -46,6 +46,8 @@ class RequestCost(Model):
     """Wall time of the first request, milliseconds."""
     wall_ms: Spread
     """Wall time of the other requests, milliseconds."""
+    cpu_ms: float
+    """Mean CPU time of the server for one of the other requests, milliseconds."""
 
 
 class ServeBench(Model):
@@ -56,8 +58,8 @@ class ServeBench(Model):
     first_page: RequestCost
     table_page: dict[str, RequestCost]
     """Cost by the path of the table page."""
-    first_frame_ms: Spread
-    """Wall time of the first colour frame of an episode that was not open, milliseconds."""
+    first_frame: RequestCost
+    """Cost of the first colour frame of an episode that was not open."""
     frames_per_s: float
     """Rate at which the server supplies frames of an episode; a frame is colour, depth and ids as the player asks."""
     frame_cpu_ms: float
@@ -85,10 +87,10 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
     """
     dataset = Dataset(root)
     with _server(root) as (host, pid):
-        first = _cost(host, "/", repeats)
-        tables = {path: _cost(host, path, repeats) for path in _TABLES}
+        first = _cost(host, pid, ["/"] * (repeats + 1))
+        tables = {path: _cost(host, pid, [path] * (repeats + 1)) for path in _TABLES}
         names = _draw(dataset, repeats + 1)
-        frames = [_ask(host, f"/episodes/{name}/frames/0.png") for name in names]
+        frames = _cost(host, pid, [f"/episodes/{name}/frames/0.png" for name in names])
         rate, cpu_ms = _play(host, pid, dataset, names[0])
         idle = _share(pid, seconds)
         with ExitStack() as stack:
@@ -100,7 +102,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         episodes=len(dataset),
         first_page=first,
         table_page=tables,
-        first_frame_ms=Spread.of(frames[1:]),
+        first_frame=frames,
         frames_per_s=rate,
         frame_cpu_ms=cpu_ms,
         tabs=tabs,
@@ -125,9 +127,12 @@ def _server(root: Place) -> Iterator[tuple[str, int]]:
             process.terminate()
 
 
-def _cost(host: str, path: str, repeats: int) -> RequestCost:
-    first, *others = (_ask(host, path) for _ in range(repeats + 1))
-    return RequestCost(first_ms=first, wall_ms=Spread.of(others))
+def _cost(host: str, pid: int, paths: Sequence[str]) -> RequestCost:
+    first = _ask(host, paths[0])
+    begin_cpu_s = _cpu_s(pid)
+    others = [_ask(host, path) for path in paths[1:]]
+    cpu_ms = 1000 * (_cpu_s(pid) - begin_cpu_s) / len(others)
+    return RequestCost(first_ms=first, wall_ms=Spread.of(others), cpu_ms=cpu_ms)
 
 
 def _ask(host: str, path: str) -> float:

@@ -1,4 +1,4 @@
-"""`factory jobs`: lists and shows jobs with their attempts; retries and cancels jobs; releases hosts; pauses and resumes runs."""
+"""`factory jobs`: lists, shows, retries and cancels jobs; releases barred hosts; pauses and resumes the run."""
 
 from __future__ import annotations
 

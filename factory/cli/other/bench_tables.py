@@ -24,15 +24,14 @@ from factory.cli.common.output import print_table
 def show_serve(report: ServeBench) -> None:
     """Prints the times of pages and frames, and the cost of open tabs."""
     _say_machine(report.machine)
-    pages: dict[str, RequestCost] = {"/": report.first_page, **report.table_page}
+    pages: dict[str, RequestCost] = {"/": report.first_page, **report.table_page, "first frame": report.first_frame}
     rows = [
-        (path, round(cost.first_ms, 1), round(cost.wall_ms.median, 1), _range(cost.wall_ms))
+        (path, *(round(value, 1) for value in (cost.first_ms, cost.wall_ms.median)), _range(cost.wall_ms), cost.cpu_ms)
         for path, cost in pages.items()
     ]
-    print_table(f"Pages of {report.episodes} episodes", ("path", "first, ms", "median, ms", "range"), rows)
-    frame = report.first_frame_ms
-    click.echo(f"\nfirst frame of an episode: {frame.median:.1f} ms ({_range(frame)})")
-    click.echo(f"playback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time a frame")
+    columns = ("request", "first, ms", "median, ms", "range", "CPU, ms")
+    print_table(f"Web page of {report.episodes} episodes", columns, rows)
+    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time a frame")
     share, idle = 100 * report.tabs_core_share, 100 * report.idle_core_share
     click.echo(f"{report.tabs} open tabs for {report.tabs_s:.0f} s: {share:.2f} % of a core, {idle:.2f} % without tabs")
 
