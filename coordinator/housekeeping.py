@@ -36,7 +36,7 @@ _SHOWN_HOSTS = 10
 _BARRED_S = 5.0
 _SANDBOX_S = 1.0
 _ROOM_S = 1.0
-_MEMORY_S = 10.0
+_MEMORY_S = 5.0
 _LEASE_LIMIT_S = 1.0
 """Pause between two checks of the lease limit, seconds."""
 

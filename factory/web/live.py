@@ -71,12 +71,17 @@ class LiveFeed:
                 self._text, self._version = text, self._version + 1
                 self._changed.set()
                 self._changed = asyncio.Event()
-            await asyncio.sleep(max(self._pause_s, _SHARE * cost_s))
+            await asyncio.sleep(pause_after(cost_s, self._pause_s))
 
     def _timed(self) -> tuple[str, float]:
         """Returns the fragment and the CPU time of its computation, seconds."""
         begin_s = time.thread_time()
         return self._compute(), time.thread_time() - begin_s
+
+
+def pause_after(cost_s: float, least_s: float) -> float:
+    """Returns the pause after a reading with a CPU time, at least `least_s`; all in seconds."""
+    return max(least_s, _SHARE * cost_s)
 
 
 def _event(text: str) -> bytes:

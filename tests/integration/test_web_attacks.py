@@ -9,6 +9,7 @@ import socket
 import ssl
 import threading
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import quote
 
@@ -17,9 +18,13 @@ import pytest
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.web.start import serve
 from schemas.errors import UsageError
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Beat, BeatReply, HelloReply, HostMemory
+from schemas.terms import Recording
 from tests.builders.archived import ArchivedRun
 from tests.builders.dataset import make_dataset
 from tests.builders.keys import files_of, make_authority
@@ -108,6 +113,15 @@ def test_a_server_full_of_slow_clients_answers_others_and_the_run_continues(run)
         until(lambda: coordinator.progress().jobs["archived"] == 1)
 
 
+def test_the_memory_in_a_heartbeat_is_on_the_page_of_the_farm(run):
+    coordinator, client = run
+    with WireWorker(coordinator.endpoints, coordinator.run) as worker:
+        assert isinstance(worker.hello(version("minivla-factory")), HelloReply)
+        memory = HostMemory(used_bytes=3 * 10**9, total_bytes=8 * 10**9)
+        assert isinstance(worker.ask(Verb.BEAT, Beat(sid=worker.sid, memory=memory), BeatReply), BeatReply)
+        until(lambda: "3.0 GB of 8.0 GB" in client.ask("/").text)
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("odd") / "data"
@@ -146,12 +160,15 @@ def test_a_dataset_that_grows_is_shown_as_it_is_written(tmp_path):
 
 
 def test_a_half_packed_dataset_shows_packed_and_single_episodes(tmp_path):
-    run = ArchivedRun(tmp_path / "run", planned=5, done=5)
-    assert run.pack(2, is_over=False) > 0
+    run = ArchivedRun(tmp_path / "run", planned=5, done=5, record=Recording.STATES)
+    assert run.pack(2, is_over=False) == 4
     with web_page(run.root) as client:
         for index in range(1, 6):
             assert client.ask(f"/episodes/ep_{index:06d}").status == 200
-            assert client.ask(f"/episodes/ep_{index:06d}/frames/0.png").status == 200
+            assert (
+                client.ask(f"/episodes/ep_{index:06d}/download/zip").body
+                == Dataset(run.root)[index - 1].path.read_bytes()
+            )
 
 
 def answer(client: http.client.HTTPSConnection, host: str) -> int:

@@ -21,6 +21,7 @@ from coordinator.ledger.host_memory import write_memory
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.tables import jobs
 from factory.dataset.reader import Dataset
+from factory.eval.models.result import Variant
 from factory.eval.policies.note import PolicyNote
 from factory.eval.results.compare import compare
 from factory.eval.results.publish import RESULTS_FILE, VIDEOS
@@ -94,7 +95,7 @@ def test_the_page_of_an_evaluation_lists_failures_and_links_to_their_episodes_an
 
 @pytest.mark.parametrize(
     "name",
-    ["0/ep_000002.mp4", "0/..%2f..%2f..%2fresults.json", "0/ep_000001.json", "7/ep_000001.mp4", "1/ep_000001.mp4"],
+    ["1/ep_000002.mp4", "1/..%2f..%2f..%2fresults.json", "1/ep_000001.json", "7/ep_000001.mp4", "0/ep_000001.mp4"],
 )
 def test_only_films_of_failures_are_served(client, name):
     assert client.ask(f"/evaluations/results/films/{name}").status == 404
@@ -105,7 +106,7 @@ def test_two_policies_are_compared_as_by_the_command(client):
         [result_of(n, success=n % wins == 0, policy=name) for n in range(1, 7)]
         for name, wins in zip(POLICIES, (2, 3), strict=True)
     ]
-    wanted = compare(*rows, "original")
+    wanted = compare(*rows, Variant.ORIGINAL)
     page = client.ask("/evaluations/results?first=stop&second=my+policy+%3Cb%3E").text
     assert f"both {wanted.both}, only stop {wanted.only_first}, " in page
     assert f"McNemar p = {wanted.p:.3g}" in page
