@@ -27,7 +27,7 @@ class LiveFeed:
     def __init__(self, compute: Callable[[], str], pause_s: float = 3.0) -> None:
         self._compute, self._pause_s = compute, pause_s
         self._text, self._version = "", 0
-        self._changed = asyncio.Event()
+        self._polled = asyncio.Event()
         self._tabs = 0
         self._poller: asyncio.Task[None] | None = None
 
@@ -56,21 +56,19 @@ class LiveFeed:
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         seen = 0
         while True:
-            changed = self._changed
+            await self._polled.wait()  # text of an earlier reading may be older than the page of this tab
             if self._version != seen:
                 seen = self._version
                 async with asyncio.timeout(_SEND_S):
                     await send({"type": "http.response.body", "body": _event(self._text), "more_body": True})
-            else:
-                await changed.wait()
 
     async def _poll(self) -> None:
         while True:
             text, cost_s = await run_in_threadpool(self._timed)
             if text != self._text:
                 self._text, self._version = text, self._version + 1
-                self._changed.set()
-                self._changed = asyncio.Event()
+            self._polled.set()
+            self._polled = asyncio.Event()
             await asyncio.sleep(pause_after(cost_s, self._pause_s))
 
     def _timed(self) -> tuple[str, float]:

@@ -93,7 +93,7 @@ def test_axe_finds_no_violation_and_no_page_is_wider_than_its_window(browser, cl
         for path in _PATHS:
             page.goto(client.url + path)
             if path == "/statistics":
-                page.wait_for_selector("section.figures")
+                page.wait_for_selector("section.figures", timeout=300_000)
             assert overflow_px(page) <= 0, path
             assert axe_violations(page) == [], path
 
