@@ -24,6 +24,7 @@ from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.place import Place
 from schemas.support.child import child_environment, python_module
+from schemas.terms import Recording
 
 _SEED = 24
 _TICK_S = 1 / os.sysconf("SC_CLK_TCK")
@@ -158,9 +159,11 @@ def _draw(dataset: Dataset, count: int) -> list[str]:
 def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, float]:
     """Requests the frames of an episode as the player does; returns frames per second and CPU milliseconds a frame."""
     steps = range(1, len(dataset[name]), 2)
+    is_stored = dataset.meta.plan.record is Recording.FRAMES
+    queries = ("kind=rgb" if is_stored else "kind=rgb&small=1", "kind=depth&small=1", "kind=ids&small=1")
 
     def frame(t: int) -> None:
-        for query in ("kind=rgb", "kind=depth&small=1", "kind=ids&small=1"):
+        for query in queries:
             _ask(host, f"/episodes/{name}/frames/{t}.png?{query}")
 
     begin_s, begin_cpu_s = time.perf_counter(), _cpu_s(pid)

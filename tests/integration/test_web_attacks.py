@@ -160,7 +160,7 @@ def test_a_dataset_that_grows_is_shown_as_it_is_written(tmp_path):
 
 
 def test_a_half_packed_dataset_shows_packed_and_single_episodes(tmp_path):
-    run = ArchivedRun(tmp_path / "run", planned=5, done=5, record=Recording.STATES)
+    run = ArchivedRun(tmp_path / "run", planned=6, done=5, record=Recording.STATES)
     assert run.pack(2, is_over=False) == 4
     with web_page(run.root) as client:
         for index in range(1, 6):

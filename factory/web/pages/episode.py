@@ -23,6 +23,7 @@ from factory.web.pages.find import find_episode
 from factory.web.pages.frame import show_frame, show_mask
 from factory.web.table import EpisodeTable
 from schemas.measure import Goal
+from schemas.terms import Recording
 
 _RIM_M = 1.5
 _LEAST_SPAN_M = 6.0
@@ -100,6 +101,7 @@ def show(request: Request) -> Response:
         plots=_plots(episode, hz),
         facts=_facts(episode),
         steps=_steps(episode, last),
+        rendered=episode.meta.job.record is not Recording.FRAMES,
         mark=context.marks.read().get(summary.episode_id, Mark()),
         neighbours=_neighbours(context, summary.index),
         downloads=DOWNLOADS,

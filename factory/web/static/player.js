@@ -4,6 +4,7 @@ const images = [...player.querySelectorAll("img[data-kind]")];
 const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];
 const stride = Math.max(1, Math.ceil(hz / 30));
 const AHEAD = 12;
+const SMALL_PX = 320;
 const robot = document.getElementById("robot");
 const poses = robot.dataset.poses.split(" ").map((text) => text.split(",").map(Number));
 const time = document.getElementById("time");
@@ -13,7 +14,11 @@ const loaded = new Map();
 let shown = Number(player.dataset.t);
 let playing = false;
 
-const source = (t, kind) => `${player.dataset.frames}${t}.png?kind=${kind}${playing && kind !== "rgb" ? "&small=1" : ""}`;
+// while it plays: small images, but stored colour frames as they are, and rendered ones if the window shows them large
+function source(t, kind) {
+  const isLarge = kind === "rgb" && (!player.dataset.rendered || images[0].clientWidth * devicePixelRatio > SMALL_PX * 1.25);
+  return `${player.dataset.frames}${t}.png?kind=${kind}${playing && !isLarge ? "&small=1" : ""}`;
+}
 
 function load(t) {
   if (!loaded.has(t)) {
