@@ -111,7 +111,7 @@ def test_two_policies_are_compared_as_by_the_command(client):
     assert f"both {wanted.both}, only stop {wanted.only_first}, " in page
     assert f"McNemar p = {wanted.p:.3g}" in page
     assert f"{wanted.success_difference.mean:.3f}" in page
-    assert "no policy &#39;nobody&#39;" in client.ask("/evaluations/results?first=nobody&second=stop").text
+    assert "no policy &#39;other&#39;" in client.ask("/evaluations/results?first=other&second=stop").text
     assert client.ask("/evaluations/results?first=stop&second=stop&variant=odd").status == 400
     assert "no evaluation is named &#39;result&#39;; did you mean" in client.ask("/evaluations/result").text
 
