@@ -18,7 +18,7 @@ from coordinator.ledger.repair import current_job
 from coordinator.ledger.unchecked import note_checked, suspects
 from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id
-from schemas.storage.place import at_hand
+from schemas.storage.place import local_copy
 
 _AT_ONCE = 20
 """Number of episodes per call."""
@@ -62,7 +62,7 @@ class Rechecks:
         """Returns the reason why an episode is invalid; empty if it is valid."""
         target = self._run.terms.catalog[job.scene].info.target(job.target_id)
         try:
-            with at_hand(self._run.archive.path_of(index)) as file:
+            with local_copy(self._run.archive.path_of(index)) as file:
                 self._run.checker.check(file, job, target)
         except InvalidBundle as error:
             return str(error)

@@ -76,7 +76,7 @@ class ExpertName(StrEnum):
 
 
 class Recording(StrEnum):
-    """What an episode stores (docs/dataset.md#recordings)."""
+    """Content that an episode stores (docs/dataset.md#recordings)."""
 
     FRAMES = "frames"  # actions, poses and every frame
     STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read

@@ -76,14 +76,7 @@ def bench_coordinator(
     memory = measure_memory(start_mib)
     engine.dispose()
     wire = bench_wire(
-        plan,
-        catalog,
-        meta,
-        folder,
-        workers=workers,
-        sessions=sessions,
-        bundle_bytes=bundle_bytes,
-        repeats=repeats,
+        plan, catalog, meta, folder, workers=workers, sessions=sessions, bundle_bytes=bundle_bytes, repeats=repeats
     )
     return CoordinatorBench(
         machine=machine,

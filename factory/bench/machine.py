@@ -38,7 +38,7 @@ def resident_mib(pid: int | str = "self") -> float:
     return round(pages * _PAGE / _MIB, 1)
 
 
-def forget_peak() -> None:
+def reset_peak() -> None:
     """Resets the peak memory counter, because building a scene needs more memory than simulating in it.
 
     Without kernel support, the peak remains that of the whole process.

@@ -27,6 +27,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.status.address import HttpAddress
 from coordinator.status.server import StatusServer
 from factory.cli.main import cli
+from factory.submit.slurm import RUN_TASK
 from tests.builders.ledger import room_catalog, room_plan
 from tests.integration.test_status_pages import ask
 
@@ -64,7 +65,7 @@ def command_lines() -> list[tuple[str, list[str]]]:
     for unit in UNITS:
         (line,) = re.findall(r"^ExecStart=\S*/factory (.*)$", unit.read_text(), re.MULTILINE)
         found.append((unit.name, shlex.split(line.replace("${CORES}", "8").replace("${HUB}", "hub:7447"))))
-    (line,) = re.findall(r"^factory (.*) &$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
+    (line,) = re.findall(r"^run_task 0 factory (.*)$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
     found.append(("slurm", shlex.split(line.replace("${cores}", "8"))))
     readme = (DEPLOY / "README.md").read_text()
     for line in re.findall(r"^(?:\w+:\s+)?factory (.*?)\s*(?:#.*)?$", readme, re.MULTILINE):
@@ -338,13 +339,17 @@ class Cluster:
     def before(self, command: str, deed: str) -> None:
         """Runs a script before a command of the task, to fix the order of events."""
         trap = self.bin / "trap.sh"
-        trap.write_text(f"""trap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
+        trap.write_text(f"""set -T\ntrap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
         self.environment["BASH_ENV"] = str(trap)
 
     def _tool(self, name: str, body: str) -> None:
         path = self.bin / name
         path.write_text(f"#!/bin/bash\n{body}\n")
         path.chmod(0o755)
+
+
+def test_the_shipped_slurm_script_has_the_shell_functions_of_factory_submit() -> None:
+    assert RUN_TASK in (DEPLOY / "slurm" / "workers.sh").read_text()
 
 
 @pytest.mark.parametrize(("number", "told"), [(signal.SIGUSR1, "requeue 15_2\n"), (signal.SIGTERM, None)])
@@ -363,7 +368,7 @@ def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself_before_
 
 def test_a_slurm_task_stopped_before_its_worker_starts_stops_the_worker(tmp_path):
     cluster = Cluster(tmp_path, "while :; do sleep 0.05; done")
-    cluster.before(r"worker=\$!", "kill -USR1 $$")
+    cluster.before(r"child=\$!", "kill -USR1 $$")
     with cluster.task() as task:
         assert task.wait(60) == 0
     assert cluster.told.read_text() == "requeue 15_2\n"

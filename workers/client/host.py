@@ -169,14 +169,14 @@ class Host:
         return seconds * self.rng.uniform(0.8, 1.2)
 
 
-def tidy_host(name: str) -> str:
+def valid_host_name(name: str) -> str:
     """Returns a machine's name as a valid host name: lower-case letters, digits and dashes.
 
-    >>> tidy_host("Node_07.cluster.local")
+    >>> valid_host_name("Node_07.cluster.local")
     'node-07-cluster-local'
     """
-    tidy = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:_MAX_HOST].rstrip("-")
-    return tidy or "host"
+    valid = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:_MAX_HOST].rstrip("-")
+    return valid or "host"
 
 
 def make_sid(host: str) -> str:

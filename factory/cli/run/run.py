@@ -16,7 +16,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.gating import GateMode, gate_option, measure_gate
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
@@ -125,7 +125,7 @@ def command(
         stop, _ = stack.enter_context(stop_on_signals())
         with building_layouts(processes, stop) as builds:
             catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages)
-        gate = hold_gate(plan, catalog, gate_mode if has_gate else "skip", renderer, processes, stop)
+        gate = measure_gate(plan, catalog, gate_mode if has_gate else "skip", renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
