@@ -31,7 +31,7 @@ MAX_EPISODES = 9_999_999
 MAX_LAYOUTS = 100_000
 _LATER_KEYS = frozenset(
     {"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"}
-    | {"unit", "up", "models", "layouts", "unseen_layouts"}
+    | {"unit", "up", "models", "skip_missing", "layouts", "unseen_layouts"}
 )
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 
@@ -70,6 +70,8 @@ class ScenePlan(Model):
     """Axis of a custom scene that points up; null is the axis that the file states."""
     models: tuple[str, ...] = ()
     """Folders in which `model://` and `package://` names are searched, relative to the plan file."""
+    skip_missing: bool = False
+    """Whether a custom scene is read without the models and meshes that are missing."""
     ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
     """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
     screening: Screening | None = None

@@ -131,6 +131,29 @@ def test_all_missing_models_are_named_with_the_searched_folders(tmp_path: Path) 
     assert not (tmp_path / "cache").exists()
 
 
+def test_a_world_is_read_without_its_missing_models_and_meshes_on_request(tmp_path: Path) -> None:
+    gone = "<mesh><uri>file://models/lamp/lamp.dae</uri></mesh>"
+    model = f"<model name='m'><link name='l'><visual name='v'><geometry>{gone}</geometry></visual></link></model>"
+    path = write(tmp_path / "house.sdf", sdf_room(include("model://sofa") + model))
+    with pytest.raises(WorldError, match=r"model://sofa.*import without them with --skip-missing"):
+        extract_scene(path)
+    extraction = extract_scene(path, StageLimits(skip_missing=True))
+    assert len(extraction.parts) == len(extract_scene(write_room(tmp_path, ".sdf")).parts)
+    lost = [note for note in extraction.notes if note.endswith("is missing, skipped")]
+    assert len(lost) == 2 and "model://sofa" in " ".join(lost) and "models/lamp/lamp.dae" in " ".join(lost)
+
+
+def test_a_relative_uri_is_searched_in_the_folders_of_models(tmp_path: Path) -> None:
+    mesh = "<mesh><uri>file://models/lamp/lamp.obj</uri></mesh>"
+    model = f"<model name='m'><link name='l'><visual name='v'><geometry>{mesh}</geometry></visual></link></model>"
+    (tmp_path / "models" / "lamp").mkdir(parents=True)
+    (tmp_path / "worlds").mkdir()
+    write(tmp_path / "models" / "lamp" / "lamp.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    path = write(tmp_path / "worlds" / "w.sdf", sdf_room(model))
+    found = extract_scene(path, StageLimits(models=(tmp_path,)))
+    assert any("/m/l/v" in part.path for part in found.parts)
+
+
 @pytest.mark.parametrize("uri", ["../secret.obj", "file:///etc/hostname", "model://../secret.obj"])
 def test_a_mesh_outside_of_the_folder_is_refused(tmp_path: Path, uri: str) -> None:
     write(tmp_path / "secret.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
