@@ -92,7 +92,7 @@ def _require_categories(plan: Plan) -> None:
         absent = sorted({name for group in scene.categories for name in group} - known)
         if absent:
             mistakes.append(
-                f"scenes[{number}] {scene.name}: no layout has {', '.join(absent)}; remove them from seen and held_out; "
+                f"scenes[{number}] {scene.name}: no layout has {', '.join(absent)}; remove them from its categories; "
                 f"categories of the family: {', '.join(sorted(known))}"
             )
     if mistakes:

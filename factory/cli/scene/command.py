@@ -112,6 +112,12 @@ def build(
 )
 @click.option("--allow-outside", is_flag=True, help="Also read files outside of the scene's folder.")
 @click.option(
+    "--floor",
+    type=click.FloatRange(-1000.0, 1000.0),
+    metavar="M",
+    help="Height of a flat floor to add to a scene without one, metres. Default: none.",
+)
+@click.option(
     "--ceiling",
     type=click.FloatRange(1.0, 100.0),
     metavar="M",
@@ -130,6 +136,7 @@ def import_(
     models: tuple[Path, ...],
     skip_missing: bool,
     allow_outside: bool,
+    floor: float | None,
     ceiling: float | None,
     rules: Path | None,
     targets: Path | None,
@@ -147,7 +154,7 @@ def import_(
     configure_logs(verbose)
     called = name or file.stem.lower()
     book, chosen = load_edits(rules, targets, called)
-    limits = StageLimits(max_triangles, allow_outside, ceiling, unit, up, models, max_file_mb, skip_missing)
+    limits = StageLimits(max_triangles, allow_outside, ceiling, unit, up, models, max_file_mb, floor, skip_missing)
     with stderr.status(f"importing {file}"):
         path = import_scene(file, called, cache or scene_cache(), book, chosen, limits)
     facts = describe_package(path)
@@ -156,6 +163,8 @@ def import_(
     searched = tuple(str(folder.resolve()) for folder in models)
     options = {"allow_outside": allow_outside, "ceiling_m": ceiling, "unit": unit, "up": up, "models": searched}
     options["skip_missing"] = skip_missing
+    if floor is not None:
+        used["floor_m"] = floor
     used |= {key: value for key, value in options.items() if value}
     steps = next_steps(path, file, cache is None, used)
     if as_json:

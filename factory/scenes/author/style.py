@@ -26,8 +26,8 @@ _STONE_TINTS = {"Chalk": "#dcd8ce", "Clay": "#b9805c", "Graphite": "#75787c", "F
 _PAINT_TINTS = {
     "Chalk": "#e4e0d6", "Linen": "#dccfb4", "Sky": "#a9c1cf", "Sage": "#a8b79b", "Rose": "#d3aea0", "Butter": "#e2cf98",
     "Lilac": "#b9aec6", "Ocean": "#6f93a6", "Olive": "#8d9372", "Terracotta": "#bd8468",
-    "Stone": "#b9b4aa", "Mint": "#b2cdbf", "Peach": "#e6bd9c", "Mustard": "#c9a24e", "Denim": "#5f7896", "Brick": "#a2604c",
-    "Plum": "#8d6c86", "Forest": "#5f7a63", "Ash": "#cfcfcb", "Cocoa": "#8f7766",
+    "Stone": "#b9b4aa", "Mint": "#b2cdbf", "Peach": "#e6bd9c", "Mustard": "#c9a24e", "Denim": "#5f7896",
+    "Brick": "#a2604c", "Plum": "#8d6c86", "Forest": "#5f7a63", "Ash": "#cfcfcb", "Cocoa": "#8f7766",
 }  # fmt: skip
 CEILINGS = ("plain", "plain", "beams", "boards", "panels")
 _PLANKS = ("Boards", "Boards", "Herringbone", "BasketParquet", "WideBoards")

@@ -1,4 +1,4 @@
-"""Recipes of procedural textures, 512 x 512 px: surfaces, rugs, drawn pictures, window views. Do not read or write files."""
+"""Recipes of procedural textures, 512 px square: surfaces, rugs, pictures, window views. Do not read or write files."""
 
 from factory.scenes.author.textures.surfaces import TEXTURES, draw_texture
 

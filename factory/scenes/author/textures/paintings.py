@@ -1,4 +1,4 @@
-"""Recipes of pictures for walls and screens: portrait, boats, botany, stripes, circles, birches, cat, drawings of pupils.
+"""Recipes of pictures for walls and screens: people, boats, plants, patterns, drawings of pupils.
 
 Each recipe draws a square sRGB image of 512 px from a random generator. Does not read or write files.
 """
