@@ -12,12 +12,13 @@ from typing import NoReturn
 
 import structlog
 
-from schemas.errors import FactoryError, LeaseLost, WorldError
+from schemas.errors import FactoryError, InvalidBundle, LeaseLost, TransientError, WorldError
 from schemas.job import Job
 from schemas.protocol.keys import Chunk, Verb
-from schemas.protocol.messages import Ack, Claim, ClaimReply, Done, Fail, Lease
+from schemas.protocol.messages import Ack, Claim, ClaimReply, Fail, Lease
 from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
+from workers.client.heartbeat import make_done
 from workers.client.host import Backoff, Host
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
@@ -216,16 +217,36 @@ class Slot:
         if report.sha256 is None or report.size is None:
             self._raise_invalid(report)
         try:
-            entry = host.spool.add(lease, report.sha256, report.size)
+            is_validated = self._is_validated(job, host.spool.path_for(lease))
+            entry = host.spool.add(lease, report.sha256, report.size, is_validated=is_validated)
+        except InvalidBundle as error:
+            return failure(FailReason.INVALID, str(error), report.step, report.seconds)
         except WorldError as error:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         if 2 * len(host.spool) >= host.settings.spool_limit:
             host.phase.beating.set()  # its reply names the bundles to drop; small episodes take less than a beat
         log.info("bundle_spooled", episode=job.episode_id, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
-        done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
-        host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
+        host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)
         return report
+
+    def _is_validated(self, job: Job, bundle: Path) -> bool:
+        """Validates a bundle if the coordinator requests it; returns whether that was possible.
+
+        Raises:
+            InvalidBundle: the bundle has violations.
+        """
+        check = self._host.check_bundle
+        if check is None:
+            return False
+        try:
+            check(bundle, job)
+        except TransientError as error:
+            log.warning(
+                "bundle_not_validated", episode=job.episode_id, why=str(error), remedy="the coordinator does it"
+            )
+            return False
+        return True
 
     def _report_failure(self, job: Job, lease: Lease, report: SimulationReport, seconds: float) -> None:
         """Reports a failed attempt until a reply arrives, the lease is lost, or the worker ends."""

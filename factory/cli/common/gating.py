@@ -54,7 +54,7 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     )
 
 
-def hold_gate(
+def measure_gate(
     plan: Plan, catalog: Catalog, mode: GateMode, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> tuple[GateOutcome, ...] | None:
     """Runs the pilots that the mode requires; returns their outcomes, or `None` when `stop` was set.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from factory.scenes.author.dwelling import Chamber
+from factory.scenes.author.dwelling import BuiltRoom
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement
 from factory.scenes.author.style import Palette
@@ -40,7 +40,7 @@ _ON_WORKTOPS = ("SM_Kettle", "SM_Crockery", "SM_Tray", "SM_FruitBowl")
 """Small things on low cabinets, tables, chests of drawers and kitchen units."""
 
 
-def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) -> None:
+def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) -> None:
     """Furnishes every room by its kind."""
     kinds: dict[str, Callable[[Furnisher], None]] = {
         "living": _living,
