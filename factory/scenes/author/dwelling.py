@@ -244,7 +244,7 @@ def _round_lamp(x: float, y: float, top: float) -> list[PropPiece]:
 def _hang_windows(plan: FloorPlan, room: BuiltRoom, building: BuildingLook) -> None:
     look = building.looks[room.kind]
     for side in room.outer:
-        model = plan.props.model("SM_WindowHome", fabric.views[side in "NE"])
+        model = plan.props.model("SM_WindowHome", building.views[side in "NE"])
         length = room.area.width if side in "NS" else room.area.depth
         count = min(look.windows, int(length // 2.6))
         for index in range(count):
