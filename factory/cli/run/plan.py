@@ -10,9 +10,9 @@ from typing import Any
 
 import click
 
+from coordinator.expansion.balance.layout_categories import planned_categories
 from coordinator.expansion.cells import cells
 from coordinator.expansion.file import load_plan
-from coordinator.expansion.layout_categories import planned_categories
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
