@@ -20,8 +20,10 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw, to_job
 from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import claims, hosts, outcomes, requests
+from coordinator.ledger.builds import number_of_layout, order_of
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
+from coordinator.ledger.tables import BUILD
 from schemas.base import Model
 from schemas.job import Job
 from schemas.plan import Plan
@@ -96,8 +98,20 @@ class Terms:
 
 
 @dataclass(frozen=True)
+class BuildJob:
+    """Job to build the package of a layout."""
+
+    index: int
+    """Number of the job."""
+    layout: str
+    """Name of the layout."""
+    number: int
+    """Place of the layout in `plan.parts`."""
+
+
+@dataclass(frozen=True)
 class Pull:
-    """Announced bundle in a worker's spool."""
+    """Announced bundle in a worker's spool: an episode, or the package of a layout."""
 
     lease: Lease
     """Lease of the job."""
@@ -107,12 +121,17 @@ class Pull:
     """Announced SHA-256."""
     size: int
     """Announced size, bytes."""
-    job: Job
+    job: Job | BuildJob
     """Job of the bundle."""
-    target: Target
-    """Target in the compiled scene."""
+    target: Target | None
+    """Target in the compiled scene; `None` for a package."""
     via: str | None = None
     """zenoh id of the router that the worker is connected to; `None` if unknown."""
+
+    @property
+    def name(self) -> str:
+        """Name of the episode or of the layout."""
+        return self.job.layout if isinstance(self.job, BuildJob) else self.job.episode_id
 
 
 @dataclass(frozen=True)
@@ -228,7 +247,11 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     may_start = terms.has_room() and not terms.is_draining() and not requests.is_paused(connection)
     pause_s = hosts.pause_of(connection, host, now)
     may_start = may_start and pause_s == 0
-    row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
+    row = claims.claim(
+        connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start, can_build=claim.can_build
+    )
+    if row is not None and row.tier == BUILD:
+        return ProtocolAnswer(ClaimReply(build=order_of(terms.plan, row), lease=lease_of(row)))
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)
@@ -273,6 +296,9 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
 
 
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
+    if row.tier == BUILD:
+        build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
+        return Pull(lease_of(row), sid, row.sha256, row.size, build, None)  # the coordinator needs it, not a gateway
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     target = terms.catalog[job.scene].info.target(job.target_id)
     return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via)

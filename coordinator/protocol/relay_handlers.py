@@ -39,6 +39,7 @@ from coordinator.protocol.relay import (
 )
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, file_name_of
+from schemas.job import Job
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Fail, Refusal, cut_detail
 from schemas.terms import FailReason
@@ -66,6 +67,7 @@ def orders_for(pulls: tuple[Pull, ...]) -> Orders:
         orders=tuple(
             RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
             for p in pulls
+            if isinstance(p.job, Job) and p.target is not None  # no package of a layout is assigned to a gateway
         )
     )
 

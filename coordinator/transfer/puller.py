@@ -14,14 +14,15 @@ import structlog
 
 from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.protocol import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
+from coordinator.transfer.layouts import LayoutStore
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import FactoryError, InvalidBundle, TransientError
-from schemas.job import episode_id
+from schemas.job import Job, episode_id
 from schemas.protocol.keys import Chunk, host_of
 from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
@@ -96,11 +97,13 @@ class Pullers(Closing):
         on_archived: Callable[[], None],
         meters: Meters | None = None,
         nearby: Nearby = nothing_nearby,
+        layouts: LayoutStore | None = None,
     ) -> None:
         self._archive = archive
         self._ledger = ledger
         self._fetch = fetch
         self._nearby = nearby
+        self._layouts = layouts
         self._checker = checker
         self._settings = settings
         self._on_archived = on_archived
@@ -166,7 +169,7 @@ class Pullers(Closing):
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
             if isinstance(error, FactoryError):
                 self._meters.add(Meter.PULLS_FAILED)
-            self._failing.fail(error, episode=episode_id(pull.job.index), worker=pull.sid)
+            self._failing.fail(error, episode=pull.name, worker=pull.sid)
         return True
 
     def _bring(self, host: str, transfer: _Transfer) -> bool:
@@ -186,7 +189,10 @@ class Pullers(Closing):
             return True
         else:
             self._ledger.keep(pull, _VALIDATION_S)
-            summary = self._judge(pull, staged)
+            if isinstance(pull.job, BuildJob):
+                self._receive_layout(pull, pull.job, staged)
+                return True
+            summary = self._judge(pull, pull.job, staged)
             if summary is not None and not (staged.is_taken and self._is_another(pull, summary.file_sha256)):
                 self._publish(pull, staged, summary)
         return True
@@ -279,12 +285,20 @@ class Pullers(Closing):
             if source is not None and source.stat().st_size == pull.size:
                 staged.take(source)
         except OSError as error:
-            log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
+            log.debug("fetched_instead", episode=pull.name, error=str(error))
 
-    def _judge(self, pull: Pull, staged: Staged) -> BundleReceipt | None:
+    def _receive_layout(self, pull: Pull, build: BuildJob, staged: Staged) -> None:
+        if self._layouts is None:
+            raise TypeError(f"no store for the package of {build.layout}")
+        try:
+            self._layouts.receive(pull, build, staged)
+        except InvalidBundle as error:
+            self._refuse(pull, str(error))
+
+    def _judge(self, pull: Pull, job: Job, staged: Staged) -> BundleReceipt | None:
         begun = time.monotonic()
         try:
-            return self._checker.check(staged.path, pull.job, pull.target, sampled=staged.is_taken)
+            return self._checker.check(staged.path, job, pull.target, sampled=staged.is_taken)
         except InvalidBundle as error:
             self._refuse(pull, str(error))
             return None
@@ -295,7 +309,7 @@ class Pullers(Closing):
     def _refuse(self, pull: Pull, detail: str) -> None:
         self._forget_failures(pull)
         self._meters.add(Meter.REFUSED)
-        episode, host = episode_id(pull.job.index), host_of(pull.sid)
+        episode, host = pull.name, host_of(pull.sid)
         self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
         self._ledger.refuse(pull, detail)
 

@@ -59,6 +59,8 @@ class WorkerSettings:
     """Command line of a simulation process; empty selects the default."""
     eval_command: tuple[str, ...] = ()
     """Command line of a process that executes evaluation tasks; if empty, the worker rejects evaluations."""
+    build_command: tuple[str, ...] = ()
+    """Command line of a process that builds layouts; if empty, the worker claims no builds."""
 
     @property
     def simulation_command(self) -> tuple[str, ...]:

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row, func, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.claims import HELD_STATES, has_open_jobs
 from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
-from coordinator.ledger.tallies import attempt_counts, job_counts
+from coordinator.ledger.tallies import attempt_counts, build_counts, job_counts
 from schemas.protocol.status import Progress, WorkerStatus
 
 _RATE_WINDOW_S = 600.0
@@ -44,6 +44,10 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
     cells = [row for row in tallies if not row.superseded]
     counts = _count_by(cells, None)[""]
     left = sum(counts[state] for state in OPEN_STATES)
+    layouts = build_counts(connection)
+    unbuilt = max(0, (facts.episodes or 0) - sum(counts.values()))
+    counts[JobState.PENDING] += unbuilt
+    left += unbuilt
     pace = _pace(connection, now, left)
     return Progress(
         run=facts.run,
@@ -56,10 +60,11 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         attempts={row.outcome: row.attempts for row in _attempts(connection)},
         workers=_workers(connection, now, facts.lease_ttl_s),
         hosts=troubled(connection),
+        layouts=layouts,
         by_gateway=dict(count_by_gateway(connection)),
         episodes_per_hour=pace.per_hour,
         eta_s=pace.eta_s,
-        finished=left == 0,
+        finished=not has_open_jobs(connection),
         sandbox=facts.sandbox,
     )
 

@@ -16,7 +16,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import find_hosts, open_door
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.gating import GateMode, gate_option, hold_gate, pilots
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
@@ -35,7 +35,7 @@ from factory.cli.common.output import say_building
 from factory.cli.common.places import PLACE
 from factory.cli.common.summary import say_missing
 from factory.dataset.site import Site
-from factory.runs.catalog import open_catalog, write_target_lists
+from factory.runs.catalog import open_catalog, scenes_before_run, write_target_lists
 from factory.runs.render import prepare_rendering
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -114,12 +114,14 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
+        gate_mode = gate_mode if is_new else "skip"
         if rendering is None:
             with building_layouts(os.cpu_count() or 1, stop) as builds:
-                catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds)
+                before = scenes_before_run(plan, pilots(plan, gate_mode))
+                catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, only=before)
         else:
             catalog = rendering.catalog
-        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
+        gate = hold_gate(plan, catalog, gate_mode, "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130

@@ -18,6 +18,7 @@ from factory.cli.common.options import (
     tls_option,
     verbose_option,
 )
+from factory.scenes.requirements import can_build
 from factory.support.listen import require_endpoints
 from factory.support.logs import configure_logs
 from schemas.support.child import python_module
@@ -82,6 +83,7 @@ def command(
         renderer=renderer,
         wait_s=wait_s,
         eval_command=_eval_command(renderer, import_policies),
+        build_command=python_module("factory.runs.build_process") if can_build() else (),
         **more,
     )
     with stop_on_signals() as (stop, at_once):
