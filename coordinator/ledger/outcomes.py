@@ -56,6 +56,7 @@ _ANNOUNCE = Transition(
 )
 _IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("announced"))
 _ARCHIVE = Transition(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
+_END_BUILD = Transition(Event.ARCHIVED, *UNDER_LEASE, _IS_ANNOUNCED[1], lease_until=None, losses=0)
 _ADOPT = Transition(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
 _LOSE = Transition(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
 _MISSED: dict[str, Any] = {
@@ -123,11 +124,7 @@ def record_package(
         planned: first draws of the episodes of the layout.
         now: time of the record.
     """
-    known = _UNDER_LEASE.first(connection, lease_parameters(lease))
-    if known is None:
-        return False
-    announced = {"index": known.idx, "announced": sha256}
-    row = _ARCHIVE.make(connection, {**lease_parameters(lease), **announced}, now)
+    row = _END_BUILD.make(connection, {**lease_parameters(lease), "announced": sha256}, now)
     if row is None:
         return False
     insert_planned(connection, planned, now)

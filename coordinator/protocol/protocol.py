@@ -24,6 +24,7 @@ from coordinator.ledger.builds import number_of_layout, order_of
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.tables import BUILD
+from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.base import Model
 from schemas.job import Job
 from schemas.plan import Plan
@@ -41,12 +42,10 @@ from schemas.protocol.messages import (
     Fail,
     Hello,
     HelloReply,
-    Lease,
     Ping,
     Refusal,
     RunKind,
 )
-from schemas.scene import Target
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -95,43 +94,6 @@ class Terms:
     """Tasks of an evaluation; `None` for a collection."""
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
-
-
-@dataclass(frozen=True)
-class BuildJob:
-    """Job to build the package of a layout."""
-
-    index: int
-    """Number of the job."""
-    layout: str
-    """Name of the layout."""
-    number: int
-    """Place of the layout in `plan.parts`."""
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Announced bundle in a worker's spool: an episode, or the package of a layout."""
-
-    lease: Lease
-    """Lease of the job."""
-    sid: str
-    """Session id of the worker."""
-    sha256: str
-    """Announced SHA-256."""
-    size: int
-    """Announced size, bytes."""
-    job: Job | BuildJob
-    """Job of the bundle."""
-    target: Target | None
-    """Target in the compiled scene; `None` for a package."""
-    via: str | None = None
-    """zenoh id of the router that the worker is connected to; `None` if unknown."""
-
-    @property
-    def name(self) -> str:
-        """Name of the episode or of the layout."""
-        return self.job.layout if isinstance(self.job, BuildJob) else self.job.episode_id
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import jobs
 from coordinator.ledger.transitions import JobRow
-from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Pull, Terms, fail_attempt
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, fail_attempt
+from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import (
     MAX_LOST,
     Archived,

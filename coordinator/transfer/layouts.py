@@ -18,10 +18,10 @@ from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.draw import expand_layout
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
-from coordinator.expansion.sentences import find_unsayable
 from coordinator.ledger import outcomes
 from coordinator.ledger.writer import Writer
-from coordinator.protocol.protocol import BuildJob, Pull, Terms, fail_attempt
+from coordinator.protocol.protocol import Terms, fail_attempt
+from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.errors import InvalidBundle
 from schemas.plan import Plan
 from schemas.protocol.messages import Fail, cut_detail
@@ -118,4 +118,8 @@ class LayoutStore:
 def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:
     """Yields the reasons why a package cannot be the layout of a plan, one line each."""
     found = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
-    yield from found or find_unsayable(plan, {layout: entry})
+    if not found and plan.language is not None:
+        from coordinator.expansion.sentences import find_unsayable  # other plans do not import the grammars
+
+        found = find_unsayable(plan, {layout: entry})
+    yield from found

@@ -10,7 +10,8 @@ from datetime import datetime
 
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.writer import Writer
-from coordinator.protocol.protocol import Pull, Terms, fail_attempt
+from coordinator.protocol.protocol import Terms, fail_attempt
+from coordinator.protocol.pulls import Pull
 from schemas.dataset.rows import BundleReceipt
 from schemas.protocol.messages import Fail, cut_detail
 from schemas.terms import FailReason

@@ -9,16 +9,16 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import structlog
 
 from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.protocol import BuildJob, Pull
+from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
-from coordinator.transfer.layouts import LayoutStore
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import FactoryError, InvalidBundle, TransientError
@@ -39,6 +39,9 @@ _QUEUED = 2
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
 """First and longest pause between two log lines about refused bundles of one host, seconds."""
+
+if TYPE_CHECKING:
+    from coordinator.transfer.layouts import LayoutStore
 
 log = structlog.get_logger(__name__)
 
