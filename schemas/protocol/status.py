@@ -62,7 +62,7 @@ class Progress(Model):
     jobs: Counts
     """Number of episodes by the state of their current draw, pending in unbuilt layouts; the sum is `planned`."""
     by_scene: Groups
-    """Number of episodes by scene and state, without unbuilt layouts."""
+    """Number of episodes by scene or family and state, without unbuilt layouts."""
     by_tier: Groups
     """Number of episodes by tier and state, without unbuilt layouts."""
     by_split: Groups
