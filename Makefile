@@ -1,5 +1,5 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
-# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-slurm | test-train | fuzz |
+# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-ray | test-slurm | test-train | fuzz |
 # audit | docs | quickstart.
 # Everything is in .venv.
 VENV   := .venv
@@ -15,7 +15,7 @@ DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: test-install test-lerobot test-slurm test-train fuzz audit docs quickstart clean
+.PHONY: test-install test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -128,6 +128,11 @@ test-install: $(READY)
 # a failed node, and a dataset by shards and by workers; needs root and half an hour
 test-slurm: $(READY)
 	$(VENV)/bin/python -m pytest tests/slurm --slurm
+
+# a Ray cluster of two nodes on loopback: killed actors, workers and nodes; needs the extra `ray` and some minutes
+test-ray: $(READY)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check "ray>=2.60,<3"
+	$(VENV)/bin/python -m pytest tests/ray --ray
 
 # training, recipes and their tests, in a separate environment, because PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build

@@ -47,10 +47,10 @@ def administer(
     url = ledger_url_of(root, ledger_url)
     with open_ledger(url) as connection:
         read_info(connection)  # raises before any file is created
-    beacon = read_address(root)
-    if beacon is not None:
+    address = read_address(root)
+    if address is not None:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its address file: the lock decides
-            return ask_admin([_from_here(endpoint) for endpoint in beacon.endpoints], request, name, tls)
+            return ask_admin([_from_here(endpoint) for endpoint in address.endpoints], request, name, tls)
     with contextlib.closing(Staging(root, str(root))):  # the lock that a coordinator holds
         return _administer_offline(url, request, now)
 

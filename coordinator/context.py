@@ -20,7 +20,7 @@ from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile, replace_unusable_ledger
 from coordinator.settings import CoordinatorSettings
-from coordinator.tables.checkpoint import is_checkpoint_owed
+from coordinator.tables.checkpoint import is_checkpoint_due
 from coordinator.transfer.contract import BundleValidator
 from coordinator.validation.validator import Validator
 
@@ -108,5 +108,5 @@ def _reconcile(
     reconciled = reconcile(archive, ledger.engine, terms, checker, options.clock())
     ledger.start_writer()
     with ledger.reading() as connection:
-        is_owed = is_checkpoint_owed(archive, connection)
+        is_owed = is_checkpoint_due(archive, connection)
     return bool(is_new or reconciled.adopted or reconciled.requeued or is_owed)

@@ -25,6 +25,7 @@ from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import Terms
 from coordinator.protocol.request_handler import RequestHandler
 from coordinator.protocol.router import Router
+from coordinator.recheck import Rechecks
 from coordinator.status.health import HealthMonitor
 from coordinator.table_writer import TableWriter
 from coordinator.transfer.contract import Nearby
@@ -41,6 +42,8 @@ from schemas.support.closing import Closing
 _WAIT_S = 0.5
 _ADMIN_S = 30.0
 """Timeout of an admin request of this process, seconds."""
+_RECHECK_S = 1.0
+"""Pause between two searches for unchecked episodes of barred hosts, seconds."""
 _DEPARTURE_S = 3.0
 """Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 
@@ -84,6 +87,8 @@ class Coordinator(Closing):
             # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
             tables = {"write_tables": (options.settings.checkpoint_s, self._tables.write)}
             stack.enter_context(PeriodicTasks(tables))
+            rechecks = Rechecks(run, self._tables.note_change)
+            stack.enter_context(PeriodicTasks({"recheck": (_RECHECK_S, rechecks.check_some)}))
             self.health = self._measured(run)
             """Health and metrics of the coordinator."""
             self.reachable = usable_endpoints(self.endpoints, options.hosts or (socket.gethostname(),))
@@ -176,6 +181,7 @@ class Coordinator(Closing):
             has_room=lambda: room.has_room,
             evaluation=options.evaluation,
             find_states=options.find_states,
+            workers_validate=options.settings.spot_checks is not None and options.evaluation is None,
         )
 
     def _open_pullers(

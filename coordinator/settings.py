@@ -32,6 +32,9 @@ class CoordinatorSettings(Model):
     """Pause between two checks for expired leases, seconds."""
     pullers: Annotated[int, Field(ge=1, le=MAX_PULLERS)] = 2
     """Number of threads that transfer and validate bundles, each with a validating process."""
+    spot_checks: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    """Share of the bundles that is validated completely although their worker has validated them; `None`: workers
+    validate nothing, and the coordinator validates all bundles."""
     chunk_bytes: Annotated[int, Field(ge=1024, le=MAX_CHUNK_BYTES)] = MAX_CHUNK_BYTES
     """Size of a requested chunk, bytes."""
     pull_timeout_s: Positive = 2.0

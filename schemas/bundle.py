@@ -86,15 +86,15 @@ def seal(meta: EpisodeMeta, frame_digests: Sequence[str], arrays: EpisodeArrays)
 class BundleWriter:
     """Streaming writer of a bundle; memory does not grow with the length of the episode."""
 
-    def __init__(self, file: BinaryIO, lap: StageTimer = no_stage_timer) -> None:
+    def __init__(self, file: BinaryIO, timer: StageTimer = no_stage_timer) -> None:
         """Starts a bundle.
 
         Args:
             file: seekable file, opened for writing.
-            lap: called at the end of the stages `png rgb`, `depth`, `png ids` and `bundle` of every frame.
+            timer: called at the end of the stages `png rgb`, `depth`, `png ids` and `bundle` of every frame.
         """
         self._out = ContainerWriter(file)
-        self._lap = lap
+        self._timer = timer
         self._digests: list[str] = []
         self._measurements = MeasurementWriter(self._out.add)
 
@@ -102,15 +102,15 @@ class BundleWriter:
         """Appends one frame: (640, 640, 3) sRGB, (640, 640) metres, (640, 640) instance ids."""
         names = _frame_names(len(self._digests))
         colour = encode_png(rgb)
-        self._lap("png rgb")
+        self._timer("png rgb")
         metres = encode_depth(depth)
-        self._lap("depth")
+        self._timer("depth")
         instances = encode_png(ids)
-        self._lap("png ids")
+        self._timer("png ids")
         for name, data in zip(names, (colour, metres, instances), strict=True):
             self._out.add(name, data)
         self.add_digest(rgb, depth, ids)
-        self._lap("bundle")
+        self._timer("bundle")
 
     def add_digest(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
         """Adds the digest of a frame without storing the frame, for a states recording."""
@@ -119,7 +119,7 @@ class BundleWriter:
     def add_measurement(self, sensor: Sensor, t: int | None, arrays: Arrays) -> None:
         """Appends a measurement of a sensor, after all frames; raises the errors of `MeasurementWriter.add`."""
         self._measurements.add(sensor, t, arrays)
-        self._lap("sensors")
+        self._timer("sensors")
 
     @property
     def frame_digests(self) -> tuple[str, ...]:

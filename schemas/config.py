@@ -146,8 +146,8 @@ class InstructionConfig(Model):
     """Parameters of the instructions (docs/design/starts.md#start-view)."""
 
     unique: Literal["scene", "view", "off"] = "off"
-    """Where an instruction fits exactly one object: in the scene; in the scene, or else in view of the start; `off`
-    sets no condition."""
+    """Area in which an instruction fits exactly one object: the scene, or `view` for the scene or else the view at the
+    start; `off` sets no condition."""
 
 
 class ExpertConfig(Model):

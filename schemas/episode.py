@@ -14,6 +14,7 @@ from schemas.errors import InvalidBundle
 from schemas.fingerprint import Fingerprint
 from schemas.job import Job
 from schemas.language.instruction import Instruction
+from schemas.language.question.model import Question
 from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
@@ -45,7 +46,7 @@ class Rollout(Model):
     """Measurements of a rollout in the world frame; each number can be computed from the arrays."""
 
     end_reason: EndReason
-    """Why the rollout ended."""
+    """Reason for the end of the rollout."""
     num_steps: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
     """Number of frames and of actions, T."""
     spawn_pose: tuple[Finite, Finite, Finite]
@@ -135,6 +136,8 @@ class EpisodeMeta(Model):
     """Factors of the appearance that the frames show; null and omitted for the scene as it was compiled."""
     language: Instruction | None = Field(default=None, exclude_if=lambda it: it is None)
     """Verified instruction of a job with `language`; null and omitted for a template."""
+    questions: Annotated[tuple[Question, ...], Field(max_length=8)] = Field(default=(), exclude_if=lambda it: not it)
+    """Questions with verified answers of a job whose `language` has them; empty and omitted otherwise."""
     provenance: Provenance
     """Time, worker and software of the episode."""
 

@@ -27,8 +27,8 @@ from schemas.view import ViewSettings
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip", re.ASCII)
-_SAMPLE_KEY, _LANGUAGE_KEY = (1,), (23,)
-"""Spawn keys of the random streams for sampled frames and for the sentence; they differ from that of the attempt."""
+_SAMPLE_KEY, _LANGUAGE_KEY, _QUESTION_KEY = (1,), (23,), (25,)
+"""Spawn keys of the random streams for sampled frames, the sentence and questions; they differ from the attempt's."""
 
 
 def episode_id(index: int) -> str:
@@ -87,9 +87,9 @@ class Job(EpisodeSpec):
     )
     """Requirements on a demonstration; omitted if there are none."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
-    """What the episode stores; omitted for frames, so that former digests stay valid."""
+    """Content that the episode stores; omitted for frames, so that former digests stay valid."""
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
-    """What the episode is rendered with; omitted if it is the default, as in every states recording."""
+    """Settings of rendering; omitted if they are the default, as in every states recording."""
 
     @property
     def episode_id(self) -> str:
@@ -107,6 +107,12 @@ class Job(EpisodeSpec):
         """Returns the random generator of the attempt's sentence."""
         return np.random.default_rng(
             np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_LANGUAGE_KEY)
+        )
+
+    def question_rng(self) -> np.random.Generator:
+        """Returns the random generator of the attempt's questions."""
+        return np.random.default_rng(
+            np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_QUESTION_KEY)
         )
 
     def sampled_steps(self, steps: int) -> tuple[int, ...]:

@@ -84,7 +84,7 @@ class Plan(Model):
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Controller that drives."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
-    """What an episode stores; omitted for frames, so that former digests stay valid."""
+    """Content that an episode stores; omitted for frames, so that former digests stay valid."""
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors that a recording of frames stores, beside the recorded camera, and the default rig of readers of a
     recording of states; null and omitted for none."""
@@ -194,7 +194,7 @@ class Plan(Model):
 
     @property
     def view(self) -> ViewSettings:
-        """What the episodes are rendered with."""
+        """Settings of rendering of the episodes."""
         return ViewSettings(rig=self.rig, appearance=self.appearance)
 
     @property

@@ -144,7 +144,7 @@ class ScenePlan(Model):
         return self
 
     @model_validator(mode="after")
-    def _categories_make_sense(self) -> ScenePlan:
+    def _categories_are_consistent(self) -> ScenePlan:
         seen, held_out = self.categories
         both = sorted(set(seen) & set(held_out))
         if both:

@@ -76,7 +76,7 @@ class ExpertName(StrEnum):
 
 
 class Recording(StrEnum):
-    """What an episode stores (docs/dataset.md#recordings)."""
+    """Content that an episode stores (docs/dataset.md#recordings)."""
 
     FRAMES = "frames"  # actions, poses and every frame
     STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read
@@ -111,7 +111,7 @@ class FailReason(StrEnum):
     CONTACT = "contact"  # the robot touched something in more steps than the plan allows
     NOT_IN_VIEW = "not_in_view"  # the last frame does not show the target, which the plan requires
     LAYOUT = "layout"  # the seed of a layout gives no valid layout, or one that cannot fulfil the plan
-    INVALID = "invalid"  # the coordinator's validation rejected the bundle
+    INVALID = "invalid"  # validation rejected the bundle
     CRASH = "crash"  # the simulation process crashed
     HANG = "hang"  # the simulation process made no progress
     RELEASED = "released"  # the worker returned the job without a failure, e.g. at a drain

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.acceptance.factory_cli import FactoryCli, start_server
+from tests.builders.fork_server import ForkServer
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
 from tests.builders.process_state import unchanged_process
@@ -22,22 +24,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """`--scene-seeds N`: number of seeds of each built-in scene in the contract suite."""
     parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to test")
     parser.addoption("--install", action="store_true", help="run tests/install, which installs the wheel from an index")
+    parser.addoption("--ray", action="store_true", help="run tests/ray, which starts a Ray cluster on loopback")
     parser.addoption("--slurm", action="store_true", help="run tests/slurm, which starts a Slurm on loopback")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Collects tests/install only with `--install`, and tests/slurm only with `--slurm`."""
-    option = next((name for name in ("install", "slurm") if collection_path == Path(__file__).parent / name), None)
+    """Collects tests/install, tests/ray and tests/slurm only with the option of that name."""
+    option = next(
+        (name for name in ("install", "ray", "slurm") if collection_path == Path(__file__).parent / name), None
+    )
     return True if option is not None and not config.getoption(f"--{option}") else None
 
 
 def pytest_collection() -> None:
-    """Collects no garbage while tests are collected: millions of objects are made, and all are kept."""
+    """Disables the garbage collector while tests are collected, which creates millions of objects that are kept."""
     gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Leaves what the collection made out of all later garbage collections."""
+    """Excludes the objects of the collection from later garbage collections."""
     gc.freeze()
     gc.enable()
 
@@ -52,6 +57,21 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cache(shared: Path) -> Path:
     """Cache (`MINIVLA_CACHE`) shared by the tests of one session: each built-in scene is compiled once."""
     return shared / "cache"
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[ForkServer]:
+    """The process that commands are forked from."""
+    with start_server() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def factory(server: ForkServer, tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
+    """The command line, with an empty home and the shared cache."""
+    cli = FactoryCli(server, tmp_path_factory.mktemp("empty-home"), cache)
+    yield cli
+    cli.end()
 
 
 @pytest.fixture(scope="session")

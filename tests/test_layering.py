@@ -28,6 +28,7 @@ DOORS = {
         "coordinator/protocol/zenoh_config.py",
         "coordinator/protocol/ask.py",
         "factory/bench/fleet.py",
+        "factory/bench/delivery_fleet.py",
     },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
@@ -51,6 +52,7 @@ DOORS = {
     "rosbags": {"factory/export/mcap/ros2_cdr.py"},
     "rerun": {"factory/visualize/rerun.py"},
     "embreex": {"workers/geometry/rays.py"},
+    "ray": {"factory/runs/ray_engine.py"},
     "obstore": {"schemas/storage/object_store.py"},
     "pyarrow": {"coordinator/tables/", "factory/", "schemas/encoding/table_digest.py", "schemas/storage/"},
 }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 GONE = "its file is missing"
-"""Why an episode is made again whose file is missing."""
+"""Reason for generating an episode again whose file is missing."""
 
 
 class ListedFile(NamedTuple):
@@ -18,7 +18,7 @@ class ListedFile(NamedTuple):
     sha256: str | None = None
     """Digest; `None` when it was not computed, and is then not compared."""
     fault: str = ""
-    """Why the file cannot be read; empty when it can."""
+    """Reason why the file cannot be read; empty if it can be read."""
 
 
 class RecordedFile(NamedTuple):

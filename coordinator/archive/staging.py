@@ -189,7 +189,7 @@ def _take(descriptor: int, kind: int) -> bool:
     return True
 
 
-def _take_alone(descriptor: int) -> bool:
+def _take_exclusive(descriptor: int) -> bool:
     """Takes the exclusive lock of a coordinator; returns `False` if another coordinator holds it.
 
     If a shared lock is available, only callers of `is_held` hold the lock, each briefly.
@@ -204,7 +204,7 @@ def _take_alone(descriptor: int) -> bool:
 
 def _lock(path: Path, dataset: str) -> int:
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    if not _take_alone(descriptor):
+    if not _take_exclusive(descriptor):
         owner = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip() or "unknown"
         os.close(descriptor)
         message = f"another coordinator works on {dataset} (pid {owner}): stop it first, or choose another --out"

@@ -13,10 +13,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from coordinator.expansion.balance.layout_categories import layout_categories
+from coordinator.expansion.balance.level import category_quotas
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cell
-from coordinator.expansion.layout_categories import layout_categories
-from coordinator.expansion.level import category_quotas
 from coordinator.expansion.possible import raise_if_impossible
 from coordinator.expansion.scene_cells import SceneCells, each_scene, scene_cells
 from schemas.config import DemonstrationConfig

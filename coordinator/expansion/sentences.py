@@ -11,9 +11,10 @@ import numpy as np
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.scene_cells import SceneCells, each_scene
-from schemas.language.compose import SceneLanguage, composer_of
+from schemas.language.compose import composer_of
 from schemas.language.graph import build_graph
 from schemas.language.possible import Probe, explain_impossible
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.plan import Plan
 from schemas.scene import CompiledScene, Target, decode_scene

@@ -23,7 +23,7 @@ from schemas.errors import InvalidBundle
 from schemas.job import Job
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack
-from schemas.storage.place import FilePlace, at_hand
+from schemas.storage.place import FilePlace, local_copy
 
 _LAST = 2**31 - 1
 
@@ -115,12 +115,12 @@ def _offer(
     if stray.job is None:
         return stray.why
     try:
-        with at_hand(path) as file:
+        with local_copy(path) as file:
             summary = checker.check(file, _job_of(file, stray.job), stray.target)
     except InvalidBundle as error:
         return str(error)
     ack = core.request_until_reply(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)
-    return "" if ack.accepted else "the core does not want it any more"
+    return "" if ack.accepted else "the core no longer needs it"
 
 
 def _job_of(path: Path, job: Job) -> Job:

@@ -20,7 +20,16 @@ from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.opening import insert_planned, planned_digest, planned_of, write_info
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState
-from coordinator.ledger.tables import BUILD, PLANNED, attempts, episodes, gateway_episodes, jobs, workers
+from coordinator.ledger.tables import (
+    BUILD,
+    PLANNED,
+    attempts,
+    episodes,
+    gateway_episodes,
+    jobs,
+    unchecked_episodes,
+    workers,
+)
 from coordinator.ledger.transitions import FREED, JOB, UNDER_LEASE, JobRow, Transition, lease_parameters, record_attempt
 from schemas.dataset.rows import BundleReceipt
 from schemas.plan import Budget
@@ -181,7 +190,8 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
     succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
     connection.execute(update(attempts).where(*succeeded).values(outcome=_LOST, settles=False, detail=detail))
     connection.execute(delete(episodes).where(episodes.c.idx == index))
-    connection.execute(delete(gateway_episodes).where(gateway_episodes.c.idx == index))
+    for table in (gateway_episodes, unchecked_episodes):
+        connection.execute(delete(table).where(table.c.idx == index))
     return True
 
 

@@ -41,7 +41,7 @@ class RecordedRequest:
 
 
 def execute(connection: Connection, request: AdminRequest, now: datetime) -> AdminReply:
-    """Executes a request and records it. A drain is only recorded: the coordinator carries it out.
+    """Executes a request and records it. A drain is only recorded: the coordinator executes it.
 
     Args:
         connection: within a transaction.

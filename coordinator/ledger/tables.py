@@ -12,7 +12,7 @@ LEDGER_FORMAT = 3
 """Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost; since 3
 jobs may build layouts."""
 
-ADDED_LATER = frozenset({"hosts", "keepers", "job_tallies", "attempt_tallies"})
+ADDED_LATER = frozenset({"hosts", "keepers", "unchecked_episodes", "job_tallies", "attempt_tallies"})
 """Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
 
 PLANNED = "planned"
@@ -165,6 +165,15 @@ hosts = Table(
     Column("barred_at", Double, comment="time of the bar, which lasts until an admin request releases the host"),
     Column("reason", Text, nullable=False, comment="last failure"),
     comment="Hosts with failed attempts; other hosts have no row.",
+)
+
+unchecked_episodes = Table(
+    "unchecked_episodes",
+    METADATA,
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("host", String(80), nullable=False),
+    Index("ix_unchecked_host", "host"),
+    comment="Archived episodes whose frames only the worker has validated.",
 )
 
 workers = Table(

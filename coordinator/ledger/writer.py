@@ -8,6 +8,7 @@ from __future__ import annotations
 import queue
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, Generic, TypeVar
@@ -56,6 +57,8 @@ class Writer(Closing):
         self._closing = threading.Lock()
         self.damage = ""
         """Reason why the database can no longer be written; empty while a retry may succeed."""
+        self.commits = 0
+        """Number of commits."""
         self._answers: queue.SimpleQueue[tuple[_Request[Any], Any] | None] = queue.SimpleQueue()
         self._threads = (
             threading.Thread(target=self._run, name="ledger-writer"),
@@ -73,6 +76,10 @@ class Writer(Closing):
     def backlog(self) -> int:
         """Number of requests that wait for their commit or their result."""
         return self._queue.qsize() + self._answers.qsize()
+
+    def cpu_s(self) -> float:
+        """Returns the CPU time of the writing thread, seconds."""
+        return time.clock_gettime(time.pthread_getcpuclockid(self._threads[0].ident or 0))
 
     def submit(self, work: Callable[[Connection], T]) -> Future[T]:
         """Queues work for the next commit.
@@ -144,6 +151,7 @@ class Writer(Closing):
     def _commit(self, connection: Connection, batch: Sequence[_Request[Any]]) -> None:
         try:
             outcomes = _run_together(connection, batch)
+            self.commits += 1
             self._failing.succeed()
         except Exception:  # noqa: BLE001 - some request fails: isolate it
             outcomes = self._commit_apart(connection, batch)
@@ -160,6 +168,7 @@ class Writer(Closing):
             if _is_final(error):
                 self.damage = str(error)
             return [_transient(error)] * len(batch)
+        self.commits += 1
         self._failing.succeed()
         return outcomes
 

@@ -94,6 +94,8 @@ class Terms:
     """Tasks of an evaluation; `None` for a collection."""
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
+    workers_validate: bool = False
+    """Whether workers validate their bundles before they announce them."""
 
 
 @dataclass(frozen=True)
@@ -200,8 +202,9 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
             )
         )
     trade = RunKind.COLLECTION if terms.evaluation is None else RunKind.EVALUATION
+    run, ttl_s, validates = terms.plan.run, terms.lease_ttl_s, terms.workers_validate
     return ProtocolAnswer(
-        HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade)
+        HelloReply(run=run, version=terms.version, lease_ttl_s=ttl_s, trade=trade, validates=validates)
     )
 
 
@@ -241,7 +244,9 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
 
 def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
     accepted, waiting = outcomes.announce(connection, done, now, terms.lease_ttl_s)
-    pulls = (_pull_of(waiting, done.sid, done.via, terms),) if waiting is not None else ()
+    pulls = (
+        (_pull_of(waiting, done.sid, done.via, terms, is_validated=done.is_validated),) if waiting is not None else ()
+    )
     return ProtocolAnswer(Ack(accepted=accepted), pulls)
 
 
@@ -257,13 +262,13 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
     return ProtocolAnswer(Ack(accepted=True))
 
 
-def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
+def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
         return Pull(lease_of(row), sid, row.sha256, row.size, build, None)  # the coordinator needs it, not a gateway
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     target = terms.catalog[job.scene].info.target(job.target_id)
-    return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via)
+    return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via, is_validated)
 
 
 _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

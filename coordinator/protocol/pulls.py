@@ -39,6 +39,8 @@ class Pull:
     """Target in the compiled scene; `None` for a package."""
     via: str | None = None
     """zenoh id of the router that the worker is connected to; `None` if unknown."""
+    is_validated: bool = False
+    """Whether the worker has announced that it validated the bundle."""
 
     @property
     def name(self) -> str:

@@ -16,7 +16,7 @@ from functools import partial
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from coordinator.ledger import claims
+from coordinator.ledger import claims, hosts
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
@@ -27,7 +27,7 @@ from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
 from schemas.protocol.administration import AdminAction, AdminRequest
 from schemas.protocol.keys import Verb
-from schemas.protocol.messages import Ack, ClaimReply, Refusal
+from schemas.protocol.messages import Ack, ClaimReply, Hello, HelloReply, Refusal
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
@@ -126,6 +126,8 @@ class RequestHandler(Closing):
         self._free_reads = threading.Semaphore(_READS_WAITING)
         self._load = Load(backlog, _WAITING_BYTES)
         self._limit = LogLimit()
+        self._joined: set[str] = set()
+        """Sessions whose registration was logged."""
 
     def take(self, inquiry: Inquiry) -> None:
         """Accepts a request; the reply follows when the result is durable. Does not raise."""
@@ -192,9 +194,20 @@ class RequestHandler(Closing):
             self._on_archived()
         if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
             self._meters.add(Meter.CLAIMS)
+        if isinstance(request.message, Hello) and isinstance(answer.reply, HelloReply):
+            self._note_joined(request.message)
         inquiry.answer(answer.reply)
         for pull in answer.pulls:
             self._dispatch.offer(pull)
+
+    def _note_joined(self, hello: Hello) -> None:
+        """Logs the first registration of a session; workers repeat it."""
+        if hello.sid in self._joined:
+            return
+        if len(self._joined) >= hosts.SESSIONS:
+            self._joined.clear()
+        self._joined.add(hello.sid)
+        log.info("worker_joined", host=hello.host, worker=hello.sid, cores=hello.slots)
 
     def _fail(self, inquiry: Inquiry, error: BaseException) -> None:
         self._log(log.error, "request_failed", inquiry, error=describe_error(error))

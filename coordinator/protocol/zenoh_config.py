@@ -52,6 +52,8 @@ def router_config(
         "transport/unicast/accept_timeout": str(_ARRIVAL_MS),
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
+    if not connect:
+        values["scouting/delay"] = "0"  # zenoh waits that long for routers to connect to, by default 500 ms
     if tls is not None and listen:
         values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
     if tls is not None and connect:

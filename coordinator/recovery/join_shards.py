@@ -19,6 +19,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.engine import open_writer
+from coordinator.ledger.given_up import end_given_up
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.repair import record_failures, record_whole
 from coordinator.ledger.tables import episodes
@@ -31,7 +32,7 @@ from coordinator.tables.split_tables import write_split_tables
 from coordinator.transfer.contract import EpisodeValidator
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary
-from schemas.dataset.run_shard import RunShard, ShardState
+from schemas.dataset.run_shard import ShardState
 from schemas.errors import UsageError
 from schemas.job import episode_id
 from schemas.plan import Plan
@@ -159,7 +160,7 @@ def _some(names: Sequence[str]) -> str:
 
 def join_shards(
     target: JoinTarget,
-    shards: Sequence[tuple[Place, RunShard]],
+    shards: Sequence[tuple[Place, ShardState]],
     checker: EpisodeValidator,
     now: datetime,
     on_progress: ProgressCallback = lambda _done, _all: None,
@@ -168,7 +169,7 @@ def join_shards(
 
     Args:
         target: the dataset.
-        shards: location of each shard, checked by `require_joinable`.
+        shards: location and state of each shard, checked by `require_joinable`.
         checker: validator of files that the tables of a shard do not list.
         now: time of the call.
         on_progress: progress callback with the number of joined shards and the total.
@@ -187,10 +188,14 @@ def join_shards(
         open_run(engine, target.plan, target.catalog, CoordinatorSettings().lease_ttl_s, now)
         for name, entry in target.catalog.items():
             archive.add_scene(entry.path, name, entry.sha256)
-        for done, (place, shard) in enumerate(sorted(shards, key=lambda one: one[1].number), 1):
-            numbers = shard.numbers(target.plan.episodes)
+        for done, (place, state) in enumerate(sorted(shards, key=lambda one: one[1].shard.number), 1):
+            numbers = state.shard.numbers(target.plan.episodes)
             copied, refused = _copy_episodes(archive, engine, target, place, numbers, checker)
             _record(engine, target, place, numbers, copied, now)
+            if state.finished:
+                kept = list_episodes(place).episodes.keys() | validated_files(place, target.plan).keys()
+                with engine.begin() as connection:
+                    end_given_up(connection, numbers, kept, str(state.shard), now)
             gathered += len(copied)
             rejected += refused
             on_progress(done, len(shards))

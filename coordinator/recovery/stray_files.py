@@ -24,7 +24,7 @@ from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id
 from schemas.plan import Plan
 from schemas.storage.episode_list import list_episodes
-from schemas.storage.place import FilePlace, Place, at_hand, digest_of
+from schemas.storage.place import FilePlace, Place, digest_of, local_copy
 
 _SAMPLE = 25
 
@@ -102,7 +102,7 @@ class StrayClassifier:
             TransientError: no bundle can be validated on this machine now.
         """
         try:
-            with at_hand(path) as local:
+            with local_copy(path) as local:
                 with local.open("rb") as file, BundleReader(file) as bundle:
                     meta = bundle.meta
                 said, plan = meta.job, self._draws.plan
@@ -131,7 +131,7 @@ def count_plans(root: Place) -> Counter[str]:
     found: Counter[str] = Counter()
     for path in files[:: max(1, len(files) // _SAMPLE)]:
         try:
-            with at_hand(path) as local, local.open("rb") as file, BundleReader(file) as bundle:
+            with local_copy(path) as local, local.open("rb") as file, BundleReader(file) as bundle:
                 found[bundle.meta.job.plan_digest] += 1
         except (InvalidBundle, OSError):
             continue

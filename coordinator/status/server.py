@@ -111,7 +111,7 @@ class _Handler(RequestHandler):
         host = self.request.headers.get("Host")
         if host is not None and not is_own_name(host, self._address):
             status, kind, body = plain_page(
-                HTTPStatus.MISDIRECTED_REQUEST, f"not served as {host[:80]}: ask by the address"
+                HTTPStatus.MISDIRECTED_REQUEST, f"not served as {host[:80]}: use the address of this server"
             )
         else:
             status, kind, body = await self._answer()

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable
 
 from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from coordinator.tables.card_configs import configs_to_yaml, split_configs
+from schemas.appearance import Appearance
 from schemas.dataset.meta import DatasetMeta
 from schemas.instruction.language import TEMPLATES
 from schemas.terms import Recording, Split, SuccessMeasure, Tier
@@ -55,15 +56,15 @@ instruction{english} that names an object, sees colour, depth and instance ids a
 stops within {radius:g} m of {goal}.
 
 ## How it was made
-With minivla-factory {version}, simulated in PyBullet and drawn by
-{renderers}. Plan `{plan}`, seed {seed}; the `{expert}` expert drove, with the true pose of its target; nothing was
-recorded from people. Every planned cell of scene, split and tier is filled exactly; an attempt that fails is repeated
-and recorded in `attempts.parquet`. Plan, versions and digests are in `dataset_meta.json`: with the same software,
-`factory replay` makes any episode again, to the bit.
+With minivla-factory {version}, simulated in PyBullet and rendered by
+{renderers}. Plan `{plan}`, seed {seed}. The `{expert}` expert drove with the true pose of its target; no people were
+recorded. Every planned cell of scene, split and tier is filled exactly; an attempt that fails is repeated and recorded
+in `attempts.parquet`. Plan, versions and digests are in `dataset_meta.json`: with the same software, `factory replay`
+generates any episode again, bit by bit.
 
 {software}
 
-## What it holds
+## Content
 {scenes}
 
 {tiers}
@@ -73,15 +74,15 @@ Categories: {categories}.
 {splits}
 
 ## Files
-- `metadata.parquet`: one row an episode. `episode_id`, `split`, `scene`, `instruction`, `target_category`, `target_id`,
-  `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`, `template_id`, then
-  colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer, `geodesic_m`
-  (the shortest way along the floor to the success region, the l of SPL), `spawn_surface_m` and `final_surface_m`
-  (distance to the target's footprint at the start and at the end; `spawn_dist_m` and `final_ne_m` are to its centroid),
-  `target_in_view` (at the end), and `instance_side` (see Splits).
+- `metadata.parquet`: one row for each episode: `episode_id`, `split`, `scene`, `instruction`, `target_category`,
+  `target_id`, `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`,
+  `template_id`, then colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer,
+  `geodesic_m` (the shortest path on the floor to the success region, the l of SPL), `spawn_surface_m` and
+  `final_surface_m` (distance to the target's footprint at the start and at the end; `spawn_dist_m` and `final_ne_m` are
+  to its centroid), `target_in_view` (at the end), and `instance_side` (see Splits).
 - `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: {frames}`actions_continuous.npy` (v in
   m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy` (exact x, y, z, qw, qx, qy, qz of base_link in the
-  world), `meta.json`. Frame t is what the robot saw before action t.{rendered}
+  world), `meta.json`. Frame t is the view before action t.{rendered}
 - `data/<split>-*.parquet`: the same rows by split{thumbnail}, written when the run ends.
 - `attempts.parquet`: every failed attempt ({failed}) with its reason.
 - `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
@@ -96,10 +97,10 @@ splits = load_dataset("PATH_OR_REPOSITORY")  # train_id, val_id, test_id, ...: e
 splits["train_id"][0]["instruction"], splits["train_id"][0]["thumbnail"]  # a PIL image
 ```
 
-Until the run has ended once, `datasets` finds one table, calls it `train`, and the column `split` tells the split.
-`load_dataset(PATH, "metadata")` is that table of all splits at any time, `"attempts"` the failed attempts. All frames
-are in `episodes/`; `factory export --to webdataset` writes them for `datasets`. With frames and actions, where
-minivla-factory is installed:
+Before the run has ended once, `datasets` finds one table, which it names `train`; the column `split` has the splits.
+`load_dataset(PATH, "metadata")` loads that table at any time, and `"attempts"` the failed attempts. All frames are in
+`episodes/`; `factory export --to webdataset` writes them for `datasets`. With frames and actions, where minivla-factory
+is installed:
 
 ```python
 from minivla import Dataset
@@ -111,8 +112,9 @@ for episode in Dataset(".").filter(split="train_id"):
 `factory verify . --deep` checks every byte; `factory stats .` prints all tables.
 
 ## Limitations
-- Simulated: no noise of sensors or wheels, no people, light that does not change; expect a gap to real robots.
-- Every episode kept is a success. What failed is in `attempts.parquet`, so that selection by the expert can be
+- Simulated: no people, and no noise in the images of the recorded camera and in the poses{light}; expect a gap to real
+  robots.
+- Every episode is a success. Failed attempts are in `attempts.parquet`, so that selection by the expert can be
   corrected for; there are no recoveries from errors in the data.
 - {expert_limit}
 - {wording}
@@ -121,8 +123,10 @@ for episode in Dataset(".").filter(split="train_id"):
 ## Licence
 The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
 """
-_TEMPLATES = (
-    "Instructions come from {} English templates; `phrase_is_unique` says whether the words fit one object only."
+_TEMPLATES = "Instructions come from {} English templates; `phrase_is_unique` is true if the words fit one object only."
+_WRITTEN = (
+    "Instructions were written at the start of each episode. A verifier accepted each of them. `meta.json` of an\n"
+    "  episode has the instruction with its meaning; `phrase_is_unique` is true if it fits one object only."
 )
 _RELABELLED = (
     "Instructions were written by `factory relabel` after the drives; `instructions.parquet` has all of them\n"
@@ -157,6 +161,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
     """
     stores_frames = meta.plan.record is Recording.FRAMES
     rig = meta.plan.rig if stores_frames else None
+    languages, wording = _instructions(meta)
     return _CARD.format(
         configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
@@ -183,10 +188,24 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
-        languages="\n".join(f"- {code}" for code in (meta.relabelling.languages if meta.relabelling else ("en",))),
-        english="" if meta.relabelling else " in English",
-        wording=_RELABELLED if meta.relabelling else _TEMPLATES.format(len(TEMPLATES)),
+        languages="\n".join(f"- {code}" for code in languages),
+        english=" in English" if languages == ("en",) else "",
+        wording=wording,
+        light="" if _varies_light(meta.plan.appearance) else ", and each scene has one light",
     )
+
+
+def _instructions(meta: DatasetMeta) -> tuple[tuple[str, ...], str]:
+    """Returns the languages of the instructions, and how they were written."""
+    if meta.relabelling is not None:
+        return meta.relabelling.languages, _RELABELLED
+    if meta.plan.language is not None:
+        return tuple(meta.plan.language.languages), _WRITTEN
+    return ("en",), _TEMPLATES.format(len(TEMPLATES))
+
+
+def _varies_light(appearance: Appearance | None) -> bool:
+    return appearance is not None and appearance.light is not None
 
 
 def with_shards(card: str, shards: int) -> str:

@@ -128,7 +128,7 @@ def _changes(connection: Connection, since: int) -> TableChanges:
     return TableChanges(archived, failed)
 
 
-def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
+def is_checkpoint_due(archive: Archive, connection: Connection) -> bool:
     """Returns whether the tables lag behind the ledger, e.g. because the last coordinator was killed."""
     archived = connection.execute(select(func.count()).select_from(episodes)).scalar_one()
     counts = (archived, count_failures(connection))

@@ -63,7 +63,7 @@ class _Written:
 
 
 class GroupedTable:
-    """Table of one dataset; remembers the row groups that it wrote last.
+    """Table of one dataset; keeps the row groups that it wrote last.
 
     Args:
         name: file name.

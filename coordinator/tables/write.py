@@ -85,7 +85,7 @@ class TableChanges(NamedTuple):
 
 
 class DatasetTables:
-    """Writer of the four files of one dataset; remembers what it has written."""
+    """Writer of the four files of one dataset; keeps what it has written, for comparison."""
 
     def __init__(self) -> None:
         self._episodes = GroupedTable(METADATA_FILE, _METADATA_SCHEMA, aggregate_episodes)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from coordinator.protocol.pulls import Pull
+from coordinator.validation.scope import Scope
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.job import Job
 from schemas.protocol.messages import Lease
@@ -23,8 +24,8 @@ def nothing_nearby(_lease: Lease) -> None:
 class BundleValidator(Protocol):
     """Interface of thread-safe bundle validators."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> BundleReceipt:
-        """Validates a bundle, `sampled` some of its frames, or raises `InvalidBundle` or `TransientError`."""
+    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> BundleReceipt:
+        """Validates the part `scope` of a bundle, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
         """Ends the validator; a running check raises `TransientError`."""
@@ -33,7 +34,7 @@ class BundleValidator(Protocol):
 class EpisodeValidator(BundleValidator, Protocol):
     """Interface of validators of collected episodes."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:
+    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:
         """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
@@ -49,8 +50,20 @@ class LedgerClient(Protocol):
     def is_owned(self, index: int) -> bool:
         """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
 
-    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        """Records a published episode if the lease is in force; returns whether the ledger records the file."""
+    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:
+        """Records a published episode if the lease is in force; returns whether the ledger records the file.
 
-    def refuse(self, pull: Pull, detail: str) -> None:
-        """Reports a bundle that failed validation."""
+        Args:
+            pull: bundle of the episode.
+            receipt: row of the episode.
+            is_checked: whether the bundle was validated here, not only by its worker.
+        """
+
+    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
+        """Reports a bundle that failed validation.
+
+        Args:
+            pull: bundle.
+            detail: reason.
+            is_false: whether the worker has announced the bundle as valid, so that its host is barred.
+        """

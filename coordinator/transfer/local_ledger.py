@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from coordinator.ledger import claims, outcomes
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger import claims, outcomes, unchecked
 from coordinator.ledger.writer import Writer
 from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.protocol.pulls import Pull
 from schemas.dataset.rows import BundleReceipt
+from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Fail, cut_detail
 from schemas.terms import FailReason
 
@@ -33,16 +36,19 @@ class LocalLedgerClient:
         """See `LedgerClient`."""
         return self._writer.call(lambda connection: outcomes.is_owned(connection, index))
 
-    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
+    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:
         """See `LedgerClient`."""
-        return self._writer.call(
-            lambda connection: (
-                outcomes.archive(connection, pull.lease, receipt, self._clock())
-                or outcomes.is_owned(connection, pull.job.index)
-            )
-        )
 
-    def refuse(self, pull: Pull, detail: str) -> None:
+        def own(connection: Connection) -> bool:
+            if not outcomes.archive(connection, pull.lease, receipt, self._clock()):
+                return outcomes.is_owned(connection, pull.job.index)
+            if not is_checked:
+                unchecked.note_unchecked(connection, pull.job.index, host_of(pull.sid))
+            return True
+
+        return self._writer.call(own)
+
+    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
         """See `LedgerClient`."""
         report = Fail(
             sid=pull.sid,
@@ -50,4 +56,11 @@ class LocalLedgerClient:
             reason=FailReason.INVALID,
             detail=cut_detail(detail),
         )
-        self._writer.call(lambda connection: fail_attempt(connection, report, self._terms, self._clock()))
+
+        def refuse(connection: Connection) -> None:
+            now = self._clock()
+            fail_attempt(connection, report, self._terms, now)
+            if is_false:
+                unchecked.bar_at_once(connection, host_of(pull.sid), f"announced as valid: {report.detail}", now)
+
+        self._writer.call(refuse)

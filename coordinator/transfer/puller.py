@@ -19,10 +19,10 @@ from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
+from coordinator.transfer.judge import BundleJudge, Judgement
 from schemas.bundle import MAX_BUNDLE_BYTES
-from schemas.dataset.rows import BundleReceipt
 from schemas.errors import FactoryError, InvalidBundle, TransientError
-from schemas.job import Job, episode_id
+from schemas.job import episode_id
 from schemas.protocol.keys import Chunk, host_of
 from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
@@ -30,6 +30,9 @@ from schemas.support.log_limit import LogLimit, Repeated
 
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
+_SMALL_BYTES = 1 << 20
+"""Largest size of a bundle whose validation takes a small part of a lease, so that the lease is not extended first,
+bytes; a commit is a large part of the work for a bundle of states."""
 _TURN_S = 0.25
 """Duration of a turn of one bundle while others wait, seconds."""
 _FAILURES = 5
@@ -107,10 +110,10 @@ class Pullers(Closing):
         self._fetch = fetch
         self._nearby = nearby
         self._layouts = layouts
-        self._checker = checker
         self._settings = settings
         self._on_archived = on_archived
         self._meters = meters or Meters()
+        self._judging = BundleJudge(checker, self._meters, settings.spot_checks)
         self._queue: FairQueue[_Transfer] = FairQueue()
         self._failing = Repeated(log, "pull_failed")
         self._limit = LogLimit(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
@@ -191,13 +194,14 @@ class Pullers(Closing):
         elif not staged.is_taken and self._is_another(pull, staged.sha256):
             return True
         else:
-            self._ledger.keep(pull, _VALIDATION_S)
+            if pull.size > _SMALL_BYTES:
+                self._ledger.keep(pull, _VALIDATION_S)
             if isinstance(pull.job, BuildJob):
                 self._receive_layout(pull, pull.job, staged)
                 return True
-            summary = self._judge(pull, pull.job, staged)
-            if summary is not None and not (staged.is_taken and self._is_another(pull, summary.file_sha256)):
-                self._publish(pull, staged, summary)
+            verdict = self._judge(pull, staged)
+            if verdict is not None and not (staged.is_taken and self._is_another(pull, verdict.receipt.file_sha256)):
+                self._publish(pull, staged, verdict)
         return True
 
     def _is_another(self, pull: Pull, sha256: str) -> bool:
@@ -298,36 +302,32 @@ class Pullers(Closing):
         except InvalidBundle as error:
             self._refuse(pull, str(error))
 
-    def _judge(self, pull: Pull, job: Job, staged: Staged) -> BundleReceipt | None:
-        begun = time.monotonic()
+    def _judge(self, pull: Pull, staged: Staged) -> Judgement | None:
         try:
-            return self._checker.check(staged.path, job, pull.target, sampled=staged.is_taken)
+            return self._judging.judge(pull, staged.path, is_local=staged.is_taken)
         except InvalidBundle as error:
-            self._refuse(pull, str(error))
+            self._refuse(pull, str(error), is_false=pull.is_validated)
             return None
-        finally:
-            self._meters.add(Meter.VALIDATIONS)
-            self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
 
-    def _refuse(self, pull: Pull, detail: str) -> None:
+    def _refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
         self._forget_failures(pull)
         self._meters.add(Meter.REFUSED)
         episode, host = pull.name, host_of(pull.sid)
         self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
-        self._ledger.refuse(pull, detail)
+        self._ledger.refuse(pull, detail, is_false=is_false)
 
     def _forget_failures(self, pull: Pull) -> None:
         with self._guard:
             self._failed.pop(pull.job.index, None)
 
-    def _publish(self, pull: Pull, staged: Staged, receipt: BundleReceipt) -> None:
+    def _publish(self, pull: Pull, staged: Staged, verdict: Judgement) -> None:
         index = pull.job.index
         self._forget_failures(pull)
         self._archive.publish(staged, index)
-        if self._ledger.own(pull, receipt):
+        if self._ledger.own(pull, verdict.receipt, is_checked=verdict.is_checked):
             self._meters.add(Meter.ARCHIVED)
             self._failing.succeed()
-            log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)
+            log.info("archived", episode=episode_id(index), worker=pull.sid, steps=verdict.receipt.num_steps)
             self._on_archived()
         else:
             self._archive.unpublish(index)  # the lease was lost meanwhile, and no other worker delivered the episode

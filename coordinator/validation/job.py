@@ -59,6 +59,8 @@ def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
 
 def _language_findings(meta: EpisodeMeta) -> list[str]:
     job, said = meta.job, meta.language
+    if meta.questions and (job.language is None or not job.language.questions):
+        return ["questions that are not planned"]
     if job.template_id == FROM_START:
         return ["the episode has no verified instruction"] if said is None else _wording_findings(job, said)
     if said is not None:

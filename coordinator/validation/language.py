@@ -1,15 +1,21 @@
-"""Checks the verified instruction of an episode against its scene with the verifier. Writes no instruction."""
+"""Checks the verified instruction and the questions of an episode against its scene. Writes no text."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from coordinator.expansion.sentences import scene_language
-from schemas.episode import EpisodeMeta
+from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.language.compose import composer_of
+from schemas.language.file import LanguageSpec
 from schemas.language.instruction import Instruction
+from schemas.language.mistakes import mistake_fault
+from schemas.language.question.verify import QuestionVerifier
+from schemas.language.reading import Reader
+from schemas.language.route.steps import SceneRoutes
 from schemas.language.view import look
+from schemas.terms import Recording
 
 
 def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, float], package: Path) -> list[str]:
@@ -32,18 +38,48 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
     view = look(scene.graph, start, job.camera)
     reader = composer.reader(said.language)
     if job.is_false_premise:
-        is_absent = scene.verifier.is_false_premise(said.text, reader, view)
+        is_absent = scene.verifier.is_false_premise(said.meant, reader, view)
         fault = "" if is_absent else "an object of the scene fits, or may fit"
     else:
-        fault = scene.verifier.check(said.text, reader, view, number)
+        fault = scene.verifier.check(said.meant, reader, view, number)
+    if said.clean is not None and not fault:
+        fault = _mistake_fault(said, job.language, reader)
     found = [f"instruction {said.text!r}: {fault}"] if fault else []
     if said.distractors != scene.distractors(number):
         found.append(f"distractors {said.distractors}, the scene has {scene.distractors(number)}")
     return found
 
 
-def said_findings(meta: EpisodeMeta, package: Path | None) -> list[str]:
-    """Returns all findings about the verified instruction of an episode; none if it has a template."""
+def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
+    """Returns why the sentence is not the clean one with a planned error; empty if it is."""
+    assert said.clean is not None
+    if said.mistake is None or not spec.mistakes.get(said.mistake):
+        return "its error is not planned"
+    return mistake_fault(said.text, said.clean, said.mistake, said.language, reader.vocabulary)
+
+
+def said_findings(bundle: BundleReader, package: Path | None) -> list[str]:
+    """Returns all findings about the verified instruction and the questions of an episode; none if it has a template.
+
+    Args:
+        bundle: valid bundle of the episode.
+        package: package of the scene, or `None`.
+
+    Raises:
+        InvalidBundle: the package or the images of a question are damaged.
+    """
+    meta = bundle.meta
     if meta.language is None or meta.job.language is None or package is None:
         return []
-    return sentence_findings(meta.job, meta.language, meta.rollout.spawn_pose, package)
+    found = sentence_findings(meta.job, meta.language, meta.rollout.spawn_pose, package)
+    return found + (_question_findings(bundle, meta.job, package) if meta.questions else [])
+
+
+def _question_findings(bundle: BundleReader, job: Job, package: Path) -> list[str]:
+    assert job.language is not None
+    scene, composer = scene_language(package), composer_of(job.language)
+    images = bundle if job.record is Recording.FRAMES else None
+    place, number = SceneRoutes(scene, job.camera), scene.graph.number_of[job.target_id]
+    verifier = QuestionVerifier(place, bundle.arrays.poses, number)
+    faults = [(each, verifier.check(each, composer.reader(each.language), images)) for each in bundle.meta.questions]
+    return [f"question {each.question!r}, answer {each.answer!r}: {fault}" for each, fault in faults if fault]

@@ -11,6 +11,7 @@ from coordinator.validation.job import job_findings, table_findings, target_find
 from coordinator.validation.motion import motion_findings
 from coordinator.validation.rollout import arrival_findings, rollout_findings, visibility_findings
 from coordinator.validation.route import route_findings
+from coordinator.validation.scope import Scope
 from coordinator.validation.sensors import rig_findings, survey_measurements
 from coordinator.validation.start import start_findings
 from schemas.bundle import BundleReader
@@ -30,7 +31,7 @@ def validate(
     job: Job | None = None,
     target: Target | None = None,
     on_frame: Callable[[int], None] = lambda _t: None,
-    sampled: bool = False,
+    scope: Scope = Scope.ALL,
 ) -> list[str]:
     """Decodes a bundle and returns all violations, with values and units.
 
@@ -42,7 +43,8 @@ def validate(
         job: leased job; `None` validates the bundle against its recorded job.
         target: target in the compiled scene; `None` skips the comparison.
         on_frame: progress callback with the number of each processed frame.
-        sampled: whether only `sampled_frames` are decoded, for bundles that this user's workers wrote on this machine.
+        scope: part of the bundle that is read. `SAMPLE` decodes `sampled_frames`, for bundles that this user's workers
+            wrote on this machine; `CLAIM` decodes no frame and does not check the drive.
 
     Returns:
         The violations; empty if the bundle is valid.
@@ -51,14 +53,16 @@ def validate(
     findings = job_findings(meta, job) if job is not None else []
     findings += table_findings(meta)
     findings += _format_findings(bundle)
-    of_rig = rig_findings(bundle)
-    findings += of_rig or survey_measurements(bundle, _STRIDE if sampled else 1)
     findings += target_findings(meta, target) if target is not None else []
+    if scope is Scope.CLAIM:
+        return findings + _digest_findings(bundle)
+    of_rig, is_sample = rig_findings(bundle), scope is Scope.SAMPLE
+    findings += of_rig or survey_measurements(bundle, _STRIDE if is_sample else 1)
     findings += rollout_findings(meta, arrays)
     findings += route_findings(meta, arrays)
     findings += motion_findings(arrays, meta.job.robot, task.control_hz, meta.rollout.collision_count)
     if bundle.has_frames:
-        steps = sampled_frames(meta) if sampled else range(bundle.length)
+        steps = sampled_frames(meta) if is_sample else range(bundle.length)
         survey = survey_frames(bundle, steps, on_frame)
         findings += survey.findings
         if len(survey.digests) < len(steps):
@@ -66,10 +70,7 @@ def validate(
         findings += visibility_findings(meta, survey.target_pixels)
         findings += arrival_findings(meta, survey.target_pixels[bundle.length - 1])
         findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0))
-    digest = bundle.content_digest(meta.frame_digests)
-    if digest != meta.content_digest:
-        findings.append(f"content digest {digest}, meta.json says {meta.content_digest}")
-    return findings
+    return findings + _digest_findings(bundle)
 
 
 def sampled_frames(meta: EpisodeMeta) -> list[int]:
@@ -79,6 +80,11 @@ def sampled_frames(meta: EpisodeMeta) -> list[int]:
     """
     last = meta.rollout.num_steps - 1
     return sorted({0, *range(int(meta.content_digest, 16) % _STRIDE, last, _STRIDE), last})
+
+
+def _digest_findings(bundle: BundleReader) -> list[str]:
+    digest, said = bundle.content_digest(bundle.meta.frame_digests), bundle.meta.content_digest
+    return [] if digest == said else [f"content digest {digest}, meta.json says {said}"]
 
 
 def _format_findings(bundle: BundleReader) -> list[str]:

@@ -25,6 +25,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from coordinator.validation.sandbox import SECCOMP
+from coordinator.validation.scope import Scope
 from schemas.base import Line, Model
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import InvalidBundle, TransientError
@@ -66,8 +67,8 @@ class ValidationTask(Model):
     """Leased job; `None` if the bundle is the package of a scene."""
     target: Target | None = None
     """Target in the compiled scene; `None` skips the comparison."""
-    sampled: bool = False
-    """Whether only a sample of the frames is decoded."""
+    scope: Scope = Scope.ALL
+    """Part of the bundle that is read."""
 
 
 class Verdict(Model):
@@ -110,14 +111,14 @@ class Validator(Closing):
         for child in self._all:
             self._free.put(child)
 
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:
+    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:
         """Validates a bundle against its job.
 
         Args:
             path: path of the bundle, usually a part file.
             job: leased job.
             target: target in the compiled scene; `None` skips the comparison.
-            sampled: whether only a sample of the frames is decoded.
+            scope: part of the bundle that is read.
 
         Returns:
             The row of the episode, with SHA-256 and size of the file.
@@ -127,7 +128,7 @@ class Validator(Closing):
             TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
                 cannot be opened now.
         """
-        verdict = self._verdict(ValidationTask(job=job, target=target, sampled=sampled), path)
+        verdict = self._verdict(ValidationTask(job=job, target=target, scope=scope), path)
         return self._with_sentence(verdict, job)
 
     def check_package(self, path: Path) -> None:

@@ -3,7 +3,7 @@
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
 # A task that reaches its time limit gives its jobs back and queues itself again; Slurm queues preempted tasks again, and
-# `scancel` ends a task. The run is finished when a worker leaves by itself, and then the task ends without requeuing.
+# `scancel` ends a task. The run is finished when a worker exits without a signal, and then the task ends without requeuing.
 # `factory submit slurm` writes scripts that start the coordinator too, or that need none.
 #SBATCH --job-name=minivla
 #SBATCH --ntasks=1
@@ -22,32 +22,44 @@ scratch=${SLURM_TMPDIR:-${TMPDIR:-/tmp}}
 # bundles and scenes are stored on the local disk of the node; scenes are fetched once per node
 export MINIVLA_CACHE="${scratch}/minivla-${USER:-factory}"
 
-told_to_stop=
 requeue=
-worker=
-# shellcheck disable=SC2317  # called by the trap
-stop() {
-    told_to_stop=yes
-    if [ -n "${worker}" ]; then kill -TERM "${worker}" 2>/dev/null; fi
+stopped=
+child=
+# shellcheck disable=SC2317  # called by the traps
+drain() {
+    stopped=yes
+    if [ -n "${child}" ]; then kill -TERM "${child}" 2>/dev/null; fi
 }
-trap stop TERM INT
-trap 'requeue=yes; stop' USR1
+trap 'requeue=yes; drain' USR1  # before the time limit: --signal of this script
+trap drain TERM INT             # scancel, or a preemption, after which Slurm queues the task again
 
-factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600 &
-worker=$!
-# signalled before the worker was started
-if [ -n "${told_to_stop}" ]; then kill -TERM "${worker}" 2>/dev/null; fi
-# a signal interrupts the wait; repeat until the worker has exited, which may be before the first check
-wait "${worker}"
-status=$?
-while kill -0 "${worker}" 2>/dev/null; do
-    wait "${worker}"
+# run_task UNFINISHED COMMAND...: runs a command; queues the task again if SIGUSR1 ended the command with that status
+run_task() {
+    unfinished=$1
+    shift
+    "$@" &
+    child=$!
+    # signalled before the command was started
+    if [ -n "${stopped}" ]; then kill -TERM "${child}" 2>/dev/null; fi
+    # a signal interrupts the wait; repeat until the command has exited, which may be before the first check
+    wait "${child}"
     status=$?
-done
+    while kill -0 "${child}" 2>/dev/null; do
+        wait "${child}"
+        status=$?
+    done
+    if [ -n "${stopped}" ] && [ "${status}" -gt 128 ]; then
+        wait "${child}" 2>/dev/null
+        status=$?
+        # the status was lost, or SIGTERM ended the command before it could drain
+        case "${status}" in 127 | 143) status=${unfinished} ;; esac
+    fi
+    if [ -n "${requeue}" ] && [ "${status}" -eq "${unfinished}" ]; then
+        echo "stopped before the run was finished: requeueing"
+        scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
+        exit $?
+    fi
+    exit "${status}"
+}
 
-if [ -n "${requeue}" ] && [ -n "${SLURM_JOB_ID:-}" ]; then
-    echo "stopped before the run was finished: requeueing"
-    scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
-    exit $?
-fi
-exit "${status}"
+run_task 0 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600

@@ -76,14 +76,7 @@ def bench_coordinator(
     memory = measure_memory(start_mib)
     engine.dispose()
     wire = bench_wire(
-        plan,
-        catalog,
-        meta,
-        folder,
-        workers=workers,
-        sessions=sessions,
-        bundle_bytes=bundle_bytes,
-        repeats=repeats,
+        plan, catalog, meta, folder, workers=workers, sessions=sessions, bundle_bytes=bundle_bytes, repeats=repeats
     )
     return CoordinatorBench(
         machine=machine,
@@ -121,7 +114,7 @@ def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
         rows = _together(writer, [_claim] * workers)
         leases = [lease_of(row) for row in rows]
         _together(writer, [_announcing(lease) for lease in leases])
-        _together(writer, [_archiving(lease, row.idx, meta) for lease, row in zip(leases, rows, strict=True)])
+        _together(writer, [archiving(lease, row.idx, meta) for lease, row in zip(leases, rows, strict=True)])
     return _ROUNDS * workers / (time.perf_counter() - start_s)
 
 
@@ -139,7 +132,8 @@ def _announcing(lease: Lease) -> Callable[[Any], Any]:
     return lambda connection: outcomes.announce(connection, done, datetime.now(UTC), _TTL_S)
 
 
-def _archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
+def archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
+    """Returns the work of the ledger's writer that records an archived episode."""
     job = meta.job.model_copy(update={"index": index})
     summary = summary_of(meta.model_copy(update={"job": job, "episode_id": job.episode_id}), _SHA256, 1000)
     return lambda connection: outcomes.archive(connection, lease, summary, datetime.now(UTC))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -12,8 +13,11 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.bench.machine import measure_memory, resident_mib
+from coordinator.validation.scope import Scope
+from coordinator.validation.validator import Validator
+from factory.bench.machine import cpu_s_of_children, measure_memory, resident_mib
 from factory.bench.model import Memory
+from factory.bench.sample import BenchSample
 from factory.support.logs import configure_logs
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, summary_of
@@ -24,6 +28,7 @@ from schemas.scene import Target
 
 _LEASE_S = 600.0
 """Lease duration, seconds; long, so that no lease expires on a busy machine."""
+_LOOPBACK = ("tcp/127.0.0.1:0",)
 
 
 class CoordinatorReady(Model):
@@ -39,7 +44,7 @@ class CoordinatorUsage(Model):
 
     memory: Memory
     cpu_s: float
-    """CPU time of its process since the start, all threads, seconds."""
+    """CPU time since the start of its process and of the validating processes, all threads, seconds."""
 
 
 class _AcceptAll:
@@ -48,7 +53,7 @@ class _AcceptAll:
     def __init__(self, meta: EpisodeMeta, sha256: str, size: int) -> None:
         self._meta, self._sha256, self._size = meta, sha256, size
 
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EpisodeSummary:  # noqa: ARG002
+    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:  # noqa: ARG002
         job = self._meta.job.model_copy(update={"index": job.index})
         meta = self._meta.model_copy(update={"job": job, "episode_id": job.episode_id})
         return summary_of(meta, self._sha256, self._size)
@@ -71,19 +76,42 @@ def serve_coordinator(
         sha256: SHA-256 of every bundle.
         size: Size of every bundle, bytes.
     """
+    settings = CoordinatorSettings(lease_ttl_s=_LEASE_S, reserve_bytes=0)
+    checker = _AcceptAll(meta, sha256, size)
+    _serve(pipe, root, plan, catalog, CoordinatorOptions(listen=_LOOPBACK, settings=settings, checker=checker))
+
+
+def serve_archive(
+    pipe: Connection, root: Path, plan: Plan, catalog: Catalog, settings: CoordinatorSettings, sample: BenchSample
+) -> None:
+    """Opens a coordinator whose validating processes are started, and replies as `serve_coordinator` does.
+
+    Args:
+        pipe: Pipe to the benchmark.
+        root: Directory of the dataset with its ledger.
+        plan: Plan of the ledger.
+        catalog: Scenes of the plan.
+        settings: Settings of the coordinator.
+        sample: Bundle that starts each validating process.
+    """
+    packages = {entry.sha256: entry.path for entry in catalog.values()}
+    with Validator(settings.pullers, packages=packages) as checker, ThreadPoolExecutor(settings.pullers) as pool:
+        list(pool.map(lambda _: checker.check(sample.path, sample.job), range(settings.pullers)))
+        _serve(pipe, root, plan, catalog, CoordinatorOptions(listen=_LOOPBACK, settings=settings, checker=checker))
+
+
+def _serve(pipe: Connection, root: Path, plan: Plan, catalog: Catalog, options: CoordinatorOptions) -> None:
     configure_logs(verbose=False)
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(40))
-    settings = CoordinatorSettings(lease_ttl_s=_LEASE_S, reserve_bytes=0)
     begun = time.perf_counter()
-    checker = _AcceptAll(meta, sha256, size)
-    with Coordinator(
-        root, plan, catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, checker=checker)
-    ) as hub:
+    with Coordinator(root, plan, catalog, options) as hub:
         pipe.send(CoordinatorReady(endpoints=hub.endpoints, seconds=time.perf_counter() - begun))
         start_mib = resident_mib()
         try:
             while True:
                 pipe.recv()
-                pipe.send(CoordinatorUsage(memory=measure_memory(start_mib), cpu_s=time.process_time()))
+                pipe.send(
+                    CoordinatorUsage(memory=measure_memory(start_mib), cpu_s=time.process_time() + cpu_s_of_children())
+                )
         except EOFError:
             return

@@ -38,7 +38,7 @@ def resident_mib(pid: int | str = "self") -> float:
     return round(pages * _PAGE / _MIB, 1)
 
 
-def forget_peak() -> None:
+def reset_peak() -> None:
     """Resets the peak memory counter, because building a scene needs more memory than simulating in it.
 
     Without kernel support, the peak remains that of the whole process.
@@ -50,6 +50,16 @@ def forget_peak() -> None:
 def measure_memory(start_mib: float, pid: int | str = "self") -> Memory:
     """Returns the current and peak memory of a process, together with its memory at the start."""
     return Memory(start_mib=start_mib, end_mib=resident_mib(pid), peak_mib=_peak_mib(pid))
+
+
+def cpu_s_of_children() -> float:
+    """Returns the CPU time of the running direct children of this process, seconds."""
+    total = 0
+    for listed in Path("/proc/self/task").glob("*/children"):
+        for pid in listed.read_text(encoding="ascii").split():
+            fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+            total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")
 
 
 def _peak_mib(pid: int | str) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from factory.bench.machine import StageRecorder, StageTimes, stage_costs
 from factory.bench.model import SceneRender, Spread, StageCost
-from factory.dataset.antialias import shrink_frame
+from factory.dataset.rendering.antialias import shrink_frame
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene

@@ -20,7 +20,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
 from factory.bench.baseline import run_baseline
-from factory.bench.machine import StageRecorder, StageTimes, forget_peak, measure_memory, resident_mib, stage_costs
+from factory.bench.machine import StageRecorder, StageTimes, measure_memory, reset_peak, resident_mib, stage_costs
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle, WorldError
@@ -69,7 +69,7 @@ def bench_rollout(
     Raises:
         WorldError: No job succeeded.
     """
-    forget_peak()
+    reset_peak()
     stage.load(entry.path, entry.sha256)
     with tempfile.TemporaryFile() as file:
         sizes = _warm_up(jobs, stage, file)

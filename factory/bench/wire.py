@@ -98,39 +98,39 @@ def _named(size: int) -> tuple[str, int]:
 
 def _cycles(arguments: tuple[Any, ...], run: str, workers: int, rounds: int) -> _Run:
     episodes: Path = arguments[0] / "episodes"
-    with _process(serve_coordinator, *arguments) as coordinator:
-        opened: CoordinatorReady = _receive(coordinator)
-        with _process(claim_and_announce, opened.endpoints, run, workers, rounds, _CYCLE_BUNDLE_BYTES) as fleet:
-            _receive(fleet)
-            before, there = _usage(coordinator), len(list(episodes.iterdir()))
+    with process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = receive(coordinator)
+        with process(claim_and_announce, opened.endpoints, run, workers, rounds, _CYCLE_BUNDLE_BYTES) as fleet:
+            receive(fleet)
+            before, there = usage(coordinator), len(list(episodes.iterdir()))
             fleet.send("go")
-            cost: WorkCost = _receive(fleet)
-            archived, after = len(list(episodes.iterdir())) - there, _usage(coordinator)
+            cost: WorkCost = receive(fleet)
+            archived, after = len(list(episodes.iterdir())) - there, usage(coordinator)
             return _Run(rounds * workers, opened.seconds, cost, after.cpu_s - before.cpu_s, archived)
 
 
 def _crowd(arguments: tuple[Any, ...], run: str, sessions: int) -> SessionLoad:
-    with _process(serve_coordinator, *arguments) as coordinator:
-        opened: CoordinatorReady = _receive(coordinator)
+    with process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = receive(coordinator)
         shares = [min(_WORKERS_PER_PROCESS, sessions - start) for start in range(0, sessions, _WORKERS_PER_PROCESS)]
         with _processes(stay_connected, [(opened.endpoints, run, share) for share in shares]) as fleets:
-            connected = sum(_receive(fleet) for fleet in fleets)
-            return SessionLoad(sessions=connected, memory=_usage(coordinator).memory)
+            connected = sum(receive(fleet) for fleet in fleets)
+            return SessionLoad(sessions=connected, memory=usage(coordinator).memory)
 
 
 def _rush(arguments: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> DeliveryLoad:
-    with _process(serve_coordinator, *arguments) as coordinator:
-        opened: CoordinatorReady = _receive(coordinator)
+    with process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = receive(coordinator)
         with (
-            _process(deliver_together, opened.endpoints, run, workers, bundle_bytes) as fleet,
-            _process(claim_until_stopped, opened.endpoints, run, _CLAIM_PAUSE_S) as claimer,
+            process(deliver_together, opened.endpoints, run, workers, bundle_bytes) as fleet,
+            process(claim_until_stopped, opened.endpoints, run, _CLAIM_PAUSE_S) as claimer,
         ):
-            _receive(fleet)
-            _receive(claimer)
+            receive(fleet)
+            receive(claimer)
             fleet.send("go")
-            seconds = _receive(fleet)
+            seconds = receive(fleet)
             claimer.send("stop")
-            waits_ms = 1000 * np.array(_receive(claimer))
+            waits_ms = 1000 * np.array(receive(claimer))
             return DeliveryLoad(
                 workers=workers,
                 bundle_mb=bundle_bytes / 1e6,
@@ -139,17 +139,23 @@ def _rush(arguments: tuple[Any, ...], run: str, workers: int, bundle_bytes: int)
                 claims=len(waits_ms),
                 claim_p50_ms=float(np.percentile(waits_ms, 50)),
                 claim_p99_ms=float(np.percentile(waits_ms, 99)),
-                memory=_usage(coordinator).memory,
+                memory=usage(coordinator).memory,
             )
 
 
-def _usage(coordinator: Connection) -> CoordinatorUsage:
+def usage(coordinator: Connection) -> CoordinatorUsage:
+    """Returns the current memory and CPU time of a coordinator process."""
     coordinator.send("usage")
-    usage: CoordinatorUsage = _receive(coordinator)
-    return usage
+    found: CoordinatorUsage = receive(coordinator)
+    return found
 
 
-def _receive(pipe: Connection) -> Any:
+def receive(pipe: Connection) -> Any:
+    """Returns the next message of a process.
+
+    Raises:
+        WorldError: The process exited, or sent no message.
+    """
     try:
         if pipe.poll(_TIMEOUT_S):
             return pipe.recv()
@@ -180,6 +186,7 @@ def _processes(target: Callable[..., None], argument_sets: list[tuple[Any, ...]]
 
 
 @contextmanager
-def _process(target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+def process(target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    """Starts a process; yields its pipe and closes it at the end."""
     with _processes(target, [arguments]) as (pipe,):
         yield pipe

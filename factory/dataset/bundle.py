@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.dataset.antialias import shrink_frame
-from factory.dataset.appearance import DressedPackage, drawn_for
 from factory.dataset.packages import ScenePackage
-from factory.dataset.shared_renderer import View, shared_renderer
+from factory.dataset.rendering.antialias import shrink_frame
+from factory.dataset.rendering.appearance import AppearancePackage, drawn_for
+from factory.dataset.rendering.shared_renderer import View, shared_renderer
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader, encode_depth
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -52,10 +52,10 @@ class EpisodeBundle(BundleReader):
         return drawn_for(self._ranges, self.meta.job, self.package, self.arrays.poses)
 
     @cached_property
-    def shown(self) -> ScenePackage | DressedPackage:
+    def shown(self) -> ScenePackage | AppearancePackage:
         """Scene of the episode with its appearance."""
         drawn = self.appearance
-        return self.package if drawn is None or not drawn.changes_scene else DressedPackage(self.package, drawn)
+        return self.package if drawn is None or not drawn.changes_scene else AppearancePackage(self.package, drawn)
 
     @property
     def package(self) -> ScenePackage:

@@ -186,7 +186,9 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
-        from factory.dataset.observation import observe  # not at the start of each process that reads a dataset
+        from factory.dataset.rendering.observation import (
+            observe,  # not at the start of each process that reads a dataset
+        )
 
         chosen, step = self._sensors(sensors), self._step(t)
         with self._reading() as bundle:
@@ -206,7 +208,7 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
-        from factory.dataset.observation import measure
+        from factory.dataset.rendering.observation import measure
 
         chosen = self._sensors(sensors)
         with self._reading() as bundle:

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from factory.dataset.columns import NAMES, Columns
 from factory.dataset.episode import Episode, Frame
+from factory.dataset.questions import recorded_questions
 from factory.dataset.steps import has_routes, read_text_table
 from factory.dataset.vocabulary import require_known
 from schemas.appearance import Appearance
@@ -29,7 +30,7 @@ from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig
 from schemas.rig.file import load_rig, require_rates
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, STEPS_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place
 from schemas.support.suggest import did_you_mean
@@ -141,6 +142,23 @@ class Dataset:
         if not has_routes(self.root):
             raise UsageError(f'{self.root} has no routes: `factory relabel` with kinds = ["route"] writes them')
         return self._own_rows(read_text_table(self.root / STEPS_FILE))
+
+    @cached_property
+    def questions(self) -> pa.Table:
+        """Table with one row for each question about these episodes (docs/language.md#questions).
+
+        `factory relabel` writes the table; questions of a plan are read from the metadata of every episode.
+
+        Raises:
+            UsageError: The dataset has no questions.
+            ArchiveCorrupt: The table or an episode is damaged.
+        """
+        if (self.root / QUESTIONS_FILE).is_file():
+            return self._own_rows(read_text_table(self.root / QUESTIONS_FILE))
+        language = self.meta.plan.language
+        if language is None or not language.questions:
+            raise UsageError(f"{self.root} has no questions: `factory relabel` with questions = true writes them")
+        return recorded_questions(self)
 
     def _own_rows(self, table: pa.Table) -> pa.Table:
         return table.filter(pc.is_in(table["episode_id"], self.column("episode_id").cast(pa.string())))

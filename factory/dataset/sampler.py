@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
-from factory.dataset.shared_renderer import KEPT_SCENES
+from factory.dataset.rendering.shared_renderer import KEPT_SCENES
 from factory.dataset.torch import ClipDataset
 
 _BUFFER_SAMPLES = 1 << 22
@@ -51,7 +51,7 @@ def shuffle_by_scene(
 class SceneSampler:
     """Sampler for PyTorch's `DataLoader` that shuffles within windows of a few scenes.
 
-    The scenes of the dataset are drawn into windows of `scenes` scenes, anew in each epoch; the samples of a window are
+    The scenes of the dataset are drawn into windows of `scenes` scenes in each epoch; the samples of a window are
     shuffled. A dataset with at most `scenes` scenes is shuffled as a whole. Each rank of a distributed training gets a
     contiguous part of the order, so that every sample is used exactly once in an epoch; the numbers of samples of two
     ranks differ by at most one.

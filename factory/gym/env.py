@@ -67,6 +67,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012 - required by Gymnasium
+    _sensors: RigSensors | None = None
+    _view: Observation | None = None
 
     def __init__(
         self,
@@ -91,9 +93,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             specs: File written by `factory eval specs`, or a spec set, used instead of `split`.
             actions: `continuous`, `scaled` or `tokens`.
             with_pose: Whether observations contain the pose.
-            size: Width and height of `rgb` and `depth`, pixels. The field of view, the physics and the end conditions
-                do not depend on it; small frames render faster. They are not downscaled frames of 640 pixels: each
-                pixel samples one ray, and texture filtering depends on the size.
+            size: Width and height of `rgb` and `depth`, pixels. Small frames render faster. They differ from downscaled
+                frames of 640 pixels: each pixel samples one ray, and texture filtering depends on the size.
             renderer: `auto`, `gl` or `tiny`.
             render_mode: `rgb_array` or `None`.
             instruction: `text`, a string of up to 256 characters; `tokens`, (16,) int64 indices of words in
@@ -115,13 +116,11 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self.render_mode = render_mode
         self.specs = specs_for(root, split, specs)
         self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
-        self._actions, self._with_pose, self._size = actions, with_pose, size
-        self._instruction = instruction
+        self._actions, self._with_pose, self._size, self._instruction = actions, with_pose, size, instruction
         self.vocabulary: tuple[str, ...] = words_for(instruction, vocabulary, root)
         """Words by their index in `tokens`; empty for other kinds of instruction."""
         self.rig = None if rig is None else live_rig(rig, self.specs.settings.task.control_hz)
         """Sensors of the robot; `None` for the recorded camera."""
-        self._sensors: RigSensors | None = None
         self.appearance = None if appearance is None else live_appearance(appearance)
         """Appearance of the scenes."""
         self.observation_space = self._make_observation_space(size)
@@ -130,7 +129,6 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._pid = os.getpid()
         self._stage = SceneRenderer(renderer, apart=True)
         self._simulator = Simulator(self._stage, self.specs.settings, self.appearance)
-        self._view: Observation | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[GymObservation, Info]:
         """Starts an episode: a random one, or the one given by `options={"episode": ID}`.

@@ -102,8 +102,8 @@ def css_variables(dark: bool) -> str:
 def with_variables(svg: str) -> str:
     """Replaces the colours of the palette in an SVG by CSS variables, so that it follows the theme of the page."""
 
-    def spell(match: re.Match[str]) -> str:
+    def replace(match: re.Match[str]) -> str:
         name = _BY_LIGHT.get(match.group())
         return f"var(--{name})" if name else match.group()
 
-    return _HEX.sub(spell, svg)
+    return _HEX.sub(replace, svg)

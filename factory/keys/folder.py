@@ -18,9 +18,9 @@ from schemas.protocol.identity import (
     ADMITTED_FILE,
     CA_FILE,
     Role,
+    format_admitted,
     parse_admitted,
     require_host_name,
-    spell_admitted,
     tls_files,
 )
 from schemas.storage.disk import translated
@@ -53,7 +53,7 @@ def create_authority(folder: Path, name: str, days: int, now: datetime) -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _write_secret(folder / _CA_KEY_FILE, made.key)
         _write_open(folder / CA_FILE, made.certificate)
-        _write_open(folder / ADMITTED_FILE, spell_admitted({}).encode())
+        _write_open(folder / ADMITTED_FILE, format_admitted({}).encode())
     return folder
 
 
@@ -153,7 +153,7 @@ def _write_admission_lists(folder: Path, admitted: Mapping[str, Role]) -> tuple[
     lists |= {place: {**admitted, **coordinators} for place, role in roles.items() if role == Role.GATEWAY}
     with translated("write", folder):
         for place, names in lists.items():
-            _write_open(place / ADMITTED_FILE, spell_admitted(names).encode())
+            _write_open(place / ADMITTED_FILE, format_admitted(names).encode())
     return tuple(sorted(place / ADMITTED_FILE for place in lists.keys() - {folder}))
 
 

@@ -121,7 +121,7 @@ def _kind_of(root: Path, manifest_name: str) -> str:
 def _walk(root: Path, kind: str, remarks: list[str]) -> Iterator[PushFile]:
     for folder, folders, names in os.walk(root):
         here = Path(folder)
-        folders[:] = sorted(name for name in folders if _goes_in(here == root, name, kind))
+        folders[:] = sorted(name for name in folders if _is_included(here == root, name, kind))
         for name in sorted(names):
             path = here / name
             relative = path.relative_to(root).as_posix()
@@ -133,7 +133,7 @@ def _walk(root: Path, kind: str, remarks: list[str]) -> Iterator[PushFile]:
             remarks.append(f"{(here / name).relative_to(root).as_posix()} is a link and is not uploaded")
 
 
-def _goes_in(at_top: bool, name: str, kind: str) -> bool:
+def _is_included(at_top: bool, name: str, kind: str) -> bool:
     if name.startswith(".") or name in (QUARANTINE, STAGING):
         return False
     return not at_top or kind == "export" or name in _DATASET_FOLDERS

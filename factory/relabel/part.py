@@ -14,27 +14,32 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from factory.dataset.episode import Episode
 from factory.dataset.packages import ScenePackage
+from factory.dataset.questions import QUESTIONS_SCHEMA, question_rows
 from factory.dataset.reader import Dataset
 from factory.relabel.route import STEPS_SCHEMA, route_row, step_rows
 from schemas.config import CameraConfig
-from schemas.language.compose import Composer, SceneLanguage
+from schemas.language.compose import Composer
 from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.graph import build_graph
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.question.compose import AskedEpisode, QuestionComposer
+from schemas.language.question.model import Question
 from schemas.language.route.compose import RouteComposer
 from schemas.language.route.model import RouteText
 from schemas.language.route.steps import SceneRoutes
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.scene import decode_scene
-from schemas.storage.dataset_files import STEPS_FILE
+from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.disk import replacing
 from schemas.storage.place import Place
-from schemas.terms import Split
+from schemas.terms import Recording, Split
 
 _KEPT_SCENES = 2
-_STREAM, _ROUTE_STREAM = 23, 24
-"""Spawn keys of the random streams of instructions and of routes."""
+_STREAM, _ROUTE_STREAM, _QUESTION_STREAM = 23, 24, 25
+"""Spawn keys of the random streams of instructions, routes and questions."""
 SCHEMA = pa.schema(
     [
         ("episode_id", pa.string()),
@@ -46,6 +51,7 @@ SCHEMA = pa.schema(
         ("is_minimal", pa.bool_()),
         ("fits", pa.int64()),
         ("distractors", pa.int64()),
+        *((name, pa.string()) for name in ("clean", "mistake")),
     ]
 )
 """Columns of `instructions.parquet` (docs/language.md#files)."""
@@ -109,7 +115,7 @@ def make_part(task: PartTask) -> PartResult:
     for name, (rows, schema) in writer.tables.items():
         _write(task.beside(name), rows, schema)
     _write(task.file, writer.rows, SCHEMA)
-    return PartResult(len(task.starts), scene.rejected + writer.routes.rejected)
+    return PartResult(len(task.starts), scene.rejected + writer.routes.rejected + writer.questions.rejected)
 
 
 def _write(file: Path, rows: list[dict[str, Any]], schema: pa.Schema) -> None:
@@ -127,22 +133,32 @@ class PartWriter:
     def __init__(self, task: PartTask) -> None:
         self._task = task
         self._scene, self._composer = prepared_scene(task.package), Composer(task.spec)
-        self.routes = RouteComposer(task.spec)
+        self.routes, self.questions = RouteComposer(task.spec), QuestionComposer(self._composer)
         self._place = SceneRoutes(self._scene, task.camera)
-        self._dataset = None if task.spec.kinds == (TextKind.GOAL,) else Dataset(task.root)
+        needs_poses = TextKind.ROUTE in task.spec.kinds or task.spec.questions
+        self._dataset = Dataset(task.root) if needs_poses else None
         self.rows: list[dict[str, Any]] = []
         """Rows of `instructions.parquet`."""
         self.tables: dict[str, tuple[list[dict[str, Any]], pa.Schema]] = {}
         """Rows and schema of the other tables by file name."""
         if TextKind.ROUTE in task.spec.kinds:
             self.tables[STEPS_FILE] = ([], STEPS_SCHEMA)
+        if task.spec.questions:
+            self.tables[QUESTIONS_FILE] = ([], QUESTIONS_SCHEMA)
 
     def add(self, start: LanguageStart) -> None:
         """Adds the rows of an episode."""
+        if self._dataset is None:
+            self._add(start, None)
+        else:
+            with self._dataset[start.episode_id] as episode:
+                self._add(start, episode)
+
+    def _add(self, start: LanguageStart, episode: Episode | None) -> None:
         kinds, found = self._task.spec.kinds, []
         if TextKind.GOAL in kinds:
             found = instructions_of(start, self._scene, self._composer, self._task.camera)
-        routes = self._routes(start) if TextKind.ROUTE in kinds else []
+        routes = self._routes(start, episode) if episode is not None and TextKind.ROUTE in kinds else []
         number = self._scene.graph.number_of[start.target_id]
         said = [route_row(start.episode_id, start.index, each, self._scene.distractors(number)) for each in routes]
         rows = rows_of(start, found, said)
@@ -152,14 +168,26 @@ class PartWriter:
             if row["kind"] == InstructionKind.ROUTE:
                 self.tables[STEPS_FILE][0].extend(step_rows(row, by_text[row["instruction"]]))
 
-    def _routes(self, start: LanguageStart) -> list[RouteText]:
-        assert self._dataset is not None
-        seed = np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(_ROUTE_STREAM,))
-        with self._dataset[start.episode_id] as episode:
-            poses = episode.poses
+        if episode is not None and self._task.spec.questions:
+            asked = question_rows(start.episode_id, start.index, self._questions(start, episode, found))
+            self.tables[QUESTIONS_FILE][0].extend(asked)
+
+    def _rng(self, start: LanguageStart, stream: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(stream,)))
+
+    def _routes(self, start: LanguageStart, episode: Episode) -> list[RouteText]:
         held_out = Split(start.split).is_paraphrased
         number = self._scene.graph.number_of[start.target_id]
-        return self.routes.write(self._place, poses, number, held_out, np.random.default_rng(seed))
+        return self.routes.write(self._place, episode.poses, number, held_out, self._rng(start, _ROUTE_STREAM))
+
+    def _questions(self, start: LanguageStart, episode: Episode, found: Sequence[Instruction]) -> list[Question]:
+        """Returns the questions about an episode; those about a view are compared with recorded images."""
+        assert self._dataset is not None
+        images = episode if self._dataset.meta.plan.record is Recording.FRAMES else None
+        goals = tuple(each for each in found if each.kind is InstructionKind.GOAL)
+        number, held_out = self._scene.graph.number_of[start.target_id], Split(start.split).is_paraphrased
+        asked = AskedEpisode(episode.poses, number, goals, Split(start.split) is Split.TEST_FALSE_PREMISE, images)
+        return self.questions.write(self._place, asked, held_out, self._rng(start, _QUESTION_STREAM))
 
 
 @functools.lru_cache(maxsize=_KEPT_SCENES)

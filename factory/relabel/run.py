@@ -21,6 +21,7 @@ from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.assemble import assemble
+from factory.relabel.paraphrase import ParaphraseReport
 from factory.relabel.part import LanguageStart, PartTask, make_part, prepared_scene
 from factory.support.task_pool import run_tasks
 from schemas.base import Model, Sha256
@@ -31,10 +32,10 @@ from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.instruction import InstructionKind
 from schemas.language.possible import explain_impossible
 from schemas.language.view import look
-from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, RELABEL_FILE, STEPS_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTIONS_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500
-_PROBES = 12
+_PROBES = 200
 """Number of episodes of each scene that are tried before the work begins."""
 _COLUMNS = (
     *("episode_id", "index", "split", "scene", "scene_sha256", "target_id", "target_category"),
@@ -70,6 +71,8 @@ class RelabelReport(Model):
     """Number of instructions that describe the driven path."""
     false_premises: int = 0
     """Number of instructions that name an object that does not exist."""
+    questions: int = 0
+    """Number of questions with verified answers."""
     recorded: int = 0
     """Number of episodes that keep their recorded instruction."""
     distinct: int = 0
@@ -84,6 +87,8 @@ class RelabelReport(Model):
     """Number of instructions by features; an instruction may have several."""
     rejected: dict[str, int] = Field(default_factory=dict)
     """Number of sentences that the verifier rejected, by reason, in this call."""
+    paraphrases: ParaphraseReport | None = None
+    """Paraphrases that an endpoint was asked for in this call; `None` if it was not asked."""
 
 
 class _Job(NamedTuple):
@@ -162,15 +167,35 @@ def _require_same(out: Path, order: RelabelOrder) -> None:
         if out.exists() and (not out.is_dir() or any(entry.name != WORK_FOLDER for entry in out.iterdir())):
             raise UsageError(f"{out} exists and is not a relabelled dataset: choose another --out")
         return
-    try:
-        found = RelabelOrder.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise WorldError(f"{path} is damaged: delete {out}, or choose another --out") from error
+    found = _read_order(path)
     differing = [name for name in RelabelOrder.model_fields if getattr(found, name) != getattr(order, name)]
     if differing:
         named = {"source_digest": "dataset", "rows_digest": "instructions of the dataset", "spec": "language file"}
         what = ", ".join(named.get(name, name) for name in differing)
         raise UsageError(f"{out} was relabelled with another {what}: delete it, or choose another --out")
+
+
+def _read_order(path: Path) -> RelabelOrder:
+    try:
+        return RelabelOrder.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise WorldError(f"{path} is damaged: delete {path.parent}, or choose another --out") from error
+
+
+def recorded_paraphrases(out: Path, spec: LanguageSpec) -> LanguageSpec | None:
+    """Returns the language file of an interrupted or finished relabelling if it differs in its paraphrases only.
+
+    Args:
+        out: directory of the new dataset; it need not exist.
+        spec: content of the language file without paraphrases of an endpoint.
+
+    Raises:
+        WorldError: `relabel.json` is damaged.
+    """
+    path = out / RELABEL_FILE
+    found = _read_order(path).spec if path.is_file() else None
+    is_same = found is not None and found.model_copy(update={"paraphrases": spec.paraphrases}) == spec
+    return found if is_same else None
 
 
 def _jobs(dataset: Dataset) -> Iterator[_Job]:
@@ -227,11 +252,15 @@ def _part_file(output: Output, number: int) -> Path:
 
 
 def _other_tables(tasks: Sequence[PartTask], spec: LanguageSpec) -> dict[str, pa.Table]:
-    """Returns the table of steps by its file name if the language file has routes."""
-    if TextKind.ROUTE not in spec.kinds:
-        return {}
-    order = [(name, "ascending") for name in ("index", "number", "step")]
-    return {STEPS_FILE: pa.concat_tables([pq.read_table(task.beside(STEPS_FILE)) for task in tasks]).sort_by(order)}
+    """Returns the tables of steps and of questions by their file name, if the language file has them."""
+    keys = {STEPS_FILE: ("index", "number", "step")} if TextKind.ROUTE in spec.kinds else {}
+    keys |= {QUESTIONS_FILE: ("index", "number")} if spec.questions else {}
+    return {
+        name: pa.concat_tables([pq.read_table(task.beside(name)) for task in tasks]).sort_by(
+            [(key, "ascending") for key in order]
+        )
+        for name, order in keys.items()
+    }
 
 
 def _write_parts(tasks: Sequence[PartTask], workers: int, on_progress: Progress, stop: threading.Event) -> Counter[str]:
@@ -257,6 +286,7 @@ def _report(out: Path, episodes: int, table: pa.Table, rejected: Counter[str]) -
         instructions=len(goals),
         routes=sum(row["kind"] == InstructionKind.ROUTE for row in rows),
         false_premises=sum(row["kind"] == InstructionKind.FALSE_PREMISE for row in rows),
+        questions=pq.read_metadata(out / QUESTIONS_FILE).num_rows if (out / QUESTIONS_FILE).is_file() else 0,
         recorded=sum(row["kind"] == InstructionKind.RECORDED for row in rows),
         distinct=len(pc.unique(table["instruction"])),
         patterns=len(pc.unique(table["template_id"])),

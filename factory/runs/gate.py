@@ -152,7 +152,8 @@ class _TrialProcess:
     def __init__(self, pilot: Pilot, bundle: Path, slots: int) -> None:
         self._pilot, self._bundle = pilot, bundle
         self._poll_s = _POLL_S / slots
-        self._simulation = Simulation(pilot.command, _HANG_S / slots)  # each process is polled only once per round
+        limit_s = _HANG_S / slots  # each process is polled only once per round
+        self._simulation = Simulation(pilot.command, limit_s, limit_s)
         self._job: Job | None = None
         self._is_ready = False
         self._starts = 0

@@ -24,6 +24,7 @@ from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
+from factory.runs.ray_engine import RayCluster
 from schemas.dataset.meta import GateOutcome
 from schemas.dataset.run_shard import RunShard
 from schemas.errors import WorldError
@@ -79,6 +80,8 @@ class LocalRun:
     """Shard of the run to generate; `None` for the whole run."""
     take_over: bool = False
     """Whether to take `store` over from another home, whose coordinator must have ended."""
+    cluster: RayCluster | None = None
+    """Cluster that runs the workers; `None` runs them on this machine."""
 
     @property
     def command(self) -> str:
@@ -120,7 +123,8 @@ def run_locally(
     require_room(run.root, settings.reserve_bytes)
     spool = folder_of(run.root / _SPOOL, run.plan.run)
     options = CoordinatorOptions(
-        listen=_LISTEN,
+        listen=_LISTEN if run.cluster is None else run.cluster.listen,
+        guard=None if run.cluster is None else run.cluster.guard,
         ledger_url=run.ledger_url,
         settings=settings,
         gate=run.gate,
@@ -136,7 +140,7 @@ def run_locally(
         tell(progress)
         if progress.finished:
             return progress
-        with _WorkerPool(run, coordinator.endpoints[0]) as pool:
+        with _open_pool(run, coordinator.endpoints[0]) as pool:
             while not (progress.finished or stop.wait(_POLL_S)):
                 progress = coordinator.progress()
                 tell(progress)
@@ -164,6 +168,13 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
         f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release {site} {host.host}` "
         f"and `{run.command}`"
     )
+
+
+def _open_pool(run: LocalRun, endpoint: str) -> _WorkerPool | RayCluster:
+    if run.cluster is None:
+        return _WorkerPool(run, endpoint)
+    run.cluster.open(endpoint)
+    return run.cluster
 
 
 class _WorkerPool(Closing):

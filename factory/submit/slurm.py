@@ -20,7 +20,7 @@ Mode = Literal["shards", "workers"]
 _NOTICE_S = 120
 _HOST = "$(hostname -f)"
 _SCRATCH = "${SLURM_TMPDIR:-${TMPDIR:-/tmp}}/minivla-${USER:-factory}-${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}"
-_TASK = r"""
+RUN_TASK = r"""
 requeue=
 stopped=
 child=
@@ -50,16 +50,20 @@ run_task() {
     if [ -n "${stopped}" ] && [ "${status}" -gt 128 ]; then
         wait "${child}" 2>/dev/null
         status=$?
-        if [ "${status}" -eq 127 ]; then status=${unfinished}; fi
+        # the status was lost, or SIGTERM ended the command before it could drain
+        case "${status}" in 127 | 143) status=${unfinished} ;; esac
     fi
     if [ -n "${requeue}" ] && [ "${status}" -eq "${unfinished}" ]; then
         echo "stopped before the run was finished: requeueing"
         scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
         exit $?
     fi
+    # another task generates the jobs of bundles that were not fetched
+    rm -rf -- "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID:-0}"
     exit "${status}"
 }
 """
+"""Shell functions that stop and requeue a task, also in `deploy/slurm/workers.sh`."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,7 @@ def _script(job: SlurmJob, name: str, command: str, *, cpus: int, array: int | N
         'mkdir -p "${MINIVLA_CACHE}" || exit $?',
         *(_LOCAL_LEDGER if job.has_local_ledgers else ()),
     ]
-    return "\n".join(["#!/bin/bash", *head, "set -u", *setup, _TASK, command, ""])
+    return "\n".join(["#!/bin/bash", *head, "set -u", *setup, RUN_TASK, command, ""])
 
 
 _LOCAL_LEDGER = ('export MINIVLA_LEDGER="sqlite:///${MINIVLA_CACHE}/ledger-${SLURM_ARRAY_TASK_ID:-0}.db"',)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.dataset.antialias import mean_of_blocks, middle_of_blocks
+from factory.dataset.rendering.antialias import mean_of_blocks, middle_of_blocks
 
 PREPROCESS_VERSION = 1
 """Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and policies are not reused."""

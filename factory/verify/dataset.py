@@ -41,7 +41,7 @@ from schemas.storage.dataset_files import (
     is_part,
 )
 from schemas.storage.episode_list import list_episodes
-from schemas.storage.place import Place, at_hand, children, relative_name, table_of
+from schemas.storage.place import Place, children, local_copy, relative_name, table_of
 from schemas.terms import Recording
 
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
@@ -254,7 +254,7 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
             report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not list it")
     for file, (name, sha256) in expected.items():
         try:
-            with at_hand(root / SCENES / file) as package:
+            with local_copy(root / SCENES / file) as package:
                 scene = read_entry(package)
         except FileNotFoundError:
             report.add(Kind.MISSING, f"{SCENES}/{file}", "is missing")

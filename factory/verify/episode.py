@@ -77,7 +77,7 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
             if check.deep:
                 with BundleReader(file) as bundle:
                     violations = validate(bundle, target=check.target)
-                    violations += [] if violations else said_findings(bundle.meta, check.package)
+                    violations += [] if violations else said_findings(bundle, check.package)
                     differences = _differences(row, summary_of(bundle.meta, sha256, size), check.relabelled)
                 found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]

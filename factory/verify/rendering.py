@@ -15,8 +15,8 @@ from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode, Frame
-from factory.dataset.observation import trajectory_of
-from factory.dataset.shared_renderer import shared_renderer
+from factory.dataset.rendering.observation import trajectory_of
+from factory.dataset.rendering.shared_renderer import shared_renderer
 from factory.verify.difference import RenderDifference
 from schemas.encoding.digest import frame_digest
 from schemas.rig import Imu, WheelOdometry

@@ -22,7 +22,7 @@ from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.storage.dataset_files import SCENES
-from schemas.storage.place import Place, at_hand
+from schemas.storage.place import Place, local_copy
 
 MessageCallback = Callable[[str], None]
 
@@ -124,7 +124,7 @@ def _catalog(record: _Record, root: Place, cache: Path, tell: MessageCallback) -
 
 def _kept(path: Place, sha256: str) -> SceneEntry | str:
     try:
-        with at_hand(path) as package:
+        with local_copy(path) as package:
             entry = read_entry(package)
     except FileNotFoundError:
         return f"{path.name} is missing"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.observation import observe, observe_camera
+from factory.dataset.rendering.observation import observe, observe_camera
 from factory.visualize.panels import show_depth, show_ids
 from factory.visualize.rig_tiles import show_flow, show_normals, show_scan
 from schemas.rig import Camera, CameraOutput, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry

@@ -1,4 +1,4 @@
-"""Decides who may read and who may change: token, session cookie and form key. Pure; knows no web framework."""
+"""Decides who may read and who may change: token, session cookie and form key. Pure; imports no web framework."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class DrawnStatistics:
     images: dict[str, str]
     """SVG by name of the drawing."""
     trouble: str = ""
-    """Why there are no figures; empty if there are."""
+    """Reason why the figures cannot be drawn; empty if they are drawn."""
 
 
 class StatisticsStore:

@@ -47,7 +47,7 @@ class WebServer(Closing):
         """URL of the server."""
         config = uvicorn.Config(
             app,
-            http=_PatientProtocol,
+            http=_DeadlineProtocol,
             ws="none",
             lifespan="off",
             loop="asyncio",
@@ -72,7 +72,7 @@ class WebServer(Closing):
         self._listening.close()
 
 
-class _PatientProtocol(H11Protocol):
+class _DeadlineProtocol(H11Protocol):
     """HTTP protocol with deadlines for receiving a request and for a client that stops reading."""
 
     _receiving: asyncio.TimerHandle | None = None

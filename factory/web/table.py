@@ -1,4 +1,4 @@
-"""Selects and sorts the episodes of a dataset by columns, without reading rows. Knows no web framework."""
+"""Selects and sorts the episodes of a dataset by columns, without reading rows. Imports no web framework."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ Also collects the versions of the installed software. Does not read episodes.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Sequence
 from datetime import datetime
@@ -50,7 +51,7 @@ class GateOutcome(Model):
 
 
 class Relabelling(Model):
-    """How the instructions of a dataset were written anew (docs/language.md)."""
+    """Source of the new instructions of a relabelled dataset (docs/language.md)."""
 
     spec: str
     """Language file, as JSON with all defaults."""
@@ -109,7 +110,7 @@ class DatasetMeta(Model):
     refused_seeds: dict[str, tuple[str, ...]] = Field(default={}, exclude_if=lambda seeds: not seeds)
     """Reasons why earlier seeds of a layout were not used, by layout; omitted if there are none."""
     relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)
-    """How the instructions were written anew; omitted for a dataset with its recorded instructions."""
+    """Source of the new instructions; omitted for a dataset with its recorded instructions."""
 
 
 def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
@@ -172,13 +173,16 @@ def _refuse_newer(path: Place, text: str) -> None:
 
 def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
     """Returns the versions of the installed packages among those given."""
-    found: dict[str, str] = {}
-    for name in packages:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
+    found = ((name, _version(name)) for name in packages)
+    return {name: version for name, version in found if version is not None}
+
+
+@functools.cache
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def git_commit(checkout: Path) -> str | None:

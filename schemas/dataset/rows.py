@@ -119,7 +119,7 @@ class EpisodeSummary(Model):
     attempt: Ordinal
     """Number of the attempt that succeeded."""
     end_reason: EndReason
-    """Why the rollout ended."""
+    """Reason for the end of the rollout."""
     final_ne_3d_m: NonNegative
     """Navigation error at the end with the height of the centroid, metres."""
     min_ne_m: NonNegative

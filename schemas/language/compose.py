@@ -6,18 +6,16 @@ Opens no file; chance is an argument.
 from __future__ import annotations
 
 import functools
-from bisect import bisect_right
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import accumulate
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
+from schemas.language.draw import draw_index, draw_weighted
 from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
 from schemas.language.file import LanguageSpec, SpokenLanguage
-from schemas.language.generator.facts import SceneFacts, ViewFacts
+from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import (
     indefinite_expressions,
     minimal_expressions,
@@ -25,41 +23,19 @@ from schemas.language.generator.minimal import (
 )
 from schemas.language.generator.search import Search
 from schemas.language.grammar import SentencePattern
-from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.graph import UNKNOWN
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.mistakes import MistakeKind, with_mistake
 from schemas.language.reading import Reader
-from schemas.language.verifier.verify import Verifier
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
-Option = TypeVar("Option", bound=str)
 _TRIES = 8
 _FEW = 4
 """Number of features of a short search."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
 _SYNONYMS = 6
-
-
-@dataclass
-class SceneLanguage:
-    """Prepared scene: facts for the generator, and the verifier.
-
-    Args:
-        graph: scene graph.
-    """
-
-    graph: SceneGraph
-    rejected: Counter[str] = field(default_factory=Counter)
-    """Number of sentences that the verifier rejected, by reason."""
-
-    def __post_init__(self) -> None:
-        self.facts = SceneFacts(self.graph)
-        self.verifier = Verifier(self.graph)
-        self._of_kind = Counter(each.kind for each in self.graph.objects)
-
-    def distractors(self, number: int) -> int:
-        """Returns the number of other objects of an object's kind."""
-        return self._of_kind[self.graph.objects[number].kind] - 1
 
 
 class _Options(NamedTuple):
@@ -181,14 +157,14 @@ class Composer:
             return None
         kind = scene.graph.objects[number].kind
         names = sorted(groups, key=sorted)
-        weights = [_mean([self.spec.features.get(each, 1.0) for each in group]) for group in names]
-        group = groups[names[_index(weights, rng)]]
+        weights = [_mean_weight(self.spec, group) for group in names]
+        group = groups[names[draw_index(weights, rng)]]
         expression, is_minimal = group[int(rng.integers(len(group)))], True
         if self.spec.redundant and rng.random() < self.spec.redundant:
             longer = redundant_expressions(options.search, expression)
             if longer:
                 expression, is_minimal = longer[int(rng.integers(len(longer)))], False
-        pattern, text = self._say(code, held_out, expression, rng)
+        pattern, text = self.say(code, held_out, expression, rng)
         fault = scene.verifier.check(text, self._by_language[code].reader, view, number)
         if fault:
             scene.rejected[fault] += 1
@@ -196,13 +172,20 @@ class Composer:
         fits = 1 if expression.definite else len(scene.verifier.evaluate(expression, view).possible)
         return self._instruction(
             InstructionKind.GOAL, text, code, pattern, expression, features_of(expression, kind), is_minimal, fits,
-            scene.distractors(number),
+            scene.distractors(number), rng,
         )  # fmt: skip
 
-    def _say(
+    def say(
         self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator
     ) -> tuple[SentencePattern, str]:
-        """Draws a pattern and words, and returns the pattern and the sentence."""
+        """Draws a pattern and words, and returns the pattern and the sentence.
+
+        Args:
+            code: code of the language.
+            held_out: whether to use the held-out sentence patterns.
+            expression: meaning of the referring expression.
+            rng: random generator.
+        """
         registers = self._patterns[code, held_out]
         shares = {name: self.spec.registers[name] for name in registers}
         patterns = registers[draw_weighted(shares, rng)]
@@ -212,7 +195,13 @@ class Composer:
         return pattern, self._by_language[code].grammar.sentence(pattern, expression, choice)
 
     def write_false_premise(
-        self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
+        self,
+        scene: SceneLanguage,
+        view: SceneView | None,
+        number: int,
+        held_out: bool,
+        rng: np.random.Generator,
+        code: str | None = None,
     ) -> Instruction | None:
         """Returns an instruction that no object of the scene fits; `None` if none is found.
 
@@ -224,17 +213,18 @@ class Composer:
             number: number of the object in the scene graph that gets a wrong colour or landmark.
             held_out: whether to use the held-out sentence patterns.
             rng: random generator.
+            code: code of the language; drawn by default.
         """
-        code = draw_weighted(self.spec.languages, rng)
+        code = code or draw_weighted(self.spec.languages, rng)
         groups = [group for group in self._absent(scene, number, code) if group]
         for _ in range(_TRIES):
             group = groups[int(rng.integers(len(groups)))]
             absent = group[int(rng.integers(len(group)))]
-            pattern, text = self._say(code, held_out, absent, rng)
+            pattern, text = self.say(code, held_out, absent, rng)
             if scene.verifier.is_false_premise(text, self._by_language[code].reader, view):
                 return self._instruction(
                     InstructionKind.FALSE_PREMISE, text, code, pattern, absent, absent.families, True, 0,
-                    scene.distractors(number),
+                    scene.distractors(number), rng,
                 )  # fmt: skip
         return None
 
@@ -252,6 +242,15 @@ class Composer:
             [Expression(kind=own.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
         ]
 
+    def _mistake(self, rng: np.random.Generator) -> MistakeKind | None:
+        """Draws the kind of error of a sentence; `None` for most, or if the language file has none."""
+        draw = rng.random() if self.spec.mistakes else 1.0
+        for kind, share in self.spec.mistakes.items():
+            if draw < share:
+                return kind
+            draw -= share
+        return None
+
     def _instruction(
         self,
         kind: InstructionKind,
@@ -263,10 +262,15 @@ class Composer:
         is_minimal: bool,
         fits: int,
         distractors: int,
+        rng: np.random.Generator,
     ) -> Instruction:
+        mistake = self._mistake(rng)
+        wrong = mistake and with_mistake(text, mistake, code, self._by_language[code].reader.vocabulary, rng)
         return Instruction(
             kind=kind,
-            text=text,
+            text=wrong or text,
+            clean=text if wrong else None,
+            mistake=mistake if wrong else None,
             language=code,
             register_name=pattern.register,
             template_id=pattern.template_id,
@@ -294,18 +298,6 @@ def features_of(expression: Expression, kind: str) -> frozenset[Family]:
     return expression.families | ({Family.SUPERCLASS} if expression.kind != kind else frozenset())
 
 
-def _mean(values: Sequence[float]) -> float:
+def _mean_weight(spec: LanguageSpec, group: frozenset[Family]) -> float:
+    values = [spec.features.get(each, 1.0) for each in group]
     return sum(values) / len(values) if values else 1.0
-
-
-def _index(weights: Sequence[float], rng: np.random.Generator) -> int:
-    if len(weights) == 1:
-        return 0
-    edges = list(accumulate(weights))
-    return min(bisect_right(edges, rng.random() * edges[-1]), len(weights) - 1)
-
-
-def draw_weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
-    """Returns a name drawn by its share."""
-    names = list(shares)
-    return names[_index([shares[name] for name in names], rng)]

@@ -17,6 +17,8 @@ from schemas.base import Count, Fraction, Line, Model, Name, NonNegative
 from schemas.errors import InvalidLanguage, UsageError
 from schemas.language.expression import Family
 from schemas.language.grammar import LANGUAGES, REGISTERS, Grammar, grammar
+from schemas.language.mistakes import MistakeKind
+from schemas.language.paraphrase import pattern_fault
 from schemas.language.reading import Reader, reader
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
@@ -38,6 +40,15 @@ Words = Annotated[tuple[Line, ...], Field(max_length=64)]
 """Nouns of a kind."""
 Nouns = Annotated[dict[Name, Words], Field(max_length=1000)]
 """Nouns by kind."""
+
+
+Paraphrases = Annotated[
+    dict[Name, Annotated[dict[Name, Annotated[tuple[Line, ...], Field(max_length=256)]], Field(max_length=8)]],
+    Field(max_length=8),
+]
+"""Sentence patterns by language and register."""
+Mistakes = Annotated[dict[MistakeKind, Fraction], Field(max_length=len(MistakeKind))]
+"""Share of sentences by kind of error."""
 
 
 class TextKind(StrEnum):
@@ -62,6 +73,8 @@ class LanguageSpec(Model):
     """Number of instructions for each episode."""
     redundant: Fraction = 0.0
     """Share of expressions with one more part than they need."""
+    mistakes: Mistakes = Field(default_factory=dict, exclude_if=lambda it: not it)
+    """Share of sentences with a typing or a speech error; omitted if none has one."""
     fit: Literal["one", "any"] = "one"
     """`one`: an instruction fits the target only. `any`: it says "a" and fits several objects with the target."""
     same_category: Count = 0
@@ -71,10 +84,14 @@ class LanguageSpec(Model):
     balanced: bool = False
     """Whether starts in a plan are drawn until the target is as often the nearest and the most central object of its
     category in view as a random one; needs `in_view`."""
+    questions: bool = Field(default=False, exclude_if=lambda it: not it)
+    """Whether each episode gets questions with computed answers; omitted if not."""
     false_premises: Fraction = 0.0
     """Share of episodes with one more instruction, which names an object that does not exist."""
     seed: Count = 0
     """Random seed."""
+    paraphrases: Paraphrases = Field(default_factory=dict, exclude_if=lambda it: not it)
+    """Further sentence patterns by language and register, each with one slot `{np}`; omitted if there are none."""
     nouns: Annotated[dict[Name, Nouns], Field(max_length=64)] = Field(default_factory=dict)
     """Nouns of further kinds by language; in German and Spanish `noun:gender`, in Chinese `noun:measure word`."""
 
@@ -94,6 +111,18 @@ class LanguageSpec(Model):
         _known(given, tuple(Family), "feature", least=False)
         return given
 
+    @field_validator("paraphrases")
+    @classmethod
+    def _paraphrases_are_patterns(cls, given: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Mapping[str, object]:
+        _known(dict.fromkeys(given, 1.0), LANGUAGES, "language", least=False)
+        for code, group in given.items():
+            _known(dict.fromkeys(group, 1.0), REGISTERS, "register", least=False)
+            for text in (text for own in group.values() for text in own):
+                fault = pattern_fault(code, text)
+                if fault:
+                    raise ValueError(f"{text!r} is not a sentence pattern: {fault}")
+        return given
+
     @field_validator("nouns")
     @classmethod
     def _nouns_are_words(cls, given: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Mapping[str, object]:
@@ -107,6 +136,8 @@ class LanguageSpec(Model):
     def _is_possible(self) -> LanguageSpec:
         if self.balanced and not self.in_view:
             raise ValueError("`balanced` compares objects in view: set `in_view` to 1 or more")
+        if sum(self.mistakes.values()) > 1:
+            raise ValueError("the shares of `mistakes` add up to more than 1")
         if self.fit == "any" and self.redundant:
             raise ValueError("`redundant` is for instructions that fit one object; set it to 0 or fit to 'one'")
         return self
@@ -161,11 +192,12 @@ class SpokenLanguage:
     """
 
     def __init__(self, spec: LanguageSpec, code: str) -> None:
-        own = spec.nouns.get(code, {})
+        own, more = spec.nouns.get(code, {}), spec.paraphrases.get(code, {})
         base = grammar(code)
         self.code = code
-        self.grammar = base.model_copy(update={"nouns": {**base.nouns, **own}}) if own else base
-        self.reader = Reader(self.grammar) if own else reader(code)
+        changes = {"nouns": {**base.nouns, **own}, "paraphrases": more}
+        self.grammar = base.model_copy(update=changes) if own or more else base
+        self.reader = Reader(self.grammar) if own or more else reader(code)
 
 
 def load_language(reference: str) -> LanguageSpec:

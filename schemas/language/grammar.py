@@ -9,7 +9,7 @@ import itertools
 import re
 import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -99,6 +99,12 @@ class Grammar(Model):
     """Nouns by kind, in languages with genders or measure words as `noun:gender`."""
     patterns: dict[Name, Patterns]
     """Sentence patterns by register."""
+    negations: tuple[str, ...]
+    """Words that no paraphrased pattern has."""
+    actions: tuple[str, ...]
+    """Words of which a paraphrased pattern has at least one."""
+    paraphrases: dict[Name, tuple[str, ...]] = Field(default_factory=dict)
+    """Paraphrased patterns by register, of a language file."""
 
     @cached_property
     def sentences(self) -> tuple[SentencePattern, ...]:
@@ -115,7 +121,15 @@ class Grammar(Model):
                 name = f"{self.code}_{register}_{number:03d}"
                 case = slot[2] or "nom"
                 found.append(SentencePattern(name, register, held_out, text[: slot.start()], case, text[slot.end() :]))
-        return tuple(found)
+        return (*found, *self._paraphrased())
+
+    def _paraphrased(self) -> Iterator[SentencePattern]:
+        for register, texts in self.paraphrases.items():
+            for number, text in enumerate(texts, 1):
+                slot = SLOT.search(text)
+                assert slot is not None, f"{text!r} has no slot"
+                name = f"{self.code}_paraphrase_{register}_{number:03d}"
+                yield SentencePattern(name, register, False, text[: slot.start()], slot[2] or "nom", text[slot.end() :])
 
     def names(self, kind: str) -> bool:
         """Returns whether the language has a noun for a kind."""

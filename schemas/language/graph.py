@@ -49,6 +49,8 @@ class SceneObject:
     """Smallest distance within which two perpendicular walls are, metres."""
     base_m: float
     """Height of its lower side above the floor, metres."""
+    looks: str | None = None
+    """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class SceneGraph:
         """Returns the room at a point, or 0."""
         return int(self.room_grid.at(np.array((x, y))))
 
-    def the_room(self, kind: str) -> int:
+    def unique_room(self, kind: str) -> int:
         """Returns the only room of a type; 0 if there is none or several."""
         found = [room.label for room, own in zip(self.rooms, self.types, strict=True) if own == kind]
         return found[0] if len(found) == 1 else 0
@@ -111,6 +113,7 @@ class _Raw:
     high: Floats
     outline: Floats
     target_id: str | None
+    looks: str | None = None
 
 
 def build_graph(scene: CompiledScene) -> SceneGraph:
@@ -137,6 +140,7 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
             wall_gap_m=float(gaps[number]),
             corner_gap_m=float(corners[number]),
             base_m=float(each.low[2]) - info.floor_height_m,
+            looks=each.looks,
         )
         for number, each in enumerate(raw)
     )
@@ -175,7 +179,9 @@ def _objects(scene: CompiledScene, table: Kinds) -> list[_Raw]:
             centre, half = np.array(target.centroid_m), np.array(target.size_m) / 2
             low, high = centre - half, centre + half
             outline = np.array(target.footprint_m) if target.footprint_m else _rectangle(low, high)
-            found.append(_Raw((instance.id,), target.category, target.colour, low, high, outline, target.target_id))
+            looks = _looks(table, target.category, instance.prim_path)
+            own = (target.category, target.colour, low, high, outline, target.target_id, looks)
+            found.append(_Raw((instance.id,), *own))
         elif instance.id not in boxes:
             continue
         elif instance.category is not None:
@@ -191,6 +197,12 @@ def _objects(scene: CompiledScene, table: Kinds) -> list[_Raw]:
         high = np.max([boxes[number][1] for number in ids], axis=0)
         found.append(_Raw(tuple(ids), kind, UNKNOWN, low, high, _rectangle(low, high), None))
     return found
+
+
+def _looks(table: Kinds, category: str, prim_path: str) -> str | None:
+    """Returns the kind that a prim names if it is another one that looks like the category, such as a stool."""
+    named = table.landmark_of(prim_path.split("/"))
+    return named[0] if named is not None and named[0] in table.borderline_of(category) else None
 
 
 def _boxes(scene: CompiledScene) -> dict[int, tuple[Floats, Floats]]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from pydantic import Field
+
 from schemas.base import Count, Line, Model, Name, Text
+from schemas.language.mistakes import MistakeKind
 
 
 class InstructionKind(StrEnum):
@@ -23,6 +26,10 @@ class Instruction(Model):
     """Purpose."""
     text: Line
     """Sentence."""
+    clean: Line | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Sentence without its typing or speech error; `None` and omitted if it has none."""
+    mistake: MistakeKind | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Kind of the error; `None` and omitted if it has none."""
     language: Name
     """Code of the language."""
     register_name: Name
@@ -41,3 +48,8 @@ class Instruction(Model):
     """Number of objects of the scene that the expression fits."""
     distractors: Count
     """Number of other objects of the target's category in the scene."""
+
+    @property
+    def meant(self) -> str:
+        """Sentence without its error."""
+        return self.text if self.clean is None else self.clean

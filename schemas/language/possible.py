@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from schemas.language.compose import Composer, SceneLanguage, composer_of
+from schemas.language.compose import Composer, composer_of
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import SceneView
 
 Probe = tuple[int, SceneView]

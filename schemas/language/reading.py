@@ -9,7 +9,7 @@ import re
 import unicodedata
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
+from functools import cache, cached_property
 from typing import NamedTuple
 
 from pydantic import ValidationError
@@ -18,6 +18,7 @@ from schemas.language.expression import Clause, Expression, Landmark, Ordinal, R
 from schemas.language.grammar import SLOT, Grammar, SentencePattern, grammar
 
 _SPACE = re.compile(r"\s+")
+_WORD = re.compile(r"[^\W\d_]+")
 _GENDERED = re.compile(r"<([^<>]*)>")
 
 
@@ -71,6 +72,14 @@ class Reader:
         self._groups = self._tables(source)
         self._relations = list(self._clause_patterns(source))
         self._opener, self._joiner = self.normal(source.opener).strip(), self.normal(source.joiner).strip()
+
+    @cached_property
+    def vocabulary(self) -> frozenset[str]:
+        """Words of the grammar in lower case, in all forms."""
+        tables = [word for table in self._groups.values() for word in table.meanings]
+        relations = [part for _, parts in self._relations for part in parts]
+        patterns = [text for before, ends in self._patterns.items() for text in (before, *(end for end, _ in ends))]
+        return frozenset(_WORD.findall(" ".join([*tables, *relations, *patterns])))
 
     def normal(self, text: str) -> str:
         """Returns a text in lower case, composed (NFC), with single spaces and without contractions."""

@@ -36,6 +36,9 @@ BETWEEN_SPAN_M = Band(5.0, 7.0)
 """Distance of the landmarks for `between`, metres; ours."""
 LEVEL_M = 1.0
 """Difference in height of the lower sides from which horizontal relations do not hold, metres; ours."""
+SAME_BASE_M = 0.5
+"""Difference in height of the lower sides from which heights are not compared, and objects are not surely in front of
+or behind each other, metres; ours."""
 TOUCH_M = Band(0.15, 0.3)
 """Vertical gap for `on`, and gap to the wall for `on_wall`, metres; 0.15 is `max_touch_distance` of Sr3D."""
 OVERLAP = Band(0.5, 0.1)

@@ -89,7 +89,9 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
     return found
 
 
-def spell_admitted(admitted: Mapping[str, Role]) -> str:
+def format_admitted(admitted: Mapping[str, Role]) -> str:
     """Returns the content of `hosts.txt` for the admitted hosts."""
     lines = [f"{name} {role}" for name, role in sorted(admitted.items())]
-    return "\n".join(["# Who may connect; a host whose line is removed is out within seconds.", *lines, ""])
+    return "\n".join(
+        ["# Hosts that may connect. A host whose line is removed is disconnected within seconds.", *lines, ""]
+    )

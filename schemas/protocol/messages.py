@@ -99,6 +99,8 @@ class HelloReply(Model):
     """Time after which a lease without heartbeat expires, seconds."""
     trade: RunKind = RunKind.COLLECTION
     """Type of the jobs of the run."""
+    validates: bool = False
+    """Whether the worker shall validate its bundles before it announces them."""
 
 
 class Claim(Model):
@@ -212,6 +214,8 @@ class Done(Model):
     """Size of the bundle, bytes."""
     via: RouterId | None = None
     """Zenoh id of the router that the worker is connected to, as in `Beat`."""
+    is_validated: bool = False
+    """Whether the worker has validated the bundle."""
 
 
 class Fail(Model):

@@ -74,7 +74,7 @@ def digest_of(place: FilePlace) -> str:
 
 
 @contextlib.contextmanager
-def at_hand(place: FilePlace) -> Iterator[Path]:
+def local_copy(place: FilePlace) -> Iterator[Path]:
     """Yields the local path of a file: the file itself, or a temporary copy of an object or a packed file.
 
     Raises:
@@ -104,7 +104,7 @@ def opened(place: FilePlace) -> Iterator[BufferedReader | BytesIO]:
     if isinstance(place, PackedPath):
         yield place.open("rb")
         return
-    with at_hand(place) as local, local.open("rb") as file:
+    with local_copy(place) as local, local.open("rb") as file:
         yield file
 
 

@@ -49,6 +49,7 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "psycopg": "postgres",
         "cryptography": "tls",
         "obstore": "object-storage",
+        "ray": "ray",
     }
 )
 """Smallest extra that contains a package, by top-level module."""

@@ -1,32 +1,17 @@
-"""A shared dataset for the acceptance tests, and the command line."""
+"""Shared datasets for the acceptance tests."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from schemas.terms import Recording
-from tests.acceptance.factory_cli import TINY_PLAN, FactoryCli, start_server
+from tests.acceptance.factory_cli import TINY_PLAN, FactoryCli
 from tests.builders.driven import driven_recordings
 from tests.builders.evaluation import archive_drives
-from tests.builders.fork_server import ForkServer
 from tests.builders.shared import build_once
-
-
-@pytest.fixture(scope="session")
-def server() -> Iterator[ForkServer]:
-    with start_server() as started:
-        yield started
-
-
-@pytest.fixture(scope="session")
-def factory(server: ForkServer, tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
-    cli = FactoryCli(server, tmp_path_factory.mktemp("empty-home"), cache)
-    yield cli
-    cli.end()
 
 
 @pytest.fixture(scope="session")
@@ -45,6 +30,13 @@ def plan(factory: FactoryCli, shared: Path) -> Path:
 def reference(factory: FactoryCli, plan: Path, shared: Path) -> Path:
     """A dataset of one undisturbed worker, shared by all processes; tests only read it."""
     return build_once(shared / "reference", lambda root: factory.fresh("run", plan, "--out", root, "--workers", 1))
+
+
+@pytest.fixture(scope="session")
+def states(factory: FactoryCli, plan: Path, shared: Path) -> Path:
+    """The states recording of the plan of `reference`; tests only read it."""
+    words = ("--record", "states", "--workers", 1)
+    return build_once(shared / "reference-states", lambda root: factory("run", plan, "--out", root, *words))
 
 
 @pytest.fixture

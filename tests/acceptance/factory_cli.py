@@ -1,6 +1,6 @@
 """Runs the installed `factory` in separate processes with an empty home.
 
-`fresh` starts a new interpreter, for runs of reference datasets and the README's example. `start`, `run` and a call
+`fresh` starts a new interpreter, for the run of the reference dataset. `start`, `run` and a call
 fork a process that has imported the commands, which saves the seconds that an interpreter needs to import them.
 """
 
@@ -50,8 +50,9 @@ IMPORTED = (
     *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # which sets variables
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
+    "tests.builders.room_coordinator",
 )
-"""Modules that the commands import."""
+"""Modules that the commands import, and the coordinator of kill tests."""
 _HANGS_S = 800.0
 """Time after which a command counts as hung, seconds; it is killed."""
 

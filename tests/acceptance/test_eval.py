@@ -19,7 +19,7 @@ def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFact
     folder = tmp_path_factory.mktemp("eval") / "out"
     specs = folder.parent / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
-    shorten(specs, 150)
+    shorten(specs, 50)
     words = ("eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", folder)
     found = factory(*words, "--videos", "1", "--workers", 2)
     assert "replay" in found.stdout

@@ -22,7 +22,7 @@ def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFa
     path = tmp_path_factory.mktemp("specs") / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "-o", path)
     data = json.loads(path.read_text())
-    data["settings"]["task"]["max_steps"] = 60
+    data["settings"]["task"]["max_steps"] = 20
     path.write_text(json.dumps(data))
     return path
 

@@ -35,7 +35,7 @@ def test_the_sixty_second_example_runs(
     lines = list(factory_lines(section))
     assert [words[0] for words in lines] == ["run", "status", "verify", "show", "replay"]
     for words in lines:
-        factory.fresh(*words)
+        factory(*words)
     assert (tmp_path / "episode.png").stat().st_size > 0
     (code,) = blocks(section, "python")
     done = subprocess.run(

@@ -16,16 +16,9 @@ pytestmark = pytest.mark.gl
 
 
 @pytest.fixture(scope="session")
-def states(factory: FactoryCli, plan: Path, shared: Path) -> Path:
-    """The states recording of the plan of `reference`; tests only read it."""
-    words = ("--record", "states", "--workers", 1)
-    return build_once(shared / "reference-states", lambda root: factory.fresh("run", plan, "--out", root, *words))
-
-
-@pytest.fixture(scope="session")
 def rendered(factory: FactoryCli, states: Path, shared: Path) -> Path:
     """The rendered states; tests only read it."""
-    return build_once(shared / "reference-rendered", lambda root: factory.fresh("render", states, "-o", root))
+    return build_once(shared / "reference-rendered", lambda root: factory("render", states, "-o", root))
 
 
 def unexpected(found: list[Difference]) -> list[Difference]:

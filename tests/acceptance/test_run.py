@@ -72,15 +72,15 @@ def test_an_interrupted_run_resumes_and_repeats_no_episode(factory, plan, refere
     assert digest_of(factory, root) == digest_of(factory, reference)
 
 
-def test_a_killed_run_ends_its_workers_and_can_be_resumed(factory, plan, reference, tmp_path):
+def test_a_killed_run_ends_its_workers_and_can_be_resumed(factory, plan, states, tmp_path):
     root = tmp_path / "killed"
-    running = factory.start("run", plan, "--out", root, "--workers", 2)
+    running = factory.start("run", plan, "--record", "states", "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
     running.kill()
     running.wait(60)
     wait_for(lambda: not processes_that_name(root), 60)
-    factory("run", plan, "--out", root, "--workers", 2)
-    assert digest_of(factory, root) == digest_of(factory, reference)
+    factory("run", plan, "--record", "states", "--out", root, "--workers", 2)
+    assert digest_of(factory, root) == digest_of(factory, states)
 
 
 def test_deep_verification_of_an_undisturbed_dataset_finds_nothing(factory, reference):

@@ -20,7 +20,7 @@ from schemas.appearance.light_groups import decode_light_groups
 from schemas.config import CameraConfig
 from schemas.scene import decode_scene
 from schemas.storage.place import digest_of
-from workers.appearance import AppearanceScene, ShiftedRenderer, draw_appearance, dress_scene
+from workers.appearance import AppearanceScene, ShiftedRenderer, apply_appearance, draw_appearance
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.choose import open_renderer
@@ -63,7 +63,7 @@ def _row(renderer: Renderer, place: AppearanceScene, pose: Pose, name: str) -> N
     images = [renderer.render(pose).rgb]
     for episode in _EPISODES:
         drawn = draw_appearance(load_appearance(name), 7, episode, place, place.scene.info.targets[0], poses)
-        renderer.load(dress_scene(place.scene, place.light, drawn), camera)
+        renderer.load(apply_appearance(place.scene, place.light, drawn), camera)
         seen = renderer if drawn.camera is None else ShiftedRenderer(renderer, camera, drawn.camera, _SIZE)
         images.append(seen.render(pose).rgb)
     small = [np.asarray(Image.fromarray(image).resize((_SHOWN, _SHOWN), Image.Resampling.LANCZOS)) for image in images]

@@ -17,13 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from factory.scenes import build_scene
-from schemas.language.compose import Composer, SceneLanguage
+from schemas.language.compose import Composer
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
 from schemas.language.reading import reader
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.scene import CompiledScene, decode_scene
 from tests.builders.language import CAMERA, changed, is_false_or_ambiguous, search_of

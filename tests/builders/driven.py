@@ -14,7 +14,7 @@ from coordinator.expansion.catalog import Catalog, read_entry
 from coordinator.expansion.draw import PlannedJob, expand, to_job
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
-from schemas.config import TaskConfig
+from schemas.config import RobotConfig, TaskConfig
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import encode_scene
@@ -26,16 +26,19 @@ from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
 SCENE = "box_room"
+CONTROL_HZ = 30
+"""Frames per second of the drives: half of the usual ones, so that fewer are rendered."""
 
 
 def driven_plan(record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:
-    """Returns a plan of near episodes with short drives."""
+    """Returns a plan of near episodes with short drives in the usual physics steps."""
     return Plan(
         name="driven",
         scenes=(ScenePlan(name=SCENE, episodes=episodes, usd="room.usda", seen=("crate", "barrel")),),
         tiers={Tier.NEAR: 1.0},
         splits={Split.TRAIN_ID: 1.0},
-        task=TaskConfig(success_radius_m=1.4),
+        task=TaskConfig(control_hz=CONTROL_HZ, success_radius_m=1.4),
+        robot=RobotConfig(physics_substeps=8),
         expert=expert,
         record=record,
     )

@@ -65,7 +65,7 @@ class FakeCoordinator:
         self.ended: dict[int, Fail] = {}
         """Jobs that will not be given out again."""
         self.swallow: Counter[Verb] = Counter()
-        """How many further replies to a verb are lost on the way."""
+        """Number of further replies that are lost, by verb."""
         self.pulls = True
         self.drains = False
         self.refuses = ""

@@ -6,11 +6,11 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
 from schemas.config import CameraConfig
-from schemas.language.compose import SceneLanguage
 from schemas.language.expression import (
     FROM_VIEW,
     OF_VIEWER,
@@ -28,6 +28,7 @@ from schemas.language.generator.minimal import selector_of
 from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import SceneView, look
 from schemas.scene import CompiledScene, Instance
 from tests.builders.scene import Box, build_scene, room_walls
@@ -90,6 +91,22 @@ def _with_words(scene: CompiledScene, lamp_id: int) -> CompiledScene:
         for each in scene.info.instances
     )
     return dataclasses.replace(scene, info=scene.info.model_copy(update={"targets": targets, "instances": instances}))
+
+
+def driven(*corners: tuple[float, float], step_m: float = 0.025, step_rad: float = 0.05) -> np.ndarray:
+    """Returns the (T, 7) poses of a robot that drives straight between corners, and turns in place at each."""
+    poses: list[tuple[float, float, float]] = []
+    yaw = math.atan2(corners[1][1] - corners[0][1], corners[1][0] - corners[0][0])
+    for start, end in pairwise(corners):
+        wanted = math.atan2(end[1] - start[1], end[0] - start[0])
+        turn = math.remainder(wanted - yaw, math.tau)
+        poses += [(*start, yaw + turn * share) for share in np.linspace(0, 1, 1 + math.ceil(abs(turn) / step_rad))]
+        count = math.ceil(math.dist(start, end) / step_m)
+        poses += [(*(np.array(start) + (np.array(end) - start) * k / count), wanted) for k in range(1, count + 1)]
+        yaw = wanted
+    x, y, headings = np.array(poses).T
+    zero = np.zeros(len(x))
+    return np.column_stack((x, y, zero, np.cos(headings / 2), zero, zero, np.sin(headings / 2)))
 
 
 @functools.cache
@@ -220,7 +237,7 @@ def masks_of(clause: Clause, search: Search) -> Masks | None:
         return view.ego[clause.relation]
     if clause.relation in (Relation.THIS_ROOM, Relation.IN_ROOM):
         assert view is not None
-        return facts.in_room(view.view.room if clause.room is None else graph.the_room(clause.room))
+        return facts.in_room(view.view.room if clause.room is None else graph.unique_room(clause.room))
     if clause.relation is Relation.SAME_ROOM:
         return facts.in_room(graph.objects[int(np.flatnonzero(fitting[0].possible)[0])].room)
     if clause.relation is Relation.BETWEEN:

@@ -56,10 +56,10 @@ class Hangs(_Quiet):
 
 
 class Slow(_Quiet):
-    """Does not move and takes three seconds for 60 steps."""
+    """Does not move and takes three seconds for 20 steps."""
 
     def act(self, observation: dict[str, Any]) -> Any:
-        time.sleep(0.05)
+        time.sleep(0.15)
         return 0.0, 0.0
 
 
@@ -96,13 +96,13 @@ class ChecksInput(_Quiet):
         assert observation["rgb"].shape == (640, 640, 3)
         assert observation["depth"].shape == (640, 640)
         assert observation["instruction"] == self.instruction
-        assert not hasattr(self, "situation")
+        assert not hasattr(self, "state")
         print("a policy may print")  # noqa: T201 - output must not disturb the reports
         return (0.0, 0.0) if self.instruction else (0.0, 1.0)
 
-    def enter(self, situation: Any) -> None:
+    def enter(self, state: Any) -> None:
         """Tries to get the privileged input of built-in experts."""
-        self.situation = situation
+        self.state = state
 
 
 class NoMethods:

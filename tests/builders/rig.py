@@ -23,28 +23,29 @@ from schemas.rig import (
     Rig,
     WheelOdometry,
 )
+from tests.builders.driven import CONTROL_HZ
 
 ID = "ep_000001"
 MOUNT = Mount(x_m=0.2, y_m=0.1, z_m=0.5, yaw_deg=20, pitch_deg=5, roll_deg=-3)
 FRONT = PinholeCamera(
-    name="front", model="pinhole", mount=MOUNT, rate_hz=20, width=96, height=64, fx_px=70, cx_px=50, cy_px=30,
+    name="front", model="pinhole", mount=MOUNT, rate_hz=10, width=96, height=64, fx_px=70, cx_px=50, cy_px=30,
     distortion=(-0.1, 0.02, 0.001, -0.002, 0.0), outputs=("rgb", "depth", "ids", "normals", "flow"),
 )  # fmt: skip
 EYE = FisheyeCamera(
-    name="eye", model="fisheye", mount=MOUNT, width=64, height=64, fov_deg=180, distortion=(0.01, 0, 0, 0), rate_hz=30
+    name="eye", model="fisheye", mount=MOUNT, width=64, height=64, fov_deg=180, distortion=(0.01, 0, 0, 0), rate_hz=15
 )
 AROUND = EquirectangularCamera(
-    name="around", model="equirectangular", mount=Mount(z_m=1), width=64, height=32, rate_hz=10, outputs=("rgb",)
+    name="around", model="equirectangular", mount=Mount(z_m=1), width=64, height=32, rate_hz=5, outputs=("rgb",)
 )
-SCAN = Lidar2d(name="scan", model="lidar2d", mount=MOUNT, rate_hz=12, samples=90, range_min_m=0.1, range_max_m=2.5)
+SCAN = Lidar2d(name="scan", model="lidar2d", mount=MOUNT, rate_hz=6, samples=90, range_min_m=0.1, range_max_m=2.5)
 CLOUD = Lidar3d(
-    name="cloud", model="lidar3d", mount=Mount(x_m=0.1, z_m=0.6, yaw_deg=90), rate_hz=10, samples=180,
+    name="cloud", model="lidar3d", mount=Mount(x_m=0.1, z_m=0.6, yaw_deg=90), rate_hz=5, samples=180,
     elevations_deg=(10, 0, -10, -20), range_min_m=0.1, range_max_m=20,
 )  # fmt: skip
-IMU = Imu(name="imu", model="imu", mount=Mount(z_m=0.2), rate_hz=30)
+IMU = Imu(name="imu", model="imu", mount=Mount(z_m=0.2), rate_hz=15)
 WHEELS = WheelOdometry(name="wheels", model="odometry")
 RIG = Rig(name="all", sensors=(FRONT, EYE, AROUND, SCAN, CLOUD, IMU, WHEELS))
-FPS, STRIDE = 10, 6
+FPS, STRIDE = 5, 6
 FORMATS: dict[str, dict[str, Any]] = {
     "lerobot": {"depth": True, "ids": True, "fps": FPS},
     "lerobot-v2.1": {"fps": FPS},
@@ -68,7 +69,7 @@ def seen(episode: Episode, name: str, t: int) -> Any:
 
 def latest(sensor: Any, t: int) -> int:
     """Returns the step of the latest measurement of a sensor at or before step t."""
-    return t - t % sensor.stride(60)
+    return t - t % sensor.stride(CONTROL_HZ)
 
 
 def rotation_of(pose: list[float]) -> Rotation:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 from schemas.rig import Rig
@@ -15,7 +14,7 @@ name = "small"
 [[sensors]]
 name = "front"
 model = "pinhole"
-rate_hz = 20
+rate_hz = 10
 width = 96
 height = 64
 fov_deg = 90
@@ -26,7 +25,7 @@ noise = { colour = {}, depth = { model = "stereo" } }
 [[sensors]]
 name = "scan"
 model = "lidar2d"
-rate_hz = 10
+rate_hz = 5
 samples = 90
 range_min_m = 0.1
 range_max_m = 20
@@ -36,7 +35,7 @@ noise = {}
 [[sensors]]
 name = "imu"
 model = "imu"
-rate_hz = 30
+rate_hz = 10
 mount = { x_m = 0.2, z_m = 0.5 }
 noise = {}
 
@@ -64,8 +63,7 @@ def small_rig(*, has_noise: bool = True) -> Rig:
     return Rig.model_validate(data)
 
 
-def render_rigged(root: Path, states: Path) -> None:
+def render_rigged(root: Path, states: Path, factory: Callable[..., object]) -> None:
     """Renders a states dataset with the small rig into `root`, with one worker. Needs an EGL driver."""
     rig = write_rig(root.parent)
-    words = ("render", states, "--rig", rig, "-o", root, "--workers", 1, "--renderer", "gl")
-    subprocess.run([sys.executable, "-m", "factory", *map(str, words)], check=True, capture_output=True)
+    factory("render", states, "--rig", rig, "-o", root, "--workers", 1, "--renderer", "gl")

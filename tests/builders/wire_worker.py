@@ -113,10 +113,11 @@ class WireWorker(Closing):
         assert lease is not None
         return job, lease
 
-    def deliver(self, lease: Lease, bundle: bytes, sha256: str | None = None) -> bool:
+    def deliver(self, lease: Lease, bundle: bytes, sha256: str | None = None, *, is_validated: bool = False) -> bool:
         """Spools a bundle and announces it."""
         digest = sha256 or hashlib.sha256(bundle).hexdigest()
-        done = Done(sid=self.sid, lease=lease, sha256=digest, size=len(bundle), via=self.via)
+        size, via = len(bundle), self.via
+        done = Done(sid=self.sid, lease=lease, sha256=digest, size=size, via=via, is_validated=is_validated)
         self.spool[lease.job_id, lease.fence] = done, bundle
         reply = self.ask(Verb.DONE, done, Ack)
         return isinstance(reply, Ack) and reply.accepted

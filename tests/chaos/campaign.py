@@ -161,7 +161,7 @@ def main() -> int:
         "--record",
         choices=tuple(Recording),
         default=Recording.FRAMES,
-        help="What the episodes of a fake simulation store (default frames); episodes of states are packed.",
+        help="Content that the episodes of a fake simulation store (default frames); episodes of states are packed.",
     )
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     parser.add_argument("--root", type=Path, help="Working directory (default: a temporary folder).")

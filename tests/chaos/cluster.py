@@ -62,7 +62,7 @@ class ClusterCommands:
     crashes: int = LARGE_CRASH_BUDGET
     """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
     record: Recording = Recording.FRAMES
-    """What an episode stores; episodes of states are packed into shards."""
+    """Content that an episode stores; episodes of states are packed into shards."""
 
     @property
     def plan(self) -> Plan:

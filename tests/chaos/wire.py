@@ -102,7 +102,7 @@ class Wires(Closing):
         self._thread.start()
         self._wires = [[_Wire(_address(target)) for target in endpoints] for endpoints in targets]
         self.endpoints = [[f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in wires] for wires in self._wires]
-        """For each worker the addresses of its relays."""
+        """Addresses of the relays of each worker."""
 
     def cut(self, number: int, seconds: float) -> FaultSpan | None:
         """Resets the connections of a worker and refuses new ones for a time; `None` if it has none."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
+from schemas.terms import RendererKind
 from workers.render import Renderer
 from workers.render.choose import open_renderer
 
@@ -14,13 +16,28 @@ KINDS = [
     pytest.param(("tiny", False), id="tiny"),
     pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
 ]
-"""Which renderer, and whether it runs in a separate process."""
+"""Renderer, and whether it runs in a separate process."""
+
+
+@contextmanager
+def one_thread(kind: RendererKind, apart: bool) -> Iterator[Renderer]:
+    """Opens a renderer that renders with one thread; Mesa reads the setting when the renderer is opened."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LP_NUM_THREADS", "0")
+        opened = open_renderer(kind, apart=apart)
+    with opened:
+        yield opened
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
+    """Every renderer in turn, open, with the scenes of earlier tests; tests leave it open."""
+    with one_thread(*request.param) as opened:
+        yield opened
 
 
 @pytest.fixture(params=KINDS)
-def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Renderer]:
-    """Every renderer in turn, open, with one thread."""
-    monkeypatch.setenv("LP_NUM_THREADS", "0")
-    kind, apart = request.param
-    with open_renderer(kind, apart=apart) as opened:
+def new_renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
+    """Every renderer in turn, open, without a scene."""
+    with one_thread(*request.param) as opened:
         yield opened

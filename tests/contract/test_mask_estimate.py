@@ -40,8 +40,8 @@ def renderer() -> Iterator[Renderer]:
 def test_the_predicted_centroid_matches_the_mask(renderer: Renderer, name: str, yaw: float) -> None:
     scene = build_scene([TARGETS[name]])
     renderer.load(scene, CAMERA)
-    relief = renderer.render_depth_and_ids(Pose.planar(0.1, -0.05, yaw))
-    drawn = see(relief.ids, relief.depth, 1, min_pixels=1)
+    depth_and_ids = renderer.render_depth_and_ids(Pose.planar(0.1, -0.05, yaw))
+    drawn = see(depth_and_ids.ids, depth_and_ids.depth, 1, min_pixels=1)
     pixels, column = MaskEstimate(scene, 1, CAMERA).look(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
     if drawn.pixels > 5000:  # not only a few pixels at the edge

@@ -280,10 +280,10 @@ def test_a_frame_of_any_size_has_the_same_field_of_view(renderer: Renderer, size
 
 def test_a_frame_of_another_size_leaves_the_next_one_as_it_is(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
-    first, relief = digest(renderer.render(ORIGIN)), renderer.render_depth_and_ids(ORIGIN)
+    first, depth_and_ids = digest(renderer.render(ORIGIN)), renderer.render_depth_and_ids(ORIGIN)
     small = digest(renderer.render(ORIGIN, 64))
     assert digest(renderer.render(ORIGIN)) == first
-    np.testing.assert_array_equal(renderer.render_depth_and_ids(ORIGIN).depth, relief.depth)
+    np.testing.assert_array_equal(renderer.render_depth_and_ids(ORIGIN).depth, depth_and_ids.depth)
     assert digest(renderer.render(ORIGIN, 64)) == small
 
 
@@ -302,15 +302,15 @@ def test_another_camera_configuration_can_be_used(renderer: Renderer) -> None:
     assert renderer.render(ORIGIN).depth[320, 320] == pytest.approx(2.0, abs=1e-3)
 
 
-def test_rendering_without_a_scene_is_refused_with_the_remedy(renderer: Renderer) -> None:
+def test_rendering_without_a_scene_is_refused_with_the_remedy(new_renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
-        renderer.render(ORIGIN)
+        new_renderer.render(ORIGIN)
 
 
-def test_closing_twice_has_no_effect(renderer: Renderer) -> None:
-    renderer.load(box_room(), CAMERA)
-    renderer.close()
-    renderer.close()
+def test_closing_twice_has_no_effect(new_renderer: Renderer) -> None:
+    new_renderer.load(box_room(), CAMERA)
+    new_renderer.close()
+    new_renderer.close()
 
 
 def test_a_renderer_describes_itself(renderer: Renderer) -> None:
@@ -343,7 +343,7 @@ def test_all_renderers_produce_the_same_frames(heading: float) -> None:
 
 
 def test_auto_falls_back_and_logs_the_missing_packages() -> None:
-    def no_driver(size: int, lap: StageTimer) -> Renderer:
+    def no_driver(size: int, timer: StageTimer) -> Renderer:
         raise WorldError("no driver here")
 
     with structlog.testing.capture_logs() as lines, choose_module.open_first(no_driver, 640) as opened:
@@ -372,9 +372,9 @@ def is_edge(ids: np.ndarray) -> np.ndarray:
 def test_a_depth_and_id_frame_equals_the_frame_without_colour(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
     for pose in (ORIGIN, Pose.planar(-1.0, 0.4, 0.6), Pose.planar(0.5, -1.0, 2.5), Pose.planar(30.0, 0.0, 0.0)):
-        relief, frame = renderer.render_depth_and_ids(pose), renderer.render(pose)
+        depth_and_ids, frame = renderer.render_depth_and_ids(pose), renderer.render(pose)
         again = renderer.render_depth_and_ids(pose)
-        for found in (relief, again):
+        for found in (depth_and_ids, again):
             np.testing.assert_array_equal(found.depth, frame.depth)
             np.testing.assert_array_equal(found.ids, frame.ids)
 
@@ -432,6 +432,6 @@ def test_measurements_from_parts_equal_those_from_the_frame() -> None:
                 assert view.sighting.measure_depth() == frame.sighting.measure_depth()
 
 
-def test_a_depth_and_id_frame_requires_a_scene(renderer: Renderer) -> None:
+def test_a_depth_and_id_frame_requires_a_scene(new_renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
-        renderer.render_depth_and_ids(ORIGIN)
+        new_renderer.render_depth_and_ids(ORIGIN)

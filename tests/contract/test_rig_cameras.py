@@ -16,6 +16,7 @@ from schemas.rig.file import load_rig
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Sky
 from schemas.support.numpy_types import Floats
 from tests.builders.scene import Box, build_scene, room_walls
+from tests.contract.conftest import one_thread
 from workers.geometry.camera import mounted_pose
 from workers.geometry.faces import plan_faces
 from workers.geometry.lens import pixel_centres, project, unproject
@@ -39,10 +40,9 @@ CAMERAS = [
 EVERY_CAMERA = pytest.mark.parametrize("camera", [pytest.param(camera, id=camera.name) for camera in CAMERAS])
 
 
-@pytest.fixture
-def gl(monkeypatch: pytest.MonkeyPatch) -> Iterator[Renderer]:
-    monkeypatch.setenv("LP_NUM_THREADS", "0")
-    with open_renderer("gl") as opened:
+@pytest.fixture(scope="module")
+def gl() -> Iterator[Renderer]:
+    with one_thread("gl", apart=False) as opened:
         yield opened
 
 

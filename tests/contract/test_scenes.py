@@ -60,7 +60,7 @@ def test_every_category_of_the_paper_can_be_reached(scene: CompiledScene) -> Non
 
 
 def test_every_category_has_a_path_from_near_mid_and_far(scene: CompiledScene) -> None:
-    """In a family near and far, by any path to the footprint, because rooms are small and furniture is large."""
+    """A family is tested near and far with any path, because its rooms are small and its furniture is large."""
     is_family = scene.info.name not in PAPER_SCENES
     ways = {
         (target.category, tier)

@@ -55,7 +55,7 @@ _ZIPFILE_ERRORS = (
     EOFError,
     struct.error,
 )
-"""What `zipfile` raises on damaged files."""
+"""Exceptions of `zipfile` on damaged files."""
 
 
 class Target(NamedTuple):

@@ -9,6 +9,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from schemas.terms import Recording
+from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.driven import driven_recordings
 from tests.builders.evaluation import archive_drives
 from tests.builders.rigs import render_rigged
@@ -28,7 +29,7 @@ def recordings(shared: Path) -> dict[Recording, Path]:
 
 
 @pytest.fixture(scope="session")
-def rigged(shared: Path, recordings: dict[Recording, Path]) -> Path:
+def rigged(factory: FactoryCli, shared: Path, recordings: dict[Recording, Path]) -> Path:
     """The two drives of `recordings` with the measurements of a small rig; tests only read them."""
-    build = functools.partial(render_rigged, states=recordings[Recording.STATES])
+    build = functools.partial(render_rigged, states=recordings[Recording.STATES], factory=factory)
     return build_once(shared / "driven-rigged", build)

@@ -19,7 +19,7 @@ from schemas.config import CameraConfig
 from schemas.errors import InvalidPlan, UsageError
 from schemas.terms import Recording
 from tests.builders.lit import lit_room, room_light
-from workers.appearance import AppearanceScene, draw_appearance, dress_scene
+from workers.appearance import AppearanceScene, apply_appearance, draw_appearance
 from workers.geometry.pose import Pose
 from workers.render.choose import open_renderer
 
@@ -43,7 +43,7 @@ def test_light_and_materials_change_colours_but_neither_depth_nor_ids() -> None:
             pose = Pose.planar(-1.5, 0.0, yaw)
             renderer.load(room, CameraConfig())
             before = renderer.render(pose)
-            renderer.load(dress_scene(room, place.light, drawn), CameraConfig())
+            renderer.load(apply_appearance(room, place.light, drawn), CameraConfig())
             after = renderer.render(pose)
             assert np.array_equal(before.depth, after.depth)
             assert np.array_equal(before.ids, after.ids)
@@ -57,14 +57,14 @@ def test_clutter_is_visible_in_colour_depth_and_ids_and_hides_nothing_of_the_tar
     poses = np.array(((1.0, 0.4, 0.0, 1.0, 0.0, 0.0, 0.0),) * 2)
     ranges = Appearance(clutter=ClutterRanges(count=(30, 30), size_m=(0.3, 0.4), clearance_m=0.0))
     drawn = draw_appearance(ranges, 1, 1, AppearanceScene(room), target, poses)
-    dressed = dress_scene(room, None, drawn)
-    things = {item.id for item in dressed.info.instances[len(room.info.instances) :]}
+    changed = apply_appearance(room, None, drawn)
+    things = {item.id for item in changed.info.instances[len(room.info.instances) :]}
     seen = set()
     with open_renderer("gl", 160) as renderer:
         renderer.load(room, CameraConfig())
         views = [Pose.planar(1.0, 0.4, yaw) for yaw in (0.0, 1.6, 3.2, 4.8)]
         before = [renderer.render(pose) for pose in views]
-        renderer.load(dressed, CameraConfig())
+        renderer.load(changed, CameraConfig())
         for pose, clean in zip(views, before, strict=True):
             cluttered = renderer.render(pose)
             seen |= set(np.unique(cluttered.ids).tolist()) & things
@@ -171,7 +171,7 @@ def test_a_scene_without_baked_light_gets_exposure_and_the_light_of_the_sky() ->
     room = replace(lit_room(), light_map=np.zeros((0, 0, 3), np.uint8), light_uvs=np.zeros((0, 2), np.float32))
     ranges = Appearance.model_validate({"camera": {"exposure_stops": [-1.0, -1.0]}})
     drawn = draw_appearance(ranges, 1, 1, AppearanceScene(room), room.info.targets[0], np.zeros((1, 7)))
-    dressed = dress_scene(room, None, drawn)
-    assert dressed.light_map.shape == (1, 1, 3)
-    assert dressed.light_map.max() < 255
-    assert len(dressed.light_uvs) == len(room.positions)
+    changed = apply_appearance(room, None, drawn)
+    assert changed.light_map.shape == (1, 1, 3)
+    assert changed.light_map.max() < 255
+    assert len(changed.light_uvs) == len(room.positions)

@@ -95,7 +95,7 @@ def test_a_scene_without_a_successful_rollout_is_reported(room: Path) -> None:
 @pytest.mark.gl
 def test_rendering_and_readback_are_timed_separately() -> None:
     watch = StageRecorder()
-    with open_renderer("gl", lap=watch) as renderer:
+    with open_renderer("gl", timer=watch) as renderer:
         found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
     assert [cost.stage for cost in found.stages] == ["render", "read-back"]
     assert [cost.stage for cost in found.without_colour] == ["render", "read-back"]

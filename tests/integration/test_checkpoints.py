@@ -11,7 +11,7 @@ from sqlalchemy import text
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.tables import attempt_tallies, attempts, episodes, job_tallies, jobs
 from coordinator.ledger.tallies import attempt_counts, job_counts
-from coordinator.tables.checkpoint import Checkpoints, is_checkpoint_owed, write_checkpoint
+from coordinator.tables.checkpoint import Checkpoints, is_checkpoint_due, write_checkpoint
 from coordinator.tables.grouped_table import GROUP_ROWS
 from tests.builders.ledger import Desk, room_plan
 from tests.builders.ledger_story import change_at_random, scatter
@@ -42,7 +42,7 @@ def test_a_checkpoint_of_the_changes_has_the_bytes_of_a_rewritten_one(tmp_path: 
             if step % 20 == 0:
                 with desk.engine.connect() as connection:
                     checkpoints.write(connection, NOW)
-                    assert not is_checkpoint_owed(archive, connection)
+                    assert not is_checkpoint_due(archive, connection)
                 assert read(tmp_path / "data") == rewritten(tmp_path / f"new-{step}", desk), name
 
 

@@ -9,6 +9,7 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -26,12 +27,17 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.status.address import HttpAddress
 from coordinator.status.server import StatusServer
 from factory.cli.main import cli
+from factory.submit.slurm import RUN_TASK
 from tests.builders.ledger import room_catalog, room_plan
 from tests.integration.test_status_pages import ask
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 MANIFESTS = sorted((DEPLOY / "kubernetes").rglob("*.yaml"))
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
+BATCH = json.loads((DEPLOY / "cloud" / "aws_batch.json").read_text())
+OVERLAYS = ("base", "shards", "with-gateway", "workers-as-job")
+KUBERNETES = "1.33"
+"""Version of Kubernetes whose schemas are compared with the manifests."""
 SCRIPTS = sorted(DEPLOY.rglob("*.sh"))
 
 
@@ -47,18 +53,32 @@ def containers() -> Iterator[dict[str, Any]]:
 
 
 def command_lines() -> list[tuple[str, list[str]]]:
-    found = [("kubernetes", container["args"]) for container in containers()]
+    found = [
+        ("kubernetes", _of_shell(container["args"][0]) if "command" in container else container["args"])
+        for container in containers()
+    ]
+    found.append(("AWS Batch", _of_shell(BATCH["containerOverrides"]["command"][2])))
+    found.append(("SkyPilot", _of_shell(documents(DEPLOY / "cloud" / "skypilot.yaml")[0]["run"])))
+    found.append(("HF Jobs", _of_shell((DEPLOY / "cloud" / "hf_jobs.sh").read_text())))
     compose = documents(DEPLOY / "compose.yaml")[0]
     found += [(f"compose {name}", _filled(service["command"])) for name, service in compose["services"].items()]
     for unit in UNITS:
         (line,) = re.findall(r"^ExecStart=\S*/factory (.*)$", unit.read_text(), re.MULTILINE)
         found.append((unit.name, shlex.split(line.replace("${CORES}", "8").replace("${HUB}", "hub:7447"))))
-    (line,) = re.findall(r"^factory (.*) &$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
+    (line,) = re.findall(r"^run_task 0 factory (.*)$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
     found.append(("slurm", shlex.split(line.replace("${cores}", "8"))))
     readme = (DEPLOY / "README.md").read_text()
     for line in re.findall(r"^(?:\w+:\s+)?factory (.*?)\s*(?:#.*)?$", readme, re.MULTILINE):
         found.append((f"README: {line}", shlex.split(line)))
     return found
+
+
+def _of_shell(text: str) -> list[str]:
+    """Returns the words after the last `factory` of a shell command, with numbers for the variables."""
+    command = re.split(r"\bfactory\s", text)[-1].partition("\n")[0]
+    return shlex.split(
+        re.sub(r"\$\{(\w+)\}", lambda found: {"plan": "demo", "PLAN": "demo"}.get(found[1], "8"), command)
+    )
 
 
 def _filled(words: Sequence[str]) -> list[str]:
@@ -84,25 +104,97 @@ def test_kustomize_accepts_every_manifest():
         resource
         for path in MANIFESTS
         if path.name == "kustomization.yaml"
-        for resource in documents(path)[0]["resources"]
+        for resource in documents(path)[0].get("resources", ())
     }
     assert named - {"../base"} == {path.name for path in MANIFESTS if path.name != "kustomization.yaml"}
     assert load_plan(str(DEPLOY / "kubernetes" / "base" / "plan.toml")).episodes == 700
 
 
-@pytest.mark.parametrize("place", ["base", "workers-as-job", "with-gateway"])
-def test_kustomize_renders_the_manifests(place):
+@pytest.mark.parametrize(
+    "path", [path for path in MANIFESTS if path.name != "kustomization.yaml"], ids=lambda p: p.stem
+)
+def test_manifests_fulfil_the_strict_schemas_of_kubernetes(path):
+    for document in documents(path):
+        require_valid(document)
+
+
+def require_valid(document: dict[str, Any]) -> None:
+    pytest.importorskip("kubernetes_validate").validate(document, KUBERNETES, strict=True)
+
+
+def rendered(folder: Path) -> list[dict[str, Any]]:
     if shutil.which("kubectl") is None:
         pytest.skip("needs kubectl")
-    done = subprocess.run(["kubectl", "kustomize", str(DEPLOY / "kubernetes" / place)], capture_output=True, text=True)
+    done = subprocess.run(["kubectl", "kustomize", str(folder)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    rendered = list(yaml.safe_load_all(done.stdout))
-    kinds = sorted(document["kind"] for document in rendered)
+    return list(yaml.safe_load_all(done.stdout))
+
+
+@pytest.mark.parametrize("place", OVERLAYS)
+def test_kustomize_renders_the_manifests_with_one_image(place, tmp_path):
+    copy = tmp_path / "kubernetes"
+    shutil.copytree(DEPLOY / "kubernetes", copy)
+    image = copy / "image" / "kustomization.yaml"
+    image.write_text(re.sub("newName: .*", "newName: registry.example.org/mine", image.read_text()))
+    found = rendered(copy / place)
+    kinds = sorted(document["kind"] for document in found)
+    base = ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet"]
     more = {"workers-as-job": ["Job"], "with-gateway": ["NetworkPolicy", "Service", "StatefulSet"]}.get(place, [])
-    assert kinds == sorted(
-        ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet", *more]
-    )
-    assert {document["metadata"].get("namespace", "minivla") for document in rendered} == {"minivla"}
+    assert kinds == (["ConfigMap", "Job"] if place == "shards" else sorted([*base, *more]))
+    assert {document["metadata"].get("namespace", "minivla") for document in found} == {"minivla"}
+    pods = [one["spec"]["template"]["spec"] for one in found if one["kind"] in {"Deployment", "Job", "StatefulSet"}]
+    images = {container["image"] for pod in pods for container in pod["containers"]}
+    assert images == {"registry.example.org/mine:latest"}
+    for document in found:
+        require_valid(document)
+
+
+def test_components_add_an_external_address_and_a_queue(tmp_path):
+    copy = tmp_path / "kubernetes"
+    shutil.copytree(DEPLOY / "kubernetes", copy)
+    for overlay, component in (("base", "external"), ("shards", "kueue")):
+        file = copy / overlay / "kustomization.yaml"
+        file.write_text(file.read_text().replace("components:\n", f"components:\n  - ../{component}\n"))
+    base, shards = rendered(copy / "base"), rendered(copy / "shards")
+    assert [one["spec"].get("type") for one in base if one["kind"] == "Service"].count("LoadBalancer") == 1
+    (policy,) = [one for one in base if one["kind"] == "NetworkPolicy" and one["metadata"]["name"] == "coordinator"]
+    assert {"ports": [{"port": 7447}]} in policy["spec"]["ingress"]
+    (job,) = [one for one in shards if one["kind"] == "Job"]
+    assert job["metadata"]["labels"]["kueue.x-k8s.io/queue-name"] == "minivla"
+    assert job["spec"]["suspend"]
+    for document in (*base, *shards):
+        require_valid(document)
+
+
+def test_batch_systems_count_all_shards_of_a_run():
+    (job,) = documents(DEPLOY / "kubernetes" / "shards" / "job.yaml")
+    (container,) = job["spec"]["template"]["spec"]["containers"]
+    assert f'/{job["spec"]["completions"]}"' in container["args"][0]
+    assert f'/{BATCH["arrayProperties"]["size"]}"' in BATCH["containerOverrides"]["command"][2]
+    script = container["args"][0].replace("exec factory", "echo")
+    for index in (0, 7):
+        env = {"JOB_COMPLETION_INDEX": str(index), "MINIVLA_OUT": "s3://b/r", "PATH": os.environ["PATH"]}
+        done = subprocess.run([*container["command"], script], env=env, capture_output=True, text=True, check=True)
+        assert f"--shard {index + 1}/8 --out s3://b/r/{index + 1} " in done.stdout
+
+
+def test_the_image_installs_the_runtime_packages_only() -> None:
+    text = (DEPLOY / "Dockerfile").read_text()
+    (extras,) = re.findall(r'^ARG EXTRAS="(.*)"$', text, re.MULTILINE)
+    command = [sys.executable, "deploy/runtime_requirements.py", "requirements.txt", "pyproject.toml", *extras.split()]
+    lines = subprocess.run(command, cwd=DEPLOY.parent, capture_output=True, text=True, check=True).stdout
+    names = set(re.findall(r"^([\w.-]+)==", lines, re.MULTILINE))
+    assert {"numpy", "pybullet", "eclipse-zenoh", "obstore", "cryptography", "tornado"} <= names
+    assert names.isdisjoint({"mypy", "ruff", "pytest", "moto", "playwright", "opencv-python-headless", "pandas"})
+    assert lines.count("--hash=sha256:") >= len(names)
+    locked = (DEPLOY.parent / "requirements.txt").read_text()
+    assert all(entry in locked for entry in re.split(r"(?m)^(?=\w)", lines))
+
+
+def test_the_build_context_contains_what_the_image_copies() -> None:
+    kept = set(re.findall(r"^!(.*)$", (DEPLOY.parent / ".dockerignore").read_text(), re.MULTILINE))
+    copies = re.findall(r"^COPY (?!--from)(.*) \S+$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+    assert {name for line in copies for name in line.split()} == kept
 
 
 def test_the_image_contains_each_package_of_the_wheel() -> None:
@@ -128,7 +220,11 @@ def test_containers_run_without_privileges():
 def test_every_mount_has_its_volume():
     for path in MANIFESTS:
         for document in documents(path):
-            template = document.get("spec", {}).get("template") if document["kind"] != "Kustomization" else None
+            template = (
+                document.get("spec", {}).get("template")
+                if document["kind"] not in {"Component", "Kustomization"}
+                else None
+            )
             if template:
                 claims = {claim["metadata"]["name"] for claim in document["spec"].get("volumeClaimTemplates", ())}
                 volumes = {volume["name"] for volume in template["spec"]["volumes"]} | claims
@@ -243,13 +339,17 @@ class Cluster:
     def before(self, command: str, deed: str) -> None:
         """Runs a script before a command of the task, to fix the order of events."""
         trap = self.bin / "trap.sh"
-        trap.write_text(f"""trap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
+        trap.write_text(f"""set -T\ntrap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
         self.environment["BASH_ENV"] = str(trap)
 
     def _tool(self, name: str, body: str) -> None:
         path = self.bin / name
         path.write_text(f"#!/bin/bash\n{body}\n")
         path.chmod(0o755)
+
+
+def test_the_shipped_slurm_script_has_the_shell_functions_of_factory_submit() -> None:
+    assert RUN_TASK in (DEPLOY / "slurm" / "workers.sh").read_text()
 
 
 @pytest.mark.parametrize(("number", "told"), [(signal.SIGUSR1, "requeue 15_2\n"), (signal.SIGTERM, None)])
@@ -268,7 +368,7 @@ def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself_before_
 
 def test_a_slurm_task_stopped_before_its_worker_starts_stops_the_worker(tmp_path):
     cluster = Cluster(tmp_path, "while :; do sleep 0.05; done")
-    cluster.before(r"worker=\$!", "kill -USR1 $$")
+    cluster.before(r"child=\$!", "kill -USR1 $$")
     with cluster.task() as task:
         assert task.wait(60) == 0
     assert cluster.told.read_text() == "requeue 15_2\n"
@@ -289,7 +389,7 @@ def test_a_slurm_task_returns_the_exit_status_of_its_worker(tmp_path, status, lo
 
 def test_the_image_pins_every_package_that_determines_pixels() -> None:
     text = (DEPLOY / "Dockerfile").read_text()
-    (arguments,) = re.findall(r"^ARG (.*)$", text, re.MULTILINE)
+    (arguments,) = re.findall(r"^ARG (MESA.*)$", text, re.MULTILINE)
     versions = dict(word.split("=", 1) for word in shlex.split(arguments))
     (installed,) = re.findall(r"apt-get install -y --no-install-recommends(.*?)&&", text, re.DOTALL)
     packages = dict(word.split("=$", 1) for word in re.findall(r'"([^"]+)"', installed))

@@ -90,7 +90,7 @@ def test_speeds_out_of_range_are_clipped_and_slew_limited(
         simulator.reset(specs.specs[0], place)
         simulator.step(Twist(-3.0, 9.0))
         assert simulator.command.v_mps == 0.0
-        assert simulator.command.w_rps == pytest.approx(3.2 / 60)
+        assert simulator.command.w_rps == pytest.approx(3.2 / specs.settings.task.control_hz)
         for _ in range(40):
             simulator.step(Twist(0.0, 9.0))
         assert simulator.command.w_rps == 1.5
@@ -127,17 +127,17 @@ def test_a_split_without_episodes_is_named(drives: Dataset) -> None:
 def test_frames_are_rendered_on_demand_and_never_after_the_end_of_an_episode(
     specs: SpecSet, place: LoadedScene
 ) -> None:
-    laps: list[str] = []
-    with SceneRenderer("auto", laps.append) as stage, Simulator(stage, specs.settings) as simulator:
+    stages: list[str] = []
+    with SceneRenderer("auto", stages.append) as stage, Simulator(stage, specs.settings) as simulator:
         view = first = simulator.reset(specs.specs[0], place)
         for _ in range(5):
             view = simulator.step(Twist(0.5, 0.0))
-        assert "read-back" not in laps
+        assert "read-back" not in stages
         drawn = view.frame
-        assert laps.count("read-back") == 1
+        assert stages.count("read-back") == 1
         assert view.frame is drawn
         assert simulator.step(Twist(0.5, 0.0)).frame.rgb.shape == (640, 640, 3)
-        assert laps.count("read-back") == 2
+        assert stages.count("read-back") == 2
         simulator.reset(specs.specs[1], place)
         with pytest.raises(RuntimeError, match="keep the frame"):
             _ = first.frame

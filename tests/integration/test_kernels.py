@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 OLDER = "AVX512_ICL X86_V4 X86_V3"
-"""What numpy 2.4 calls its optional kernels on x86; others ignore the names."""
+"""Names of the optional kernels of numpy 2.4 on x86; other versions ignore them."""
 CHOICES = {
     "BLAS of 2008": {"OPENBLAS_CORETYPE": "Nehalem"},
     "BLAS of 2013": {"OPENBLAS_CORETYPE": "Haswell"},

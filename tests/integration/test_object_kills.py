@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +25,7 @@ from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children
 from schemas.terms import Recording
 from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.fork_server import Child, ForkServer
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.object_server import ObjectServer
 from tests.builders.store_relay import Moment, StoreRelay
@@ -34,7 +33,7 @@ from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 EPISODES = 2
 RUN = room_plan(EPISODES, crashes=20)
-"""As `room_coordinator` has it."""
+"""Plan of `room_coordinator`."""
 LEASE_S = 60.0
 SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=3.0)
 EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
@@ -70,7 +69,7 @@ STEPS = [
 class Killer:
     """Kills a process at a step and waits for its exit before the request continues."""
 
-    def __init__(self, step: Step, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, step: Step, process: Child) -> None:
         self._step, self._process = step, process
         self._is_under_way = False
 
@@ -116,11 +115,10 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subprocess.Popen[bytes]]:
+def coordinator(server: ForkServer, root: Path, endpoint: str, store: ObjectPath) -> Iterator[Child]:
     """Runs a coordinator in a separate process; returns when it listens."""
     words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, Recording.FRAMES, store)
-    command = [sys.executable, "-m", "tests.builders.room_coordinator", *map(str, words)]
-    process = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=os.environ, stderr=subprocess.DEVNULL)
+    process = server.start("tests.builders.room_coordinator", [*map(str, words)], os.environ, Path(os.devnull))
     try:
         until(lambda: read_address(root / "out") is not None, 60)
         yield process
@@ -148,10 +146,16 @@ def episodes(root: Place) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("step", STEPS, ids=str)
 def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_an_episode(
-    step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, reference: Path, tmp_path: Path
+    server: ForkServer,
+    step: Step,
+    store: ObjectPath,
+    relay: StoreRelay,
+    object_store: ObjectServer,
+    reference: Path,
+    tmp_path: Path,
 ) -> None:
     endpoint = free_endpoint()
-    with coordinator(tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
+    with coordinator(server, tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
         relay.watch = Killer(step, process)
         job, lease = worker.job()
         assert worker.deliver(lease, bundle_for(job))

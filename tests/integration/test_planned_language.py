@@ -16,6 +16,7 @@ from schemas.instruction.language import FROM_START, instruction
 from schemas.job import Job
 from schemas.language.file import LanguageSpec
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.question.model import QuestionKind
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Recording, Split, Tier
 from tests.builders.bundle import job_for
@@ -57,7 +58,7 @@ def _job(split: Split, attempt: int = 1) -> Job:
         expert=ExpertName.PLANNER,
         task=TaskConfig(success_radius_m=1.4, hold_steps=2, control_hz=10),
         spawn=SpawnConfig(heading_noise_rad=0.4),
-        language=LanguageSpec(),
+        language=LanguageSpec(questions=True),
         record=Recording.STATES,
     )
 
@@ -81,10 +82,14 @@ def test_an_episode_records_a_sentence_that_fits_its_target_only(stage, package,
     with _episode(stage, split) as bundle:
         said, meta = _said(bundle), bundle.meta
         assert validate(bundle, meta.job, CHAIR) == []
-        assert said_findings(meta, package) == []
+        assert said_findings(bundle, package) == []
         assert meta.instruction == said.text
         assert meta.phrase_is_unique
         assert said.held_out == (split is Split.TEST_PARAPHRASE_OOD)
+        assert {each.meaning.kind for each in meta.questions} >= {QuestionKind.NEXT, QuestionKind.OBJECT}
+        wrong_answers = tuple(each.model_copy(update={"answer": "I turn around."}) for each in meta.questions)
+        bundle.meta = meta.model_copy(update={"questions": wrong_answers})
+        assert len(said_findings(bundle, package)) == len(wrong_answers)
         wrong = said.model_copy(update={"text": "Go to the green chair."})
         found = sentence_findings(meta.job, wrong, meta.rollout.spawn_pose, package)
         assert "it does not fit the target" in found[0]
@@ -102,7 +107,7 @@ def test_the_robot_stops_at_its_start_if_the_named_object_does_not_exist(stage, 
         said, meta = _said(bundle), bundle.meta
         assert (said.kind, said.fits) == (InstructionKind.FALSE_PREMISE, 0)
         assert validate(bundle, meta.job, CHAIR) == []
-        assert said_findings(meta, package) == []
+        assert said_findings(bundle, package) == []
         assert bundle.length == meta.job.task.control_hz + 1
         assert not bundle.arrays.actions_continuous.any()
         there = said.model_copy(update={"text": "Go to the chair."})

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +11,9 @@ from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from schemas.storage.object_path import ObjectPath
 from schemas.terms import Recording
+from tests.acceptance.factory_cli import FactoryCli
+from tests.builders.fork_server import ForkServer
+from tests.builders.object_server import ObjectServer
 
 pytestmark = pytest.mark.gl
 
@@ -25,18 +25,22 @@ def upload(root: Path, place: ObjectPath) -> None:
 
 
 def test_states_in_a_bucket_are_rendered_into_a_bucket(
-    recordings: dict[Recording, Path], bucket_url: Callable[[], str]
+    server: ForkServer,
+    object_store: ObjectServer,
+    cache: Path,
+    recordings: dict[Recording, Path],
+    bucket_url: Callable[[], str],
+    tmp_path: Path,
 ) -> None:
+    factory = FactoryCli(
+        server, tmp_path, cache, {**object_store.variables(), "MINIVLA_STATE": str(tmp_path / "state")}
+    )
     bucket = bucket_url()
     states, out = ObjectPath.at(f"{bucket}/states"), ObjectPath.at(f"{bucket}/frames")
     upload(recordings[Recording.STATES], states)
-    command = [sys.executable, "-m", "factory", "render", str(states), "-o", str(out), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    summary = factory.json("render", states, "-o", out)
     wanted = Dataset(recordings[Recording.FRAMES])
-    summary = json.loads(done.stdout)
     assert (summary["dataset"], summary["digest"]) == (str(out), wanted.digest)
     report = verify(out, deep=True)
     assert (report.ok, report.complete, report.digest) == (True, True, wanted.digest)
-    again = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(again.stdout)["attempts"] == summary["attempts"]
+    assert factory.json("render", states, "-o", out)["attempts"] == summary["attempts"]

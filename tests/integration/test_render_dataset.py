@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +24,13 @@ from schemas.job import Job
 from schemas.storage.dataset_files import EPISODES, METADATA_FILE, SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording
+from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.dataset import make_dataset
 from workers.sim.render_recording import render_recording
 from workers.sim.scene_renderer import SceneRenderer
 
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
-
-
-def factory(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "factory", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def frames_job(episode: BundleReader) -> Job:
@@ -53,12 +46,13 @@ def stage(recordings: Recordings) -> SceneRenderer:
     return opened
 
 
-def test_the_rendered_dataset_has_the_digest_of_the_frames_recording(recordings: Recordings, tmp_path: Path) -> None:
+def test_the_rendered_dataset_has_the_digest_of_the_frames_recording(
+    factory: FactoryCli, recordings: Recordings, tmp_path: Path
+) -> None:
     out = tmp_path / "frames"
-    done = factory("render", recordings[Recording.STATES], "-o", out, "--workers", 1, "--renderer", "gl", "--json")
-    assert done.returncode == 0, done.stderr
+    done = factory.json("render", recordings[Recording.STATES], "-o", out, "--workers", 1, "--renderer", "gl")
     wanted = Dataset(recordings[Recording.FRAMES])
-    assert json.loads(done.stdout)["digest"] == wanted.digest
+    assert done["digest"] == wanted.digest
     report = verify(out, deep=True)
     assert (report.ok, report.complete, report.digest) == (True, True, wanted.digest)
     for one, other in zip(Dataset(out), wanted, strict=True):
@@ -68,15 +62,16 @@ def test_the_rendered_dataset_has_the_digest_of_the_frames_recording(recordings:
     assert [episode.meta.provenance for episode in Dataset(out)] == [episode.meta.provenance for episode in recorded]
 
 
-def test_an_interrupted_rendering_continues_and_makes_no_episode_twice(recordings: Recordings, tmp_path: Path) -> None:
+def test_an_interrupted_rendering_continues_and_makes_no_episode_twice(
+    factory: FactoryCli, recordings: Recordings, tmp_path: Path
+) -> None:
     out = tmp_path / "frames"
     rendering = prepare_rendering(recordings[Recording.STATES], site_of(str(out)))
     first = "episodes/ep_000001.zip"
     (out / EPISODES).mkdir(exist_ok=True)
     shutil.copy(recordings[Recording.FRAMES] / first, out / first)
     before = (out / first).stat().st_mtime_ns
-    done = factory("render", recordings[Recording.STATES], "-o", out, "--workers", 1, "--renderer", "gl", "--json")
-    assert done.returncode == 0, done.stderr
+    factory("render", recordings[Recording.STATES], "-o", out, "--workers", 1, "--renderer", "gl")
     assert (out / first).stat().st_mtime_ns == before
     assert Dataset(out).digest == Dataset(recordings[Recording.FRAMES]).digest
     assert rendering.plan.record is Recording.FRAMES
@@ -102,34 +97,37 @@ def edit_metadata(root: Path, column: str, value: int) -> None:
     pq.write_table(rows.set_column(place, column, pa.array([value] * rows.num_rows, pa.int64())), root / METADATA_FILE)
 
 
-def refusal(states: Path, out: Path, *words: str) -> str:
-    done = factory("render", states, "-o", out, *words)
-    assert done.returncode == 1, done.stderr
+def refusal(factory: FactoryCli, states: Path, out: Path, *words: str) -> str:
+    done = factory("render", states, "-o", out, *words, expect=1)
     assert not out.exists()
     return done.stderr
 
 
-def test_a_renderer_that_gives_other_frames_is_refused_before_the_start(copied: Path, tmp_path: Path) -> None:
+def test_a_renderer_that_gives_other_frames_is_refused_before_the_start(
+    factory: FactoryCli, copied: Path, tmp_path: Path
+) -> None:
     recorded = Dataset(copied)[0].summary.renderer
-    error = refusal(copied, tmp_path / "out", "--renderer", "tiny")
+    error = refusal(factory, copied, tmp_path / "out", "--renderer", "tiny")
     assert f"ep_000001: frame 0 differs from the recorded digest; recorded with {recorded}, rendered with" in error
     assert "TinyRenderer" in error
 
 
-def test_an_edited_and_a_missing_scene_are_refused_before_the_start(copied: Path, tmp_path: Path) -> None:
+def test_an_edited_and_a_missing_scene_are_refused_before_the_start(
+    factory: FactoryCli, copied: Path, tmp_path: Path
+) -> None:
     package = next((copied / SCENES).glob("*.scene.zip"))
     package.write_bytes(package.read_bytes() + b"x")
-    error = refusal(copied, tmp_path / "out")
+    error = refusal(factory, copied, tmp_path / "out")
     assert f"SHA-256 {Dataset(copied)[0].summary.scene_sha256} is missing: {package} has SHA-256 " in error
     assert f"{digest_of(package)}; searched: {copied / SCENES}" in error
     package.unlink()
-    assert "no package of scene box_room was found; searched:" in refusal(copied, tmp_path / "out")
+    assert "no package of scene box_room was found; searched:" in refusal(factory, copied, tmp_path / "out")
 
 
-def test_episodes_of_a_newer_format_are_refused(copied: Path, tmp_path: Path) -> None:
+def test_episodes_of_a_newer_format_are_refused(factory: FactoryCli, copied: Path, tmp_path: Path) -> None:
     edit_metadata(copied, "format", BUNDLE_FORMAT + 1)
     expected = f"has episodes of bundle format {BUNDLE_FORMAT + 1}, this software reads up to {BUNDLE_FORMAT}: upgrade"
-    assert expected in refusal(copied, tmp_path / "out")
+    assert expected in refusal(factory, copied, tmp_path / "out")
 
 
 def test_frames_that_do_not_fit_on_the_disk_are_refused(copied: Path, tmp_path: Path) -> None:

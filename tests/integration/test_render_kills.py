@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -20,15 +18,16 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from schemas.terms import Recording
+from tests.acceptance.factory_cli import FactoryCli, Started
 from tests.builders.rigs import write_rig
 
 pytestmark = pytest.mark.gl
 
 
-def until(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
+def until(condition: Callable[[], object], process: Started) -> None:
     deadline = time.monotonic() + 300
     while not condition():
-        assert process.poll() is None, process.communicate()[1]
+        assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline, "waited too long"
         time.sleep(0.02)
 
@@ -41,7 +40,7 @@ def query(out: Path, text: str) -> list[tuple[object, ...]]:
         return []
 
 
-def children_of(process: subprocess.Popen[str]) -> list[int]:
+def children_of(process: Started) -> list[int]:
     tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
     return [int(child) for task in tasks for child in task.read_text().split()]
 
@@ -50,31 +49,23 @@ def is_worker(pid: int) -> bool:
     return b"worker" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
 
 
-def render(states: Path, rig: Path, out: Path, workers: int) -> subprocess.Popen[str]:
-    words = ("render", states, "--rig", rig, "--appearance", "full", "-o", out, "--workers", workers)
-    command = [sys.executable, "-m", "factory", *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
 def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
-    recordings: dict[Recording, Path], tmp_path: Path
+    factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     states, out, rig = recordings[Recording.STATES], tmp_path / "frames", write_rig(tmp_path)
-    with render(states, rig, tmp_path / "undisturbed", 1) as process:
-        _, err = process.communicate()
-    assert process.returncode == 0, err
+    render = ("render", states, "--rig", rig, "--appearance", "full", "-o")
+    factory(*render, tmp_path / "undisturbed", "--workers", 1)
     undisturbed = Dataset(tmp_path / "undisturbed")
-    with render(states, rig, out, 1) as killed:
-        until(lambda: query(out, "select 1 from jobs where state = 'leased'"), killed)
-        (worker,) = filter(is_worker, children_of(killed))
-        os.kill(worker, signal.SIGKILL)
-        until(lambda: list((out / "episodes").glob("*.zip")), killed)
-        killed.kill()
+    killed = factory.start(*render, out, "--workers", 1)
+    until(lambda: query(out, "select 1 from jobs where state = 'leased'"), killed)
+    (worker,) = filter(is_worker, children_of(killed))
+    os.kill(worker, signal.SIGKILL)
+    until(lambda: list((out / "episodes").glob("*.zip")), killed)
+    killed.kill()
+    killed.wait(60)
     (first, *_) = sorted((out / "episodes").glob("*.zip"))
     written = first.stat().st_mtime_ns
-    with render(states, rig, out, 2) as again:
-        _, err = again.communicate()
-    assert again.returncode == 0, err
+    factory(*render, out, "--workers", 2)
     assert first.stat().st_mtime_ns == written
     report = verify(out, deep=True)
     assert (report.ok, report.complete) == (True, True)

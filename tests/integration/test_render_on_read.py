@@ -26,6 +26,7 @@ from schemas.errors import UsageError
 from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
+from tests.acceptance.factory_cli import FactoryCli
 
 pytestmark = pytest.mark.gl
 
@@ -136,11 +137,12 @@ def test_the_card_names_the_software_that_gives_identical_frames(states: Dataset
     assert f"| {fingerprint.renderer} | {versions[0]} | {versions[1]} | x86_64 |" in card
 
 
-def test_a_contact_sheet_of_both_recordings_is_equal(recordings: dict[Recording, Path], tmp_path: Path) -> None:
+def test_a_contact_sheet_of_both_recordings_is_equal(
+    factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
+) -> None:
     pictures = []
     for record, root in recordings.items():
-        command = [sys.executable, "-m", "factory", "show", str(root), "1", "-o", str(tmp_path / f"{record}.png")]
-        subprocess.run(command, check=True, capture_output=True)
+        factory("show", root, 1, "-o", tmp_path / f"{record}.png")
         pictures.append(np.asarray(Image.open(tmp_path / f"{record}.png")))
     assert np.array_equal(*pictures)
 

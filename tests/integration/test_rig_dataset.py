@@ -120,8 +120,8 @@ def test_the_rig_of_a_states_plan_is_the_default_of_its_readers_and_renderings(
 
 def test_a_rig_that_does_not_fit_the_plan_is_refused(recordings: Recordings, tmp_path: Path) -> None:
     path = tmp_path / "slow.toml"
-    path.write_text(write_rig(tmp_path).read_text().replace("rate_hz = 20", "rate_hz = 17"))
-    with pytest.raises(InvalidRig, match="rate_hz 17 does not divide the control rate, 60 Hz"):
+    path.write_text(write_rig(tmp_path).read_text().replace("rate_hz = 10", "rate_hz = 17"))
+    with pytest.raises(InvalidRig, match="rate_hz 17 does not divide the control rate, 30 Hz"):
         prepare_rendering(recordings[Recording.STATES], site_of(str(tmp_path / "out")), rig=str(path))
 
 

@@ -44,18 +44,18 @@ def specs(drives: Dataset) -> SpecSet:
 def test_a_drive_measures_what_readers_of_its_recording_observe(drives: Dataset) -> None:
     rig = small_rig(has_noise=False)
     episode = Dataset(drives.root, rig=rig)["ep_000003"]
-    motion = episode.motion()
+    motion, hz = episode.motion(), episode.meta.job.task.control_hz
     env = MiniVLANavEnv(drives.root, split=str(episode.summary.split), rig=rig)
     seen, _ = env.reset(options={"episode": "ep_000003"})
     for t, action in enumerate(episode.actions[:13]):
         assert env.observation_space.contains(seen)
         for sensor in rig.sensors:
-            latest = t // sensor.stride(60)
+            stride = sensor.stride(hz)
             for name in live_arrays(sensor):
                 if sensor.name in motion:
-                    expected = arrays_in(motion[sensor.name])[name][latest]
+                    expected = arrays_in(motion[sensor.name])[name][t // stride]
                 else:
-                    expected = arrays_in(episode.observe(latest * sensor.stride(60), [sensor.name])[sensor.name])[name]
+                    expected = arrays_in(episode.observe(t - t % stride, [sensor.name])[sensor.name])[name]
                 assert np.array_equal(seen[f"{sensor.name}/{name}"], expected)
         seen, *_ = env.step(action)
     env.close()

@@ -29,6 +29,7 @@ from schemas.rig import (
     Rig,
 )
 from schemas.terms import Recording
+from tests.builders.driven import CONTROL_HZ
 from tests.builders.rig import (
     AROUND,
     CLOUD,
@@ -224,7 +225,7 @@ def test_the_paper_layout_has_a_folder_for_each_sensor(exports: dict[str, Path],
     assert {path.name for path in sensors.iterdir()} == {sensor.name for sensor in RIG.sensors}
     for camera in (FRONT, EYE):
         steps = [int(path.stem) for path in sorted((sensors / camera.name / "rgb").iterdir())]
-        assert steps == list(range(0, len(episode), camera.stride(60)))
+        assert steps == list(range(0, len(episode), camera.stride(CONTROL_HZ)))
         truth = seen(episode, camera.name, steps[5])
         rgb, ids = (
             cv2.imread(str(sensors / camera.name / f"{output}/{steps[5]:06d}.png"), cv2.IMREAD_UNCHANGED)
@@ -278,6 +279,6 @@ def test_a_rate_that_does_not_divide_the_control_rate_is_refused(root: Path, tmp
 
 def test_an_export_with_another_rig_is_refused(root: Path, exports: dict[str, Path]) -> None:
     before = contents(exports["webdataset"])
-    with pytest.raises(WorldError, match=r"contains another export: options .*rig=all .*, requested fps=10, rig=paper"):
+    with pytest.raises(WorldError, match=r"contains another export: options .*rig=all .*, requested fps=5, rig=paper"):
         export_rig(root, exports["webdataset"], "webdataset", "paper", fps=FPS)
     assert contents(exports["webdataset"]) == before

@@ -23,6 +23,7 @@ from factory.cli.publish.export import command
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from schemas.terms import Recording
+from tests.builders.driven import CONTROL_HZ
 from tests.builders.rig import (
     AROUND,
     EYE,
@@ -69,7 +70,7 @@ def foxglove(root: Path, tmp_path_factory: pytest.TempPathFactory) -> SimpleName
     with (out / f"episodes/{ID}.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for schema, channel, message, decoded in reader.iter_decoded_messages():
-            found[channel.topic].append((round(message.log_time * 60 / 1e9), decoded))
+            found[channel.topic].append((round(message.log_time * CONTROL_HZ / 1e9), decoded))
             schemas[channel.topic] = schema.name
         attached = {one.name: json.loads(one.data) for one in reader.iter_attachments()}
     return SimpleNamespace(topics=found, schemas=schemas, attached=attached)
@@ -92,7 +93,7 @@ def test_mcap_has_every_sensor_at_its_rate(foxglove: SimpleNamespace, episode: E
         topic: kind for topic, kind in foxglove.schemas.items() if topic.count("/") == 2 and "path" not in topic
     } == (expected)
     for sensor in RIG.sensors:
-        stride = sensor.stride(60)
+        stride = sensor.stride(CONTROL_HZ)
         if sensor in (FRONT, EYE, AROUND):
             stride = np.lcm(stride, STRIDE)  # --fps thins out images only
         steps = list(range(0, len(episode), stride))
@@ -184,7 +185,7 @@ def test_rosbags_reads_every_sensor(ros2: Path, episode: Episode) -> None:
     assert kinds["/scan/scan"] == "sensor_msgs/msg/LaserScan"
     assert kinds["/imu/imu"] == "sensor_msgs/msg/Imu"
     assert not any(topic.startswith("/camera/") for topic in kinds)
-    assert [round((stamp - start) * 60 / 1e9) for stamp, _ in found["/eye/depth/image_raw"]] == list(
+    assert [round((stamp - start) * CONTROL_HZ / 1e9) for stamp, _ in found["/eye/depth/image_raw"]] == list(
         range(0, len(episode), 2)
     )
     frames = {
@@ -203,7 +204,7 @@ def test_rosbags_reads_every_sensor(ros2: Path, episode: Episode) -> None:
         depth = image.data.view("<f4").reshape(image.height, image.width)
         assert_cloud_agrees(xyz, frames, name, (model, info.k, info.d), np.where(np.isinf(depth), 0, depth))
     stamp, scan = found["/scan/scan"][1]
-    assert round((stamp - start) * 60 / 1e9) == 5
+    assert round((stamp - start) * CONTROL_HZ / 1e9) == 5
     assert scan.ranges[~np.isinf(scan.ranges)].tolist() == [r for r in seen(episode, "scan", 5).ranges[0] if r > 0]
     assert scan.angle_min + 89 * scan.angle_increment == pytest.approx(scan.angle_max, abs=1e-5)
     assert found["/imu/imu"][0][1].orientation_covariance[0] == -1

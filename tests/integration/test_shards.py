@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -78,8 +79,7 @@ def join(out: Path, folder: Path, checker: Shared, *sources: Place) -> JoinRepor
     found = [one for source in sources for one in find_shards(source)]
     require_joinable(found, PLAN, partial=False)
     target = JoinTarget(out, out, f"sqlite:///{out}/ledger.db", PLAN, room_catalog(folder))
-    shards = [(place, state.shard) for place, state in found]
-    return join_shards(target, shards, checker, datetime.now(UTC))
+    return join_shards(target, found, checker, datetime.now(UTC))
 
 
 def shard_site(folder: Path, number: int) -> Site:
@@ -114,7 +114,7 @@ def test_joined_shards_have_the_digest_and_the_failures_of_the_run_without_shard
 def test_an_interrupted_join_is_completed_by_the_same_call(shards, tmp_path, checker):
     out = tmp_path / "joined"
     target = JoinTarget(out, out, f"sqlite:///{out}/ledger.db", PLAN, room_catalog(tmp_path))
-    first = [(place, state.shard) for place, state in find_shards(shards) if state.shard.number == 2]
+    first = [(place, state) for place, state in find_shards(shards) if state.shard.number == 2]
     assert join_shards(target, first, checker, datetime.now(UTC)).digest is None
     report = join(out, tmp_path, checker, shards)
     assert (report.gathered, report.episodes) == (EPISODES - EPISODES // COUNT, EPISODES)
@@ -129,6 +129,33 @@ def test_a_damaged_episode_of_a_shard_is_reported_and_not_copied(tmp_path, check
     report = join(tmp_path / "joined", tmp_path, checker, site.home)
     assert [(one.episode, one.shard) for one in report.rejected] == [("ep_000003", str(site.home))]
     assert (report.episodes, report.digest) == (EPISODES - 1, None)
+
+
+def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_path, checker):
+    plan, site, shard = room_plan(2, Recording.STATES, crashes=2), site_of(tmp_path / "1"), RunShard(number=1, count=1)
+    catalog = room_catalog(tmp_path)
+    options = CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=SETTINGS, checker=checker, shard=shard)
+    with Coordinator(site.home, plan, catalog, options) as coordinator:
+        for host in ("one", "two"):
+            with WireWorker(coordinator.endpoints, coordinator.run, host) as worker:
+                while (given := worker.job())[0].index != 1:
+                    assert worker.deliver(given[1], bundle_for(given[0]))
+                assert worker.fail(given[1], FailReason.CRASH)
+                until(lambda: coordinator.progress().jobs["submitted"] == 0)
+        assert coordinator.wait(60)
+        ShardRecorder(site, shard, plan, catalog).finish(coordinator.progress())
+    out = tmp_path / "joined"
+    target = JoinTarget(out, out, f"sqlite:///{out}/ledger.db", plan, catalog)
+    found = list(find_shards(site.place))
+    report = join_shards(target, found, checker, datetime.now(UTC))
+    joined = progress_of(site_of(out))
+    assert joined.finished
+    assert (joined.jobs["failed"], joined.jobs["archived"], joined.jobs["pending"]) == (1, 1, 0)
+    assert report.digest == read_dataset_meta(site.place).dataset_digest
+    with sqlite3.connect(out / "ledger.db") as ledger:
+        ((reason,),) = ledger.execute("SELECT reason FROM jobs WHERE state = 'failed'").fetchall()
+    assert "quarantined in shard 1/1 after 2 failures of workers, last crash: as asked" in reason
+    assert join_shards(target, found, checker, datetime.now(UTC)) == report.model_copy(update={"gathered": 0})
 
 
 @pytest.mark.parametrize(

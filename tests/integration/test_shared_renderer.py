@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from factory.dataset.packages import ScenePackage
-from factory.dataset.shared_renderer import KEPT_SCENES, SharedRenderer, View
+from factory.dataset.rendering.shared_renderer import KEPT_SCENES, SharedRenderer, View
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
 from schemas.scene import encode_scene

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
+import json
 import os
 import pty
 import re
-import struct
 import sys
-import termios
 from pathlib import Path
 
 import pytest
@@ -20,13 +18,32 @@ WORDS = ("cancelled", "archived", "warehouse_multiple_shelves", "test_paraphrase
 """Names that a narrow terminal must not break."""
 
 
-def on_terminal(columns: int, *words: str) -> str:
-    """Returns the output of `factory` on a terminal of that width, without colours."""
+COMMANDS = (
+    ("status", "RUN"),
+    ("jobs", "list", "RUN"),
+    ("jobs", "show", "RUN", "1"),
+    ("stats", "DATA"),
+    ("plan", "show", "demo"),
+    ("scene", "list"),
+)
+WIDTHS = (60, 80, 120)
+_END = "END OF COMMAND"
+_PROGRAM = f"""
+import fcntl, json, struct, sys, termios
+from factory.cli.main import cli
+for columns, words in json.loads(sys.argv[1]):
+    fcntl.ioctl(1, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+    status = cli.main(words, standalone_mode=False)
+    print("{_END}", status or 0, flush=True)
+"""
+
+
+def on_terminal(calls: list[tuple[int, list[str]]]) -> list[str]:
+    """Returns the output of commands of `factory` on a terminal, each with its number of columns, without colours."""
     child, terminal = pty.fork()
     if child == 0:
-        fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
         environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"}
-        os.execve(sys.executable, [sys.executable, "-m", "factory", *words], environment)
+        os.execve(sys.executable, [sys.executable, "-c", _PROGRAM, json.dumps(calls)], environment)
     told = b""
     try:
         while data := os.read(terminal, 1 << 16):
@@ -35,7 +52,10 @@ def on_terminal(columns: int, *words: str) -> str:
         pass
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, told
-    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", told.decode()).replace("\r\n", "\n")
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", told.decode()).replace("\r\n", "\n")
+    *outputs, rest = text.split(f"{_END} 0\n")
+    assert rest == ""
+    return outputs
 
 
 @pytest.fixture(scope="module")
@@ -47,20 +67,20 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {"RUN": str(Path(run.root)), "DATA": str(folder / "data")}
 
 
-@pytest.mark.parametrize("columns", [60, 80, 120])
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("status", "RUN"),
-        ("jobs", "list", "RUN"),
-        ("jobs", "show", "RUN", "1"),
-        ("stats", "DATA"),
-        ("plan", "show", "demo"),
-        ("scene", "list"),
-    ],
-)
-def test_tables_fit_the_terminal(places: dict[str, str], words: tuple[str, ...], columns: int) -> None:
-    text = on_terminal(columns, *(places.get(word, word) for word in words))
+@pytest.fixture(scope="module")
+def texts(places: dict[str, str]) -> dict[tuple[tuple[str, ...], int], str]:
+    """Outputs by command and width, of one process, because its imports take most of the time."""
+    asked = [(words, columns) for words in COMMANDS for columns in WIDTHS]
+    calls = [(columns, [places.get(word, word) for word in words]) for words, columns in asked]
+    return dict(zip(asked, on_terminal(calls), strict=True))
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+@pytest.mark.parametrize("words", COMMANDS)
+def test_tables_fit_the_terminal(
+    texts: dict[tuple[tuple[str, ...], int], str], words: tuple[str, ...], columns: int
+) -> None:
+    text = texts[words, columns]
     lines = [part.rstrip() for line in text.split("\n") for part in line.split("\r")]
     assert len(lines) > 3
     assert [line for line in lines if len(line) > columns and "/" not in line] == []

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -15,6 +13,7 @@ from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
 from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
 from schemas.terms import Recording
+from tests.acceptance.factory_cli import FactoryCli
 
 pytestmark = pytest.mark.gl
 
@@ -49,10 +48,9 @@ def test_rendered_thumbnails_equal_those_of_a_frames_dataset(copied: Path, frame
     assert thumbnails_of(copied) == thumbnails_of(frames)
 
 
-def test_a_push_names_the_option_for_missing_thumbnails(copied: Path, frames: Path) -> None:
+def test_a_push_names_the_option_for_missing_thumbnails(factory: FactoryCli, copied: Path, frames: Path) -> None:
     notes = []
     for root in (copied, frames):
-        command = [sys.executable, "-m", "factory", "push", str(root), "someone/nav", "--dry-run"]
-        notes.append(subprocess.run(command, check=True, capture_output=True, text=True).stderr)
+        notes.append(factory("push", root, "someone/nav", "--dry-run").stderr)
     assert "no thumbnails for the Hub's viewer; --thumbnails renders them" in notes[0]
     assert "thumbnails" not in notes[1]

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import io
-import json
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,7 +19,9 @@ from schemas.instruction.start_view import StartView
 from schemas.plan import MAX_EPISODES
 from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.terms import Recording
+from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.dataset import make_dataset
+from tests.builders.fork_server import ForkServer
 
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
@@ -109,17 +107,16 @@ def test_the_distance_of_stored_frames_is_reported_by_channel(copy: Callable[[Re
     assert found["channels"]["ids"] == {"share": 0}
 
 
-def run_verify(root: Path, *options: object, expect: int, **environment: str) -> str:
-    command = [sys.executable, "-m", "factory", "verify", str(root), "--render", "1", *map(str, options)]
-    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
-    assert done.returncode == expect, done.stderr
-    return done.stdout
+@pytest.fixture
+def tiny(server: ForkServer, cache: Path, tmp_path: Path) -> FactoryCli:
+    """The command line with another renderer."""
+    return FactoryCli(server, tmp_path, cache, {"MINIVLA_RENDERER": "tiny"})
 
 
-def test_pixels_of_another_renderer_are_compared_with_a_reference(recordings: Recordings) -> None:
+def test_pixels_of_another_renderer_are_compared_with_a_reference(tiny: FactoryCli, recordings: Recordings) -> None:
     states, frames = recordings[Recording.STATES], recordings[Recording.FRAMES]
-    printed = run_verify(states, "--reference", frames, "--json", expect=1, MINIVLA_RENDERER="tiny")
-    found = json.loads(printed)["difference"]
+    words = ("verify", states, "--render", 1, "--reference", frames)
+    found = tiny.json(*words, expect=1)["difference"]
     assert (found["frames"], found["differing"], found["measured"]) == (3, 3, 3)
     assert found["recorded_with"] == [Dataset(states)[0].meta.provenance.fingerprint.renderer]
     assert found["rendered_with"][0].startswith("PyBullet TinyRenderer")
@@ -127,13 +124,13 @@ def test_pixels_of_another_renderer_are_compared_with_a_reference(recordings: Re
         assert 0 < found["channels"][name]["mean"] < found["channels"][name]["largest"] <= 255
     assert found["channels"]["depth"]["mean"] < 0.05
     assert 0 < found["channels"]["ids"]["share"] < 0.05
-    table = run_verify(states, "--reference", frames, expect=1, MINIVLA_RENDERER="tiny")
+    table = tiny(*words, expect=1).stdout
     assert "3 of 3 rendered frames differ; recorded with " in table
     assert "3 frames compared; colours in levels of 255, depth in metres" in table
 
 
-def test_without_stored_pixels_the_option_for_a_reference_is_named(recordings: Recordings) -> None:
-    printed = run_verify(recordings[Recording.STATES], expect=1, MINIVLA_RENDERER="tiny")
+def test_without_stored_pixels_the_option_for_a_reference_is_named(tiny: FactoryCli, recordings: Recordings) -> None:
+    printed = tiny("verify", recordings[Recording.STATES], "--render", 1, expect=1).stdout
     assert "the recorded pixels are not stored; --reference compares with a dataset that stores them" in printed
 
 
@@ -179,18 +176,7 @@ def edit_format(table: Path, number: int) -> None:
     pq.write_table(rows.set_column(place, "format", pa.array([number] * rows.num_rows, pa.int64())), table)
 
 
-def test_the_command_prints_how_many_episodes_were_rendered(recordings: Recordings) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "factory",
-        "verify",
-        str(recordings[Recording.STATES]),
-        "--render",
-        "all",
-        "--json",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
+def test_the_command_prints_how_many_episodes_were_rendered(factory: FactoryCli, recordings: Recordings) -> None:
+    found = factory.json("verify", recordings[Recording.STATES], "--render", "all")
     assert found["rendered"] == 2
     assert (found["difference"]["frames"], found["difference"]["differing"]) == (6, 0)

@@ -120,7 +120,7 @@ def test_crash_report_contains_exit_status_and_last_output(tmp_path):
 def test_simulation_without_progress_is_killed_and_reported_as_hung(tmp_path):
     with (
         coordinator("hang", "bundle") as hub,
-        WorkerThread(settings_for(hub.endpoint, tmp_path, hang_s=1.0)) as worker,
+        WorkerThread(settings_for(hub.endpoint, tmp_path, hang_s=3.0)) as worker,
     ):
         assert worker.join() == 0
         assert hub.ended[1].reason is FailReason.HANG

@@ -69,7 +69,7 @@ class Measured(NamedTuple):
     size_bytes: int
     cpu_s: float
     peak_mib: float
-    """Of the largest process."""
+    """Peak memory of the largest process, MiB."""
 
 
 def main(dataset: Path, out: Path, places: dict[str, str]) -> int:

@@ -22,7 +22,7 @@ class Listed(NamedTuple):
     """An episode in the list of the loader."""
 
     name: str
-    """Of the original."""
+    """Name of the original episode."""
     index: int
     length: int
     split: str

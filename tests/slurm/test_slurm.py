@@ -73,7 +73,7 @@ def run(cluster: SlurmCluster, tmp_path: Path) -> Iterator[StubRun]:
     made.cancel()
 
 
-def test_a_cancelled_task_drains_and_does_not_come_back(cluster, run):
+def test_a_cancelled_task_drains_and_is_not_queued_again(cluster, run):
     run.cancel()
     cluster.wait(lambda: cluster.state_of(run.job) == "CANCELLED", "the end")
     cluster.wait(lambda: run.told() == ["run", "drained"], "the drain")

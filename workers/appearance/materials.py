@@ -90,7 +90,7 @@ def draw_materials(
     changes: list[SurfaceChange] = []
     for kind, names, table in (("wall", ranges.walls, WALLS), ("floor", ranges.floors, FLOORS)):
         if names:
-            changes += _sheets(kind, [table[name] for name in names], surfaces, scene)
+            changes += _surface_changes(kind, [table[name] for name in names], surfaces, scene)
     if ranges.ceilings:
         factor = np.array(rgb_of(surfaces.choose(CEILINGS))) / 255
         changes += [_tinted(slot, factor) for slot in scene.slots if slot.surface == "ceiling"]
@@ -99,18 +99,18 @@ def draw_materials(
     return tuple(change for change in changes if change.to_colour != change.colour or change.texture)
 
 
-def _sheets(kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
+def _surface_changes(kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
     """Returns changes of walls or floors: one material for all surfaces with one texture, whose trims stay."""
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
     total = sum(scene.area[number] for number in own)
     for layer in sorted({scene.slots[number].layer for number in own}):
-        sheet = [number for number in own if scene.slots[number].layer == layer]
+        group = [number for number in own if scene.slots[number].layer == layer]
         material = chance.choose(materials)
-        largest = max(scene.area[number] for number in sheet)
+        largest = max(scene.area[number] for number in group)
         if largest < _MAIN_SHARE * total / 4:
             continue
-        for number in sheet:
+        for number in group:
             slot, colour = scene.slots[number], chance.choose(material.colours)
             kept = colour if scene.area[number] >= _MAIN_SHARE * largest else slot.colour
             changes.append(_change(slot, kept, material))

@@ -28,6 +28,12 @@ def make_hello(sid: str, host: str, slots: int) -> Hello:
     return Hello(sid=sid, host=host, slots=slots, version=version("minivla-factory"))
 
 
+def make_done(entry: Spooled, host: Host) -> Done:
+    """Returns the announcement of a bundle in the spool."""
+    facts = entry.model_dump(exclude={"lease"})
+    return Done(sid=host.sid, lease=entry.lease, via=host.link.via, **facts)
+
+
 class Heartbeat:
     """Loop that sends heartbeats until the worker ends."""
 
@@ -93,8 +99,7 @@ class Heartbeat:
     def _announce(self, entry: Spooled) -> None:
         """Repeats the announcement of a bundle, because the coordinator or this worker may have been restarted."""
         host = self._host
-        done = Done(sid=host.sid, lease=entry.lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
-        host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
+        host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)
 
     def _handle_silence(self) -> None:
         host = self._host

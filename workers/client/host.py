@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from schemas.protocol.messages import Lease, LeaseProgress, RunKind
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
-from workers.client.settings import WorkerSettings
+from workers.client.settings import CheckBundle, WorkerSettings
 from workers.client.spool import Spool
 
 _MAX_HOST = 48
@@ -140,6 +140,8 @@ class Host:
     """Command line of a simulation process."""
     lease_ttl_s: float
     """Time after which a lease without heartbeat expires, seconds."""
+    check_bundle: CheckBundle | None
+    """Function that validates bundles before they are announced; `None` if the coordinator does not request it."""
     link: Link
     """Connection to the coordinator."""
     spool: Spool
@@ -167,14 +169,14 @@ class Host:
         return seconds * self.rng.uniform(0.8, 1.2)
 
 
-def tidy_host(name: str) -> str:
+def valid_host_name(name: str) -> str:
     """Returns a machine's name as a valid host name: lower-case letters, digits and dashes.
 
-    >>> tidy_host("Node_07.cluster.local")
+    >>> valid_host_name("Node_07.cluster.local")
     'node-07-cluster-local'
     """
-    tidy = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:_MAX_HOST].rstrip("-")
-    return tidy or "host"
+    valid = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:_MAX_HOST].rstrip("-")
+    return valid or "host"
 
 
 def make_sid(host: str) -> str:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import platformdirs
 
 from schemas.errors import WorldError
+from schemas.job import Job
 from schemas.protocol.identity import TlsFiles
 from schemas.protocol.messages import RunKind
 from schemas.support.child import python_module
 from schemas.terms import RendererKind
 
 _SPARE_BUNDLES = 8
+
+CheckBundle = Callable[[Path, Job], object]
+"""Function that validates the bundle of a job; raises `InvalidBundle` or `TransientError`."""
 
 
 def _cache(name: str) -> Path:
@@ -57,6 +62,8 @@ class WorkerSettings:
     """Largest size of the scene cache, bytes."""
     command: tuple[str, ...] = ()
     """Command line of a simulation process; empty selects the default."""
+    check_bundle: CheckBundle | None = None
+    """Function that validates a bundle, in another process; `None` if this worker cannot validate its bundles."""
     eval_command: tuple[str, ...] = ()
     """Command line of a process that executes evaluation tasks; if empty, the worker rejects evaluations."""
     build_command: tuple[str, ...] = ()

@@ -12,12 +12,13 @@ from typing import NoReturn
 
 import structlog
 
-from schemas.errors import FactoryError, LeaseLost, WorldError
+from schemas.errors import FactoryError, InvalidBundle, LeaseLost, TransientError, WorldError
 from schemas.job import Job
 from schemas.protocol.keys import Chunk, Verb
-from schemas.protocol.messages import Ack, BuildOrder, Claim, ClaimReply, Done, Fail, Lease
+from schemas.protocol.messages import Ack, BuildOrder, Claim, ClaimReply, Fail, Lease
 from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
+from workers.client.heartbeat import make_done
 from workers.client.host import Backoff, Host
 from workers.process.messages import BuildTask, SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
@@ -147,7 +148,7 @@ class Slot:
                 self._abort(lease)
                 report = failure(FailReason.RELEASED, "the worker stopped")
             if report.kind is SimulationReportKind.SUCCESS:
-                report = self._spool_bundle(name, lease, report)
+                report = self._spool_bundle(name, given.job, lease, report)
             if report.kind is SimulationReportKind.FAILURE:
                 self._host.spool.clear(lease)
                 self._report_failure(name, lease, report, time.monotonic() - started)
@@ -231,22 +232,42 @@ class Slot:
         if self._host.leases.is_lost(lease):
             raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) belongs to another worker")
 
-    def _spool_bundle(self, name: str, lease: Lease, report: SimulationReport) -> SimulationReport:
+    def _spool_bundle(self, name: str, job: Job | None, lease: Lease, report: SimulationReport) -> SimulationReport:
         """Spools and announces a bundle; returns the report, or a failure if the spool cannot store the bundle."""
         host = self._host
         if report.sha256 is None or report.size is None:
             self._raise_invalid(report)
         try:
-            entry = host.spool.add(lease, report.sha256, report.size)
+            is_validated = job is not None and self._is_validated(job, host.spool.path_for(lease))
+            entry = host.spool.add(lease, report.sha256, report.size, is_validated=is_validated)
+        except InvalidBundle as error:
+            return failure(FailReason.INVALID, str(error), report.step, report.seconds)
         except WorldError as error:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         if 2 * len(host.spool) >= host.settings.spool_limit:
             host.phase.beating.set()  # its reply names the bundles to drop; small episodes take less than a beat
         log.info("bundle_spooled", episode=name, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
-        done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
-        host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
+        host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)
         return report
+
+    def _is_validated(self, job: Job, bundle: Path) -> bool:
+        """Validates a bundle if the coordinator requests it; returns whether that was possible.
+
+        Raises:
+            InvalidBundle: the bundle has violations.
+        """
+        check = self._host.check_bundle
+        if check is None:
+            return False
+        try:
+            check(bundle, job)
+        except TransientError as error:
+            log.warning(
+                "bundle_not_validated", episode=job.episode_id, why=str(error), remedy="the coordinator does it"
+            )
+            return False
+        return True
 
     def _report_failure(self, name: str, lease: Lease, report: SimulationReport, seconds: float) -> None:
         """Reports a failed attempt until a reply arrives, the lease is lost, or the worker ends."""

@@ -55,6 +55,8 @@ class Spooled(Model):
     """SHA-256 of the bundle."""
     size: Annotated[Bytes, Field(ge=1)]
     """Size of the bundle, bytes."""
+    is_validated: bool = False
+    """Whether the worker has validated the bundle."""
 
 
 class Spool(Closing):
@@ -127,18 +129,19 @@ class Spool(Closing):
             bundle.unlink(missing_ok=True)
             bundle.with_name(bundle.name + _PART).unlink(missing_ok=True)
 
-    def add(self, lease: Lease, sha256: str, size: int) -> Spooled:
+    def add(self, lease: Lease, sha256: str, size: int, *, is_validated: bool = False) -> Spooled:
         """Adds the complete and synced bundle at `path_for(lease)`; from now on it survives a crash.
 
         Args:
             lease: lease of the job.
             sha256: SHA-256 of the bundle.
             size: size of the bundle, bytes.
+            is_validated: whether the worker has validated the bundle.
 
         Raises:
             WorldError: the sidecar cannot be written.
         """
-        entry = Spooled(lease=lease, sha256=sha256, size=size)
+        entry = Spooled(lease=lease, sha256=sha256, size=size, is_validated=is_validated)
         with self._translated():
             _write_synced(self._file(lease, _SIDECAR), entry.model_dump_json().encode())
         with self._guard:

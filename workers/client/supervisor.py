@@ -16,7 +16,7 @@ import structlog
 from schemas.errors import WorldError
 from schemas.protocol.messages import HelloReply, Refusal, RunKind
 from workers.client.heartbeat import Heartbeat, make_hello
-from workers.client.host import Backoff, Host, Phase, make_sid, tidy_host
+from workers.client.host import Backoff, Host, Phase, make_sid, valid_host_name
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
 from workers.client.settings import WorkerSettings
@@ -55,7 +55,7 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
         WorldError: no coordinator answered within `wait_s`, it refuses this worker, or simulations do not start.
     """
     at_once = at_once or threading.Event()
-    name = tidy_host(settings.host or socket.gethostname())
+    name = valid_host_name(settings.host or socket.gethostname())
     sid = make_sid(name)
     settled: str | None = None
     with Link(settings.connect, name, settings.tls) as link:
@@ -92,6 +92,7 @@ def _work_for(
             trade=terms.trade,
             command=settings.command_for(terms.trade),
             lease_ttl_s=terms.lease_ttl_s,
+            check_bundle=settings.check_bundle if terms.validates else None,
             link=link,
             spool=spool,
             scenes=SceneCache(settings.scene_dir, settings.max_scene_bytes),

@@ -36,7 +36,7 @@ class LazyFrame:
         return self._renderer().render(self._pose)
 
     @cached_property
-    def relief(self) -> DepthAndIds:
+    def depth_and_ids(self) -> DepthAndIds:
         """Depth and ids, from the frame if it has been rendered, else rendered without colour."""
         if "frame" in self.__dict__:
             return DepthAndIds(self.frame.depth, self.frame.ids)
@@ -47,7 +47,7 @@ class LazyFrame:
         """Measurements of the target in the image."""
         renderer, left = self._partial, 0
         if renderer is None:
-            image = self.relief
+            image = self.depth_and_ids
         else:
             (_, left, _, _), image = renderer.render_instance(self._pose, self._instance_id)
         return see(image.ids, image.depth, self._instance_id, self._job.gains.min_mask_px, left)
@@ -61,12 +61,12 @@ class LazyFrame:
             near = renderer.count_within(self._pose, window, task.near_obstacle_depth_m)
             if near == 0 or are_near(near, window.pixels):  # at most so many pixels are valid
                 return near > 0
-        return is_obstacle_near(self.relief.cut(window).depth, task)
+        return is_obstacle_near(self.depth_and_ids.cut(window).depth, task)
 
     @property
     def _partial(self) -> PartialRenderer | None:
         """Renderer of parts of the image, or `None` if it has none or the whole image has been rendered."""
-        if "frame" in self.__dict__ or "relief" in self.__dict__:
+        if "frame" in self.__dict__ or "depth_and_ids" in self.__dict__:
             return None
         return as_partial(self._renderer())
 

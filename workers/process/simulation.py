@@ -38,11 +38,13 @@ class Simulation:
     Args:
         command: command line of the process, which reads orders from stdin and reports to stdout.
         hang_s: time without a report after which a busy process is killed, seconds.
+        start_s: time without a report after which a process that has not yet received an order is killed, seconds.
     """
 
-    def __init__(self, command: Sequence[str], hang_s: float) -> None:
+    def __init__(self, command: Sequence[str], hang_s: float, start_s: float = 60.0) -> None:
         self._command = tuple(command)
-        self._hang_s = hang_s
+        self._hang_s, self._start_s = hang_s, start_s
+        self._limit_s = start_s
         self._process: JsonlProcess[SimulationReport] | None = None
         self._silence_s = 0.0
 
@@ -67,19 +69,20 @@ class Simulation:
             self._process = JsonlProcess(self._command, one_core(child_environment(os.environ)), _parse)
         except OSError as error:
             raise WorldError(f"cannot start a simulation with `{' '.join(self._command)}`: {error}") from error
-        self._silence_s = 0.0
+        self._silence_s, self._limit_s = 0.0, self._start_s
 
     def order(self, order: SimulationOrder | BuildTask) -> None:
         """Sends an order; `receive` reports a process that has died meanwhile."""
         if self._process is None:
             raise RuntimeError("order() before start()")
-        self._silence_s = 0.0
+        self._silence_s, self._limit_s = 0.0, self._hang_s
         self._process.send(to_line(order))
 
     def receive(self, timeout_s: float) -> SimulationReport | Death | None:
         """Returns the next report, the death of the process, or `None` after `timeout_s` seconds without a report.
 
-        Kills a process that sends no report for more than `hang_s`, and returns its death as a hang.
+        Kills a process that sends no report for more than `hang_s`, or `start_s` before its first order, and returns
+        its death as a hang.
         """
         if self._process is None:
             return Death(FailReason.CRASH, "not started")
@@ -90,7 +93,7 @@ class Simulation:
         if report is None:
             # sum of the waiting times, not wall time, so that a suspended supervisor does not report a hang
             self._silence_s += timeout_s
-            return self._give_up(self._process) if self._silence_s > self._hang_s else None
+            return self._give_up(self._process) if self._silence_s > self._limit_s else None
         self._silence_s = 0.0
         return report
 
@@ -101,7 +104,7 @@ class Simulation:
             log.warning("simulation_unkillable", pid=process.pid)
 
     def _give_up(self, process: JsonlProcess[SimulationReport]) -> Death:
-        detail = f"no progress for {self._silence_s:.1f} s (limit {self._hang_s:g} s), killed" + _last_output(process)
+        detail = f"no progress for {self._silence_s:.1f} s (limit {self._limit_s:g} s), killed" + _last_output(process)
         self.kill()
         log.warning("simulation_hung", pid=process.pid, detail=detail)
         return Death(FailReason.HANG, detail)

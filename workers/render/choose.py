@@ -26,7 +26,7 @@ _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl
 def open_renderer(
     kind: RendererKind = "auto",
     size: int = FRAME_SIZE_PX,
-    lap: StageTimer = no_stage_timer,
+    timer: StageTimer = no_stage_timer,
     apart: bool = False,
     kept_scenes: int = KEPT_SCENES,
 ) -> Renderer:
@@ -35,7 +35,7 @@ def open_renderer(
     Args:
         kind: type of the renderer.
         size: width and height of the frames, pixels.
-        lap: called at the end of the stages `render` and `read-back` of every frame.
+        timer: called at the end of the stages `render` and `read-back` of every frame.
         apart: whether the renderer runs in a separate process. This is necessary if this process loads libraries of the
             user, which may crash together with those of OpenGL, or if it may be forked; the frames are the same.
         kept_scenes: number of scenes that stay prepared.
@@ -45,39 +45,39 @@ def open_renderer(
         WorldError: `kind` is `gl` and this machine has no usable EGL driver.
     """
     if apart:
-        return open_apart(kind, size, lap, kept_scenes)
+        return open_apart(kind, size, timer, kept_scenes)
     _require_kind(kind)
     if kind == "tiny":
-        return _open_tiny(size, lap, kept_scenes)
+        return _open_tiny(size, timer, kept_scenes)
     open_gl = functools.partial(_open_gl, kept_scenes=kept_scenes)
-    return open_gl(size, lap) if kind == "gl" else open_first(open_gl, size, lap)
+    return open_gl(size, timer) if kind == "gl" else open_first(open_gl, size, timer)
 
 
 def open_apart(
     kind: RendererKind = "auto",
     size: int = FRAME_SIZE_PX,
-    lap: StageTimer = no_stage_timer,
+    timer: StageTimer = no_stage_timer,
     kept_scenes: int = KEPT_SCENES,
 ) -> ProcessRenderer:
     """Opens a renderer in a separate process; arguments and errors as those of `open_renderer`."""
     _require_kind(kind)
     from workers.render.process import ProcessRenderer
 
-    return ProcessRenderer(kind, size, lap, kept_scenes)
+    return ProcessRenderer(kind, size, timer, kept_scenes)
 
 
 def open_first(
-    preferred: Callable[[int, StageTimer], Renderer], size: int, lap: StageTimer = no_stage_timer
+    preferred: Callable[[int, StageTimer], Renderer], size: int, timer: StageTimer = no_stage_timer
 ) -> Renderer:
     """Opens the preferred renderer; if it has no driver, logs a warning and opens TinyRenderer."""
     try:
-        return preferred(size, lap)
+        return preferred(size, timer)
     except WorldError as error:
         import structlog  # not at the start of each simulation, which it would slow down
 
         log = structlog.get_logger(__name__)
         log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
-        return _open_tiny(size, lap)
+        return _open_tiny(size, timer)
 
 
 def _require_kind(kind: RendererKind) -> None:
@@ -85,15 +85,15 @@ def _require_kind(kind: RendererKind) -> None:
         raise UsageError(f"unknown renderer {kind!r}; valid renderers: {', '.join(get_args(RendererKind))}")
 
 
-def _open_gl(size: int, lap: StageTimer, kept_scenes: int) -> Renderer:
+def _open_gl(size: int, timer: StageTimer, kept_scenes: int) -> Renderer:
     require_package("moderngl", "the renderer gl")
     from workers.render.gl import GlRenderer
 
-    return GlRenderer(size, lap, kept_scenes)
+    return GlRenderer(size, timer, kept_scenes)
 
 
-def _open_tiny(size: int, lap: StageTimer, kept_scenes: int = KEPT_SCENES) -> Renderer:
+def _open_tiny(size: int, timer: StageTimer, kept_scenes: int = KEPT_SCENES) -> Renderer:
     require_package("pybullet", "the renderer tiny")
     from workers.render.tiny import TinyRenderer
 
-    return TinyRenderer(size, lap, kept_scenes)
+    return TinyRenderer(size, timer, kept_scenes)

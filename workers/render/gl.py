@@ -57,13 +57,13 @@ class GlRenderer(Closing):
     """`Renderer` with a separate OpenGL 4.5 context; every call makes that context current."""
 
     def __init__(
-        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+        self, size: int = FRAME_SIZE_PX, timer: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
     ) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
-            lap: called at the end of the stages `render` and `read-back` of every frame.
+            timer: called at the end of the stages `render` and `read-back` of every frame.
             kept_scenes: number of scenes that stay on the device.
 
         Raises:
@@ -71,7 +71,7 @@ class GlRenderer(Closing):
             WorldError: this machine has no usable EGL driver.
         """
         self._camera = CameraConfig()
-        self._lap = lap
+        self._timer = timer
         self._size = size
         self._context = _open_context()
         self._pid = os.getpid()
@@ -126,12 +126,12 @@ class GlRenderer(Closing):
             target.begin()
             scene.draw(view.drawn, view.matrix)
             self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
-            self._lap("render")
+            self._timer("render")
             rgb = target.read_colour()
-            relief = target.read_depth_and_ids(image, rgb)
-        self._sky.paint(rgb, relief.depth, view.optical, image)
-        self._lap("read-back")
-        return RenderedFrame(rgb, relief.depth, relief.ids)
+            depth_and_ids = target.read_depth_and_ids(image, rgb)
+        self._sky.paint(rgb, depth_and_ids.depth, view.optical, image)
+        self._timer("read-back")
+        return RenderedFrame(rgb, depth_and_ids.depth, depth_and_ids.ids)
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids without rendering colour, bit-identical to those of `render`.
@@ -182,10 +182,10 @@ class GlRenderer(Closing):
             target.begin(window)
             scene.draw_bare(parts, matrix)
             self._context.finish()
-            self._lap("render")
-            relief = target.read_depth_and_ids(self._image(), window=window)
-        self._lap("read-back")
-        return relief
+            self._timer("render")
+            depth_and_ids = target.read_depth_and_ids(self._image(), window=window)
+        self._timer("read-back")
+        return depth_and_ids
 
     def render_faces(self, plan: FacePlan, optical: OpticalPose, normals: bool = False) -> RenderedAtlas:
         """Returns the atlas of the faces of a camera.
@@ -209,15 +209,15 @@ class GlRenderer(Closing):
                 target.begin_face(face)
                 scene.draw(view.drawn, view.matrix)
             self._context.finish()
-            self._lap("render")
+            self._timer("render")
             rgb = target.read_colour(channels=3 if plan.sampling is None else 4)
-            relief = target.read_depth_and_ids(clip_range, rgb)
+            depth_and_ids = target.read_depth_and_ids(clip_range, rgb)
             codes = self._render_normals(scene, target, views) if normals else None
         for face, eye in looks:
             part = np.s_[face.top : face.top + face.view.height, : face.view.width]
-            self._sky.paint(rgb[part], relief.depth[part], eye, face.view)
-        self._lap("read-back")
-        return RenderedAtlas(rgb, relief.depth, relief.ids, codes)
+            self._sky.paint(rgb[part], depth_and_ids.depth[part], eye, face.view)
+        self._timer("read-back")
+        return RenderedAtlas(rgb, depth_and_ids.depth, depth_and_ids.ids, codes)
 
     def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
         """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render_faces`."""

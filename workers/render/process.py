@@ -31,7 +31,7 @@ class ProcessRenderer(Closing):
         self,
         kind: RendererKind = "auto",
         size: int = FRAME_SIZE_PX,
-        lap: StageTimer = no_stage_timer,
+        timer: StageTimer = no_stage_timer,
         kept_scenes: int = KEPT_SCENES,
     ) -> None:
         """Starts the process and waits until its renderer is open.
@@ -39,14 +39,14 @@ class ProcessRenderer(Closing):
         Args:
             kind: type of the renderer.
             size: width and height of the frames, pixels.
-            lap: called at the end of the stages `render` and `read-back` of every frame.
+            timer: called at the end of the stages `render` and `read-back` of every frame.
             kept_scenes: number of scenes that stay prepared.
 
         Raises:
             UsageError: the size is not in 1..`MAX_SIZE_PX`.
             WorldError: the process cannot be started, or the machine has no such renderer.
         """
-        self._size, self._lap = _checked(size), lap
+        self._size, self._timer = _checked(size), timer
         self._process = RenderingProcess(kind, size, kept_scenes)
         self._shelf = PreparedSceneCache(_Storage(self._process).store, kept_scenes)
         self.description = self._process.description
@@ -96,25 +96,25 @@ class ProcessRenderer(Closing):
         """
         size = _checked(size or self._size)
         self._process.ask(RequestKind.RENDER, pose=pose, size=size)
-        self._lap("render")
+        self._timer("render")
         frame = self._process.frames.take_frame(size)
-        self._lap("read-back")
+        self._timer("read-back")
         return frame
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids of the frame that `render` returns; raises the same errors."""
-        self._process.ask(RequestKind.RELIEF, pose=pose)
-        self._lap("render")
-        relief = self._process.frames.take_relief(self._size)
-        self._lap("read-back")
-        return relief
+        self._process.ask(RequestKind.DEPTH_AND_IDS, pose=pose)
+        self._timer("render")
+        depth_and_ids = self._process.frames.take_depth_and_ids(self._size)
+        self._timer("read-back")
+        return depth_and_ids
 
     def render_camera(self, camera: Camera, pose: Pose) -> CameraImage:
         """Returns the image of a camera of a rig for a pose of base_link; raises the errors of `render`."""
         self._process.ask(RequestKind.CAMERA, pose=pose, sensor=camera.model_dump_json(exclude_defaults=True))
-        self._lap("render")
+        self._timer("render")
         image = self._process.frames.take_image(camera.height, camera.width, CameraOutput.NORMALS in camera.outputs)
-        self._lap("read-back")
+        self._timer("read-back")
         return image
 
 

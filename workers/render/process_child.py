@@ -79,7 +79,7 @@ class _Server:
                 self._renderer.load_by_key(request.scene, lambda: decode_scene(io.BytesIO(package)), request.camera)
             case RequestKind.RENDER:
                 self._frames.put(self._renderer.render(request.pose, request.size))
-            case RequestKind.RELIEF:
+            case RequestKind.DEPTH_AND_IDS:
                 self._frames.put(self._renderer.render_depth_and_ids(request.pose))
             case RequestKind.CAMERA:
                 self._frames.put(self._renderer.render_camera(_parse_camera(request.sensor), request.pose))

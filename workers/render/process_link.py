@@ -94,7 +94,7 @@ class RenderingProcess:
         """Ends the process; further calls have no effect."""
         self._end()
 
-    def disown(self) -> None:
+    def release_in_fork(self) -> None:
         """Releases the handle in a fork of the owner, without ending the process."""
         self._end.detach()
         self._process.returncode = 0  # it is not a child of the fork, which cannot wait for it
@@ -152,12 +152,12 @@ class RenderingProcess:
 _running: weakref.WeakSet[RenderingProcess] = weakref.WeakSet()
 
 
-def _disown_all() -> None:
+def _release_all_in_fork() -> None:
     for process in list(_running):
-        process.disown()
+        process.release_in_fork()
 
 
-os.register_at_fork(after_in_child=_disown_all)
+os.register_at_fork(after_in_child=_release_all_in_fork)
 
 
 def _start(

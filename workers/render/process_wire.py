@@ -32,7 +32,7 @@ class RequestKind(StrEnum):
     DROP = "drop"  # deletes a stored scene
     LOAD = "load"  # selects a stored scene and a camera
     RENDER = "render"  # renders colour, depth and ids
-    RELIEF = "relief"  # renders depth and ids
+    DEPTH_AND_IDS = "depth_and_ids"  # renders depth and ids
     CAMERA = "camera"  # renders a camera of a rig
 
 
@@ -112,7 +112,7 @@ class FrameMemory:
         """Returns a copy of the stored frame, which has that size."""
         return RenderedFrame(self._rgb(size, size).copy(), self._depth(size, size).copy(), self._ids(size, size).copy())
 
-    def take_relief(self, size: int) -> DepthAndIds:
+    def take_depth_and_ids(self, size: int) -> DepthAndIds:
         """Returns a copy of depth and ids of the stored frame, which has that size."""
         return DepthAndIds(self._depth(size, size).copy(), self._ids(size, size).copy())
 

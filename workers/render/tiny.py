@@ -38,19 +38,19 @@ class TinyRenderer(Closing):
     """Software `Renderer` that runs wherever PyBullet runs."""
 
     def __init__(
-        self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
+        self, size: int = FRAME_SIZE_PX, timer: StageTimer = no_stage_timer, kept_scenes: int = KEPT_SCENES
     ) -> None:
         """Creates the renderer.
 
         Args:
             size: width and height of the frames, pixels.
-            lap: called at the end of the stages `render` and `read-back` of every frame.
+            timer: called at the end of the stages `render` and `read-back` of every frame.
             kept_scenes: number of scenes that stay prepared.
         """
         self.description = f"PyBullet TinyRenderer {bullet_version()}"
         self._camera = CameraConfig()
         self._size = size
-        self._lap = lap
+        self._timer = timer
         self._shelf = PreparedSceneCache(TinyScene, kept_scenes)
         self._scene: TinyScene | None = None
         self._sky = SkyPainter(None)
@@ -111,7 +111,7 @@ class TinyRenderer(Closing):
         if self._scene is None:
             raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
         image = self._scene.client.camera_image(view.width, view.height, view_matrix(optical), _at_pixel_centres(view))
-        self._lap("render")
+        self._timer("render")
         near, far = view.near_m, view.far_m
         instance_of_body = self._scene.instance_of_body
         depth = far * near / (far - (far - near) * image.depth.astype(np.float64))
@@ -122,7 +122,7 @@ class TinyRenderer(Closing):
             ids=np.where(hit, instance_of_body[image.bodies], 0).astype(np.uint16),
         )
         self._sky.paint(frame.rgb, frame.depth, optical, view)
-        self._lap("read-back")
+        self._timer("read-back")
         return frame
 
 

@@ -1,4 +1,4 @@
-"""Shows the appearance of an episode to a renderer: the dressed scene, and the cameras with their change. Draws no
+"""Shows the appearance of an episode to a renderer: the changed scene, and the cameras with their change. Draws no
 frame.
 """
 
@@ -15,12 +15,12 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.scene import Instance
-from workers.appearance import ShiftedRenderer, draw_appearance, dress_scene
+from workers.appearance import ShiftedRenderer, apply_appearance, draw_appearance
 from workers.render import Renderer
 from workers.sim.scene_renderer import LoadedScene
 
 
-class Shown(NamedTuple):
+class RenderedScene(NamedTuple):
     """Scene of an episode as it is rendered."""
 
     place: LoadedScene
@@ -43,7 +43,7 @@ class Shown(NamedTuple):
 
 def show_appearance(
     job: Job, ranges: Appearance | None, place: LoadedScene, renderer: Renderer, poses: NDArray[np.float64]
-) -> Shown:
+) -> RenderedScene:
     """Draws the appearance of an episode, and loads its scene and camera; without ranges, the scene as it was compiled.
 
     Args:
@@ -58,13 +58,13 @@ def show_appearance(
     """
     if ranges is None:
         renderer.load(place.scene, job.camera)
-        return Shown(place, renderer)
+        return RenderedScene(place, renderer)
     if ranges.light is not None and place.light is None:
         raise WorldError(f"the light groups of scene {job.scene} are missing: run `factory scene light {job.scene}`")
     target = place.scene.info.target(job.target_id)
     drawn = draw_appearance(ranges, job.root_seed, job.index, place.appearance, target, poses)
-    scene = dress_scene(place.scene, place.light, drawn) if drawn.changes_scene else place.scene
+    scene = apply_appearance(place.scene, place.light, drawn) if drawn.changes_scene else place.scene
     renderer.load(scene, job.camera)
     if drawn.camera is not None:
         renderer = ShiftedRenderer(renderer, job.camera, drawn.camera, FRAME_SIZE_PX)
-    return Shown(replace(place, scene=scene), renderer, drawn)
+    return RenderedScene(replace(place, scene=scene), renderer, drawn)

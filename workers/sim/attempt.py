@@ -30,7 +30,7 @@ from workers.planning import Waypoint, geodesic_m
 from workers.render import Renderer, as_partial
 from workers.sim.appearance import show_appearance
 from workers.sim.frames import add_frames, add_sampled_digests
-from workers.sim.language import write_instruction
+from workers.sim.language import write_instruction, write_questions
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.sensors import LoadedSurroundings, add_measurements
@@ -161,12 +161,12 @@ def _drive_and_seal(
     """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
     job, target, place, stage = attempt.job, attempt.target, attempt.place, attempt.stage
     start = world.pose()
-    stage.lap("start")
-    done = drive(job, target, world, stage.renderer, expert, attempt.on_step, stage.lap)
+    stage.timer("start")
+    done = drive(job, target, world, stage.renderer, expert, attempt.on_step, stage.timer)
     poses = done.arrays.poses
     if done.end_reason is not EndReason.SUCCESS:
         return AttemptFailure(FailReason(done.end_reason), done.end, len(poses))
-    writer, shown = BundleWriter(attempt.out, stage.lap), None
+    writer, shown = BundleWriter(attempt.out, stage.timer), None
     if job.record is Recording.STATES:
         add_sampled_digests(writer, stage.renderer, job, poses)
     else:
@@ -177,16 +177,17 @@ def _drive_and_seal(
         scene = LoadedSurroundings(shown.place, stage.renderer)
         add_measurements(writer, scene, job, done.arrays, tell, shown.change)
     reach_m = None if job.is_false_premise else geodesic_m(place.grid, (start.x, start.y), target, job.task)
-    stage.lap("route")
+    stage.timer("route")
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
     if said is not None:
-        meta = meta.model_copy(update={"language": said, "phrase_is_unique": said.fits == 1})
+        asked = write_questions(job, place, poses, said)
+        meta = meta.model_copy(update={"language": said, "phrase_is_unique": said.fits == 1, "questions": asked})
     if shown is not None:
         meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
     sealed = writer.finish(done.arrays, meta)
-    stage.lap("bundle")
+    stage.timer("bundle")
     return Success(sealed)
 
 

@@ -42,7 +42,7 @@ def render_recording(
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
         shown = show_appearance(job, job.view.appearance, place, stage.renderer, recorded.arrays.poses)
-        writer = BundleWriter(out, stage.lap)
+        writer = BundleWriter(out, stage.timer)
         sampled = recorded.meta.sampled_digests if shown.drawn is None else {}  # those of the scene as compiled
 
         def check(count: int) -> None:

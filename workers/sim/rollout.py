@@ -48,7 +48,7 @@ def drive(
     renderer: Renderer,
     expert: Expert,
     on_step: StepCallback,
-    lap: StageTimer = no_stage_timer,
+    timer: StageTimer = no_stage_timer,
 ) -> Drive:
     """Drives until success, collision, timeout or a missed requirement on the demonstration.
 
@@ -59,7 +59,7 @@ def drive(
         renderer: renderer with the scene loaded.
         expert: expert whose `begin` was called for this start; `act` is called once per step.
         on_step: called after every step.
-        lap: called at the end of the stages `control` and `physics` of every step; the renderer reports its own.
+        timer: called at the end of the stages `control` and `physics` of every step; the renderer reports its own.
     """
     loop = ClosedLoop(job, target, world, renderer)
     visible = 0 if job.expert.uses_images else None
@@ -71,13 +71,13 @@ def drive(
         if visible is not None:
             visible += is_visible
         reason = _missed(job.demonstration, reason, loop.contact_steps, is_visible) or reason
-        lap("control")
+        timer("control")
         on_step(loop.steps)
         if reason is not None:
             end = f"{reason} after {loop.steps} steps, {view.distance_m:.2f} m from {target.target_id}"
             return Drive(reason, loop.arrays(), loop.contact_steps, visible, is_visible, end)
         loop.advance()
-        lap("physics")
+        timer("physics")
 
 
 def _missed(

@@ -29,7 +29,7 @@ from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
 
 if TYPE_CHECKING:
-    from schemas.language.compose import SceneLanguage
+    from schemas.language.scene import SceneLanguage
     from workers.sensors.rays import SceneRays
 
 _KEPT_SCENES = 2
@@ -56,8 +56,8 @@ class LoadedScene:
     @functools.cached_property
     def language(self) -> SceneLanguage:
         """Objects of the scene that instructions name."""
-        from schemas.language.compose import SceneLanguage
         from schemas.language.graph import build_graph
+        from schemas.language.scene import SceneLanguage
 
         return SceneLanguage(build_graph(self.scene))
 
@@ -88,17 +88,17 @@ class SceneRenderer(Closing):
     """Renderer with an LRU cache of loaded scenes."""
 
     def __init__(
-        self, renderer_kind: RendererKind = "auto", lap: StageTimer = no_stage_timer, apart: bool = False
+        self, renderer_kind: RendererKind = "auto", timer: StageTimer = no_stage_timer, apart: bool = False
     ) -> None:
         """Opens the renderer.
 
         Args:
             renderer_kind: type of the renderer.
-            lap: called at the end of every stage of every attempt.
+            timer: called at the end of every stage of every attempt.
             apart: whether the renderer runs in a separate process, see `open_renderer`.
         """
-        self.lap = lap
-        self.renderer: Renderer = open_renderer(renderer_kind, lap=lap, apart=apart)
+        self.timer = timer
+        self.renderer: Renderer = open_renderer(renderer_kind, timer=timer, apart=apart)
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 

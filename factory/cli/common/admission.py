@@ -13,7 +13,7 @@ from factory.support.listen import require_loopback, require_tls_endpoints
 _TLS_LISTEN = ("tls/0.0.0.0:7447",)
 
 
-def open_door(tls: Path | None, listen: tuple[str, ...]) -> tuple[Guard | None, tuple[str, ...]]:
+def choose_listening(tls: Path | None, listen: tuple[str, ...]) -> tuple[Guard | None, tuple[str, ...]]:
     """Returns the access control, `None` without TLS, and the endpoints to listen on.
 
     Args:

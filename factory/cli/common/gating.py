@@ -62,7 +62,7 @@ def pilots(plan: Plan, mode: GateMode) -> Iterator[Plan]:
         yield shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
 
 
-def hold_gate(
+def measure_gate(
     plan: Plan, catalog: Catalog, mode: GateMode, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> tuple[GateOutcome, ...] | None:
     """Runs the pilots that the mode requires; returns their outcomes, or `None` when `stop` was set.

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from coordinator.protocol.tls import Guard
-from factory.cli.common.admission import open_door
+from factory.cli.common.admission import choose_listening
 from factory.cli.common.groups import DefaultCommand, DefaultGroup
 from factory.cli.common.options import (
     appearance_option,
@@ -127,11 +127,11 @@ def run(
         print_result(evaluation, as_json, partial(print_evaluation, all_tables=all_tables))
         if out:
             click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
-            _tell_how_to_drive_again(evaluation, store)
+            _print_repeat_command(evaluation, store)
     return _judged(evaluation)
 
 
-def _tell_how_to_drive_again(evaluation: Evaluation, store: Store) -> None:
+def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
     folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
     if folders:
         again = f"run `rm -r {' '.join(folders)}` and the same command again"
@@ -169,7 +169,7 @@ def _door(
         require_tls_endpoints(connect)
         return FleetAccess((), connect, Guard(tls, listens=False), _invite)
     require_loopback(connect)
-    guard, endpoints = open_door(tls, listen) if listen else (None, ())
+    guard, endpoints = choose_listening(tls, listen) if listen else (None, ())
     return FleetAccess(endpoints, connect, guard, _invite)
 
 

@@ -9,14 +9,15 @@ from typing import Any
 
 import click
 
+from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.cli.common.admission import find_hosts, open_door
+from factory.cli.common.admission import choose_listening, find_hosts
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, hold_gate, pilots
+from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
@@ -69,6 +70,13 @@ def command() -> None:
     least=1.0,
 )
 @pullers_option()
+@click.option(
+    "--spot-checks",
+    type=click.FloatRange(0.0, 1.0),
+    metavar="SHARE",
+    help="Let the workers validate their bundles, and validate this share of them again, e.g. 0.05. A host whose "
+    "bundle then fails is barred. Default: validate all bundles here.",
+)
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
 @http_options
@@ -88,6 +96,7 @@ def start(
     ledger: str | None,
     lease_ttl_s: float,
     pullers: int,
+    spot_checks: float | None,
     stay: bool,
     tls: Path | None,
     http: str | None,
@@ -104,24 +113,19 @@ def start(
     is stopped earlier. The pilot of --gate runs on this host before the first job is assigned.
     """
     configure_logs(verbose)
-    guard, listen = open_door(tls, listen)
+    guard, listen = choose_listening(tls, listen)
     if states is not None and plan_name is not None:
         raise UsageError(f"--states {states}: the plan is that of the dataset; omit PLAN {plan_name}")
     rendering = None
     if states is not None:
         rendering = prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     plan, is_new = begin(plan_name, site, changes)
-    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         gate_mode = gate_mode if is_new else "skip"
-        if rendering is None:
-            with building_layouts(os.cpu_count() or 1, stop) as builds:
-                before = scenes_before_run(plan, pilots(plan, gate_mode))
-                catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, only=before)
-        else:
-            catalog = rendering.catalog
-        gate = hold_gate(plan, catalog, gate_mode, "auto", os.cpu_count() or 1, stop)
+        catalog = _build(plan, site, stop, gate_mode) if rendering is None else rendering.catalog
+        gate = measure_gate(plan, catalog, gate_mode, "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
@@ -143,6 +147,13 @@ def start(
             _say_endpoints(coordinator, plan, site, guard)
             progress = _wait(coordinator, stop, stay)
     return _say_end(site, progress)
+
+
+def _build(plan: Plan, site: Site, stop: threading.Event, gate_mode: GateMode) -> Catalog:
+    """Returns the scenes that are needed before the run; builds missing ones until `stop` is set."""
+    before = scenes_before_run(plan, pilots(plan, gate_mode))
+    with building_layouts(os.cpu_count() or 1, stop) as builds:
+        return open_catalog(plan, site.place, scene_cache(), say_building, builds, only=before)
 
 
 def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:

@@ -19,7 +19,7 @@ from schemas.errors import TransientError, UsageError
 from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.identity import require_host_name
 from schemas.storage.disk import require_room
-from workers.client.host import tidy_host
+from workers.client.host import valid_host_name
 from workers.client.stopping import stop_on_signals
 
 _LISTEN, _TLS_LISTEN = ("tcp/127.0.0.1:7448",), ("tls/0.0.0.0:7447",)
@@ -93,7 +93,7 @@ def _door(
     require_endpoints(connect, with_tls=tls is not None)
     if tls is None:
         require_loopback(listen)
-        return None, require_host_name(name or tidy_host(socket.gethostname())), listen or _LISTEN
+        return None, require_host_name(name or valid_host_name(socket.gethostname())), listen or _LISTEN
     require_tls_endpoints(listen)
     certified = read_credentials(tls)[1]
     if name not in (None, certified):

@@ -99,9 +99,8 @@ def _join(
     require_outside_datasets(site)
     catalog = open_catalog(plan, site.place, scene_cache(), say_building, packages=found[0][0] / SCENES)
     target = JoinTarget(site.place, site.home, ledger_url_of(site.home, ledger), plan, catalog)
-    shards = [(place, state.shard) for place, state in found]
     with one_bar("gathering shards") as tell, Validator() as checker:
-        report = join_shards(target, shards, checker, datetime.now(UTC), tell)
+        report = join_shards(target, found, checker, datetime.now(UTC), tell)
     print_result(report, as_json, _print_joined)
     return 1 if report.episodes < report.planned and not is_partial else 0
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from coordinator.protocol.tls import read_credentials
+from coordinator.validation.validator import Validator
 from factory.cli.common.options import (
     connect_option,
     count_option,
@@ -77,16 +78,17 @@ def command(
     require_endpoints(connect, with_tls=tls is not None)
     if tls is not None:
         more["tls"], more["host"] = read_credentials(tls)
-    settings = WorkerSettings(
-        connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
-        cores=cores,
-        renderer=renderer,
-        wait_s=wait_s,
-        eval_command=_eval_command(renderer, import_policies),
-        build_command=python_module("factory.runs.build_process") if can_build() else (),
-        **more,
-    )
-    with stop_on_signals() as (stop, at_once):
+    with Validator(cores) as validator, stop_on_signals() as (stop, at_once):
+        settings = WorkerSettings(
+            connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
+            cores=cores,
+            renderer=renderer,
+            wait_s=wait_s,
+            check_bundle=validator.check,
+            eval_command=_eval_command(renderer, import_policies),
+            build_command=python_module("factory.runs.build_process") if can_build() else (),
+            **more,
+        )
         if until_eof:
             stop_at_eof(sys.stdin.fileno(), stop)
         return run_worker(settings, stop, at_once)

@@ -100,7 +100,7 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
         return
     last = draws[-1]
-    print_text(f"{episode_id(index)}: {last.state}; {_in_words(last.episode)}")
+    print_text(f"{episode_id(index)}: {last.state}; {_describe_spec(last.episode)}")
     rows = [(d.draw, d.state, d.episode.category, d.episode.target_id, d.misses, d.crashes, d.reason) for d in draws]
     print_table("draws", ("draw", "state", "category", "target", "misses", "crashes", "reason"), rows)
     print_table(
@@ -220,7 +220,7 @@ def _row_of(job: JobRecord) -> tuple[object, ...]:
     return episode_id(job.index), job.state, *place, job.attempt, job.draw, job.reason
 
 
-def _in_words(episode: EpisodeSpec) -> str:
+def _describe_spec(episode: EpisodeSpec) -> str:
     return f"{episode.scene}, {episode.split}, {episode.tier}: {episode.instruction}"
 
 

@@ -42,6 +42,8 @@ from factory.cli.common.options import (
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
 from factory.cli.other.bench_dataset import dataset
+from factory.cli.other.bench_delivery import delivery
+from factory.cli.other.bench_sessions import sessions
 from factory.cli.other.bench_tables import (
     show_collect,
     show_coordinator,
@@ -290,6 +292,8 @@ def coordinator(
 
 
 command.add_command(dataset)
+command.add_command(delivery)
+command.add_command(sessions)
 
 
 @command.command("read")

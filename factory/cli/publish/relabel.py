@@ -10,8 +10,10 @@ import click
 from factory.cli.common.bars import one_bar
 from factory.cli.common.options import dataset_argument, workers_option, write_option
 from factory.cli.common.output import json_option, print_result, print_table
-from factory.relabel.run import RelabelReport, relabel
+from factory.relabel.paraphrase import Endpoint, ParaphraseReport, with_paraphrases
+from factory.relabel.run import RelabelReport, recorded_paraphrases, relabel
 from factory.support.logs import configure_logs
+from schemas.errors import UsageError
 from schemas.language.file import load_language
 from workers.client.stopping import stop_on_signals
 
@@ -26,17 +28,53 @@ from workers.client.stopping import stop_on_signals
     metavar="FILE",
     help="Language file (TOML): languages, registers and features of the instructions (docs/language.md).",
 )
+@click.option("--paraphrase", "url", metavar="URL", help="OpenAI-compatible endpoint that rewrites sentence patterns.")
+@click.option("--model", metavar="NAME", help="Model of the endpoint.")
+@click.option(
+    "--paraphrase-cache",
+    "cache",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="File of the answers of the endpoint, each requested once. Default: the language file with .paraphrases.json.",
+)
+@click.option(
+    "--paraphrase-timeout",
+    "timeout_s",
+    type=click.FloatRange(0.1, 3600.0),
+    default=60.0,
+    show_default=True,
+    help="Timeout of a request to the endpoint, seconds.",
+)
 @workers_option("Number of processes")
 @json_option
-def command(root: Path, out: Path, reference: str, workers: int | None, as_json: bool) -> int:
+def command(
+    root: Path,
+    out: Path,
+    reference: str,
+    url: str | None,
+    model: str | None,
+    cache: Path | None,
+    timeout_s: float,
+    workers: int | None,
+    as_json: bool,
+) -> int:
     """Write new verified instructions for a dataset.
 
     The new dataset has hard links to the episodes of DIR, and one or more new instructions for each. A verifier reads
     every instruction, and accepts it only if it fits the target and no other object. An episode without such an
     instruction keeps the recorded one. After Ctrl-C or a crash, the same command continues.
+
+    With --paraphrase, an endpoint rewrites the sentence patterns once. Texts that are no usable pattern, and requests
+    without an answer, are omitted and counted. The API key is read from MINIVLA_PARAPHRASE_KEY.
     """
     configure_logs()
-    spec = load_language(reference)
+    spec, paraphrases = load_language(reference), None
+    if (url is None) != (model is None):
+        raise UsageError("--paraphrase URL and --model NAME belong together")
+    if url is not None and model is not None:
+        kept = recorded_paraphrases(out, spec)
+        file = cache or Path(f"{reference}.paraphrases.json")
+        spec, paraphrases = (kept, None) if kept else with_paraphrases(spec, Endpoint(url, model, timeout_s), file)
     with stop_on_signals() as (stop, _), one_bar("episodes") as tell:
         report = relabel(root, out, spec, os.cpu_count() or 1 if workers is None else workers, tell, stop)
     if not report.finished:
@@ -44,7 +82,7 @@ def command(root: Path, out: Path, reference: str, workers: int | None, as_json:
             f"interrupted after about {report.episodes} episodes; run the same command again to continue", err=True
         )
         return 130
-    print_result(report, as_json, _print)
+    print_result(report.model_copy(update={"paraphrases": paraphrases}), as_json, _print)
     return 0
 
 
@@ -58,8 +96,18 @@ def _print(report: RelabelReport) -> None:
         ("minimal expressions", report.minimal),
         ("routes", report.routes),
         ("false premises", report.false_premises),
+        ("questions", report.questions),
         ("rejected by the verifier", sum(report.rejected.values())),
     )
     print_table("", ("measure", "number"), numbers)
+    if report.paraphrases is not None:
+        _print_paraphrases(report.paraphrases)
     print_table("Languages", ("language", "instructions"), report.languages.items())
     print_table("Features", ("feature", "instructions"), report.features.items())
+
+
+def _print_paraphrases(found: ParaphraseReport) -> None:
+    click.echo(f"{found.accepted} paraphrased sentence patterns")
+    left_out = [*found.refused.items(), *((f"endpoint: {reason}", count) for reason, count in found.failed.items())]
+    if left_out:
+        print_table("Paraphrases that were left out", ("reason", "number"), left_out)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, hold_gate, pilots
+from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
@@ -34,11 +35,13 @@ from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run
 from factory.runs.local import LocalRun, run_locally
+from factory.runs.ray_engine import RayCluster
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.support.text import say_duration
 from schemas.dataset.run_shard import RunShard
+from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
 from schemas.storage.place import Place
@@ -69,6 +72,17 @@ from workers.experts import require_expert
     help="Folder with the compiled package of every scene, e.g. `scenes` of a dataset. Default: the packages in --out, "
     "or new ones.",
 )
+@click.option(
+    "--engine",
+    type=click.Choice(("local", "ray")),
+    default="local",
+    show_default=True,
+    help="Where the simulations run: on this machine, or on every node of a Ray cluster, on all CPUs of a node or "
+    "--workers of them.",
+)
+@click.option(
+    "--address", metavar="ADDRESS", help="Address of the Ray cluster. Default: RAY_ADDRESS, or a new local one."
+)
 @ledger_option
 @shrink_options
 @http_options
@@ -82,6 +96,8 @@ def command(
     gate_mode: GateMode,
     shard: RunShard | None,
     packages: Place | None,
+    engine: str,
+    address: str | None,
     ledger: str | None,
     http: str | None,
     http_token: Path | None,
@@ -97,21 +113,25 @@ def command(
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory run`")
+    if address is not None and engine != "ray":
+        raise UsageError(f"--address {address} needs --engine ray")
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     processes = workers or os.cpu_count() or 1
     has_gate = is_new and not (shard is not None and gate_mode == "auto")
-    with stop_on_signals() as (stop, _):
+    with ExitStack() as stack:
+        stop, _ = stack.enter_context(stop_on_signals())
         gate_mode = gate_mode if has_gate else "skip"
         before = None if shard is not None or packages is not None else scenes_before_run(plan, pilots(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
             catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages, before)
-        gate = hold_gate(plan, catalog, gate_mode, renderer, processes, stop)
+        gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
+        cluster = stack.enter_context(_open_cluster(address, workers, renderer)) if engine == "ray" else None
         run = LocalRun(
             plan,
             catalog,
@@ -124,6 +144,7 @@ def command(
             ledger_url=ledger,
             shard=shard,
             take_over=shard is not None and may_take_over(site, stop),
+            cluster=cluster,
         )
         progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token))
     if not progress.finished:
@@ -153,6 +174,16 @@ def _run(
     if recorder is not None:
         recorder.finish(progress)
     return progress
+
+
+@contextmanager
+def _open_cluster(address: str | None, cores: int | None, renderer: RendererKind) -> Iterator[RayCluster]:
+    """Connects to a Ray cluster, with certificates in a temporary folder."""
+    with (
+        tempfile.TemporaryDirectory(prefix="minivla-ray-") as keys,
+        RayCluster(address, Path(keys) / "pki", cores, renderer) as cluster,
+    ):
+        yield cluster
 
 
 class RunBar(Bars):

@@ -57,7 +57,7 @@ class Setup(PolicyLimits):
     settings: EvalSettings
     renderer: RendererKind = "auto"
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
-    """What policies see; omitted if it is the recorded camera."""
+    """View settings of the observations; omitted for the recorded camera."""
 
 
 class EvalTask(Model):

@@ -120,7 +120,7 @@ class RemotePolicy:
         return tuple(map(str, found)) if isinstance(found, list | tuple) else ()
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Stores the fields sent with every observation; the server learns of the new episode by step 0."""
+        """Stores the fields sent with every observation; step 0 starts a new episode at the server."""
         self._fixed = {"prompt": instruction, "episode": info.episode, "seed": info.seed}
         if self._connection is None:
             self._connect(self._limits.reconnect_s)

@@ -1,4 +1,4 @@
-"""What a worker returns for an evaluation task: a result and the note of its policy, as a bundle of one member.
+"""Reply of a worker to an evaluation task: the result and the note of its policy, as a bundle of one member.
 
 Reads and writes open files; limits sizes before allocating memory. Does not check the content of a result.
 """

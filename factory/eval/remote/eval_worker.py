@@ -40,20 +40,20 @@ def main() -> int:
     arguments = parser.parse_args()
     renderer = cast(RendererKind, arguments.renderer)
     out, lines = take_stdout(), listen(0)
-    station = _Station(renderer, arguments.import_policies, out)
+    worker_process = _EvalWorker(renderer, arguments.import_policies, out)
     try:
-        station.tell(
+        worker_process.tell(
             worker.SimulationReport(
                 kind=worker.SimulationReportKind.READY, renderer=f"{renderer}, with the first episode"
             )
         )
         while True:
-            station.serve(SimulationOrder.model_validate_json(lines.get()))
+            worker_process.serve(SimulationOrder.model_validate_json(lines.get()))
     except BrokenPipeError:
         return 0  # the worker has exited
 
 
-class _Station:
+class _EvalWorker:
     """Executes the orders of the worker with one driver process."""
 
     def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:

@@ -14,6 +14,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from coordinator.validation.scope import Scope
 from factory.eval.driving import measure
 from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
 from factory.eval.models.messages import EvalTask
@@ -65,7 +66,7 @@ class ResultValidator:
     def __init__(self, tasks: Mapping[int, EvalTask]) -> None:
         self._tasks = tasks
 
-    def check(self, path: Path, job: Job, target: Target | None = None, sampled: bool = False) -> EvalReceipt:  # noqa: ARG002
+    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EvalReceipt:  # noqa: ARG002
         """Validates a bundle and returns its receipt for the ledger.
 
         Raises:

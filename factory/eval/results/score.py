@@ -136,7 +136,7 @@ class Evaluation(Model):
     """Measure of the distance to the target."""
     success_radius_m: float
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
-    """What policies saw; omitted if it was the recorded camera."""
+    """View settings of the observations; omitted for the recorded camera."""
     complete: bool
     """Whether every episode of every policy is finished."""
     policies: tuple[PolicyScores, ...]

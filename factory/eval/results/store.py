@@ -36,7 +36,7 @@ class EvalManifest(Model):
     with_pose: bool
     act_timeout_s: NonNegative
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
-    """What policies see; omitted if it is the recorded camera."""
+    """View settings of the observations; omitted for the recorded camera."""
 
 
 class Store(Closing):

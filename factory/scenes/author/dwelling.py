@@ -21,7 +21,7 @@ GRIP = painted("Steel", 0.35, 1.0)
 _CEILING = tinted("Plaster", "CeilingPlaster", "#eeece6", 1.0, 0.9)
 
 
-class Look(NamedTuple):
+class RoomLook(NamedTuple):
     """Look of a kind of room: floor, walls, window view and curtain; a room without windows has `windows` 0."""
 
     floor: SurfaceMaterial
@@ -33,7 +33,7 @@ class Look(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Fabric:
+class BuildingLook:
     """Look of a building.
 
     Attributes:
@@ -45,7 +45,7 @@ class Fabric:
         height: height of the rooms, metres.
     """
 
-    looks: Mapping[str, Look]
+    looks: Mapping[str, RoomLook]
     trim: Trim
     leaf: SurfaceMaterial
     ceiling: str = "plain"
@@ -54,7 +54,7 @@ class Fabric:
 
 
 @dataclass
-class Chamber:
+class BuiltRoom:
     """Room: kind, floor between the wall faces, sides with windows, openings by side and neighbours."""
 
     number: int
@@ -66,36 +66,36 @@ class Chamber:
     """Centres of the openings by side, metres."""
     neighbours: list[int] = field(default_factory=list)
 
-    def quiet_sides(self) -> str:
+    def closed_sides(self) -> str:
         """Returns the sides without an opening."""
         return "".join(side for side in _SIDES if side not in self.doors)
 
 
-def build_rooms(plan: FloorPlan, division: Division, fabric: Fabric) -> list[Chamber]:
+def build_rooms(plan: FloorPlan, division: Division, building: BuildingLook) -> list[BuiltRoom]:
     """Adds the structures of all rooms and returns the rooms."""
-    rooms = _chambers(division)
+    rooms = _built_rooms(division)
     for room, area in zip(rooms, division.areas, strict=True):
-        floor(plan, area, fabric.looks[room.kind].floor)
-        _ceiling(plan, area, fabric)
+        floor(plan, area, building.looks[room.kind].floor)
+        _ceiling(plan, area, building)
     for piece in _wall_runs(division.areas):
-        _build_wall(plan, piece, division, fabric)
+        _build_wall(plan, piece, division, building)
     for opening in division.openings:
         if opening.doorway.height < 2.2:
-            _hang_leaf(plan, opening, division, fabric)
+            _hang_leaf(plan, opening, division, building)
     for room in rooms:
-        _hang_windows(plan, room, fabric)
+        _hang_windows(plan, room, building)
     plan.rooms += [RoomRecord(room.kind, room.area, tuple(room.neighbours)) for room in rooms]
     return rooms
 
 
-def _chambers(division: Division) -> list[Chamber]:
+def _built_rooms(division: Division) -> list[BuiltRoom]:
     x0, y0 = min(a.x0 for a in division.areas), min(a.y0 for a in division.areas)
     x1, y1 = max(a.x1 for a in division.areas), max(a.y1 for a in division.areas)
     rooms = []
     for number, (spec, area) in enumerate(zip(division.specs, division.areas, strict=True)):
         edges = {"S": area.y0 - y0, "N": y1 - area.y1, "W": area.x0 - x0, "E": x1 - area.x1}
         outer = "".join(side for side in _SIDES if edges[side] < 1e-6)
-        rooms.append(Chamber(number, spec.kind, area.grown(-WALL_THICKNESS_M / 2), outer))
+        rooms.append(BuiltRoom(number, spec.kind, area.grown(-WALL_THICKNESS_M / 2), outer))
     for opening in division.openings:
         for own, other in (opening.rooms, opening.rooms[::-1]):
             area = division.areas[own]
@@ -138,11 +138,11 @@ def _wall_runs(areas: Sequence[Rectangle]) -> Iterator[_Run]:
                 yield run
 
 
-def _build_wall(plan: FloorPlan, run: _Run, division: Division, fabric: Fabric) -> None:
-    looks = [None if room is None else fabric.looks[division.specs[room].kind] for room in (run.below, run.above)]
+def _build_wall(plan: FloorPlan, run: _Run, division: Division, building: BuildingLook) -> None:
+    looks = [None if room is None else building.looks[division.specs[room].kind] for room in (run.below, run.above)]
     shown = next(look for look in looks if look is not None)
     faces = tuple((look or shown).paint for look in looks)
-    trims = tuple(None if look is None else fabric.trim for look in looks)
+    trims = tuple(None if look is None else building.trim for look in looks)
     doors = [
         opening.doorway
         for opening in division.openings
@@ -150,10 +150,10 @@ def _build_wall(plan: FloorPlan, run: _Run, division: Division, fabric: Fabric) 
         and abs(opening.at - run.at) < 1e-5
         and run.span[0] < opening.doorway.centre < run.span[1]
     ]
-    wall(plan, run.is_along_x, run.at, run.span, (faces[0], faces[1]), doors, fabric.height, (trims[0], trims[1]))
+    wall(plan, run.is_along_x, run.at, run.span, (faces[0], faces[1]), doors, building.height, (trims[0], trims[1]))
 
 
-def _hang_leaf(plan: FloorPlan, opening: Opening, division: Division, fabric: Fabric) -> None:
+def _hang_leaf(plan: FloorPlan, opening: Opening, division: Division, building: BuildingLook) -> None:
     """Adds an open door leaf flat against the wall, in the room and on the side where the wall is long enough."""
     door = opening.doorway
     for room in opening.rooms[:: 1 if plan.rng.random() < 0.5 else -1]:
@@ -178,14 +178,16 @@ def _hang_leaf(plan: FloorPlan, opening: Opening, division: Division, fabric: Fa
             low, high = ((a0, c0), (a1, c1)) if opening.is_along_x else ((c0, a0), (c1, a1))
             leaf = block((*low, 0.01), (*high, door.height - 0.02))
             plan.build(
-                "SM_DoorLeaf", PropPiece(fabric.leaf, leaf), *_leaf_trim(fabric, (low, high), opening.is_along_x, into)
+                "SM_DoorLeaf",
+                PropPiece(building.leaf, leaf),
+                *_leaf_trim(building, (low, high), opening.is_along_x, into),
             )
             plan.taken.append(zone)
             return
 
 
 def _leaf_trim(
-    fabric: Fabric, ends: tuple[tuple[float, float], tuple[float, float]], is_along_x: bool, into: float
+    building: BuildingLook, ends: tuple[tuple[float, float], tuple[float, float]], is_along_x: bool, into: float
 ) -> Iterator[PropPiece]:
     """Yields two raised panels and a handle on the face of a leaf towards the room."""
     (x0, y0), (x1, y1) = ends
@@ -197,28 +199,28 @@ def _leaf_trim(
         return block((*low, z[0]), (*high, z[1]))
 
     for z in ((0.18, 0.92), (1.10, 1.92)):
-        yield PropPiece(fabric.leaf, bar((a0 + 0.14, a1 - 0.14), 0.012, z))
+        yield PropPiece(building.leaf, bar((a0 + 0.14, a1 - 0.14), 0.012, z))
     yield PropPiece(GRIP, bar((a1 - 0.11, a1 - 0.02), 0.045, (1.0, 1.02)))
 
 
-def _ceiling(plan: FloorPlan, area: Rectangle, fabric: Fabric) -> None:
+def _ceiling(plan: FloorPlan, area: Rectangle, building: BuildingLook) -> None:
     """Adds a ceiling: plain, with beams, of boards or with lit panels; and round or square lamps."""
-    top = fabric.height
-    slab = {"boards": tinted("Boards", "CeilingBoards", "#d9b98a", 1.2, 0.6)}.get(fabric.ceiling, _CEILING)
+    top = building.height
+    slab = {"boards": tinted("Boards", "CeilingBoards", "#d9b98a", 1.2, 0.6)}.get(building.ceiling, _CEILING)
     plan.build("SM_Ceiling", PropPiece(slab, block((area.x0, area.y0, top), (area.x1, area.y1, top + 0.05))))
-    if fabric.ceiling == "beams":
+    if building.ceiling == "beams":
         count = max(1, round(area.depth / 1.1))
         rows = [area.y0 + (row + 0.5) * area.depth / count for row in range(count)]
         beams = [open_block((area.x0, y - 0.07, top - 0.14), (area.x1, y + 0.07, top), "SNB") for y in rows]
         plan.build("SM_Beam", *(PropPiece(wood("Walnut"), beam) for beam in beams))
-    pitch = 2.4 if fabric.ceiling == "panels" else 2.9
+    pitch = 2.4 if building.ceiling == "panels" else 2.9
     columns, rows_ = max(1, round(area.width / pitch)), max(1, round(area.depth / pitch))
     pieces: list[PropPiece] = []
     for column in range(columns):
         for row in range(rows_):
             x = area.x0 + (column + 0.5) * area.width / columns
             y = area.y0 + (row + 0.5) * area.depth / rows_
-            pieces += _panel_lamp(x, y, top) if fabric.ceiling == "panels" else _round_lamp(x, y, top)
+            pieces += _panel_lamp(x, y, top) if building.ceiling == "panels" else _round_lamp(x, y, top)
     plan.build("SM_CeilingLight", *pieces)
 
 
@@ -239,9 +241,9 @@ def _round_lamp(x: float, y: float, top: float) -> list[PropPiece]:
     return [PropPiece(PLATE, rose), PropPiece(LAMP_RIM, cord), PropPiece(glowing("LampGlass", "#fff4de"), shade)]
 
 
-def _hang_windows(plan: FloorPlan, room: Chamber, fabric: Fabric) -> None:
-    look = fabric.looks[room.kind]
-    model = plan.props.model("SM_WindowHome", fabric.view)
+def _hang_windows(plan: FloorPlan, room: BuiltRoom, building: BuildingLook) -> None:
+    look = building.looks[room.kind]
+    model = plan.props.model("SM_WindowHome", building.view)
     for side in room.outer:
         length = room.area.width if side in "NS" else room.area.depth
         count = min(look.windows, int(length // 2.6))

@@ -9,7 +9,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from itertools import accumulate
 
-from factory.scenes.author.dwelling import Chamber
+from factory.scenes.author.dwelling import BuiltRoom
 from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, wall_pose
 from factory.scenes.author.props.catalogue import PropModel
 from factory.scenes.author.style import Palette
@@ -22,7 +22,7 @@ _DOOR_M = 2.0
 class Furnisher:
     """Room with its plan and its style."""
 
-    def __init__(self, plan: FloorPlan, room: Chamber, palette: Palette) -> None:
+    def __init__(self, plan: FloorPlan, room: BuiltRoom, palette: Palette) -> None:
         self.plan, self.room, self.area, self.palette = plan, room, room.area, palette
         self.rng = plan.rng
 

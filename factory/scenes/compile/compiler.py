@@ -134,7 +134,7 @@ def compile_extraction(
     notes = list(extraction.notes)
     parts = with_ceiling(_without_outliers(file, extraction, notes), extraction.ceiling_m)
     shown = _show(file, extraction, parts, (rules, chosen), notes)
-    with _told_with_sizes(file, extraction, shown.parts):
+    with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
         solid = solid_triangles(
             [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
@@ -212,7 +212,7 @@ def _show(
 
 
 @contextmanager
-def _told_with_sizes(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
+def _sizes_in_errors(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
     """Adds the unit of the scene and the size of its widest prim to an error, so that a wrong unit is visible."""
     try:
         yield

@@ -81,7 +81,7 @@ def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Pictu
             size = (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX)
             return np.asarray(plain if plain.size == size else plain.resize(size, Image.Resampling.LANCZOS))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        notes.append(f"{name} cannot be read ({error}), shown in one colour; save it anew as 8-bit PNG or JPEG")
+        notes.append(f"{name} cannot be read ({error}), shown in one colour; save it again as 8-bit PNG or JPEG")
         return None
 
 

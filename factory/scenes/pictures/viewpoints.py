@@ -78,7 +78,7 @@ def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> 
                 yield looking(place, yaw, height.pitch_rad, height.fov_deg)
 
 
-def worth(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
+def score_view(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
     """Returns the score of a frame: it counts large objects at different depths that earlier images do not show.
 
     Args:
@@ -117,7 +117,7 @@ def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count
     chosen: list[Viewpoint] = []
     seen: set[int] = set()
     while tried and len(chosen) < count:
-        values = [worth(frame, targets, seen) for _, frame in tried]
+        values = [score_view(frame, targets, seen) for _, frame in tried]
         view, frame = tried[int(np.argmax(values))]
         chosen.append(view)
         counts = np.bincount(frame.ids.ravel())

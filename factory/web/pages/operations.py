@@ -38,7 +38,7 @@ def routes() -> list[Route]:
 
 
 async def operate(request: Request) -> Response:
-    """Answers with the page of an operation; a confirmed form carries it out."""
+    """Answers with the page of an operation; a confirmed form executes it."""
     try:
         action = AdminAction(request.path_params["action"])
     except ValueError as error:

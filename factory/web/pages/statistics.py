@@ -16,7 +16,7 @@ def routes() -> list[Route]:
 
 
 def show(request: Request) -> Response:
-    """Answers with the page, or with a page that loads itself again until the figures are drawn."""
+    """Answers with the page, or with a page that reloads until the figures are drawn."""
     context = context_of(request)
     drawn = context.statistics.of(context.workspace.dataset())
     return page(request, "statistics", "Statistics", drawn=drawn)

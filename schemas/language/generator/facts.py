@@ -81,8 +81,10 @@ class SceneFacts:
         if key not in self._kind_masks:
             table, objects = self.graph.kinds, self.graph.objects
             inside, alike = table.kinds_of(kind), table.borderline_of(kind)
-            sure = np.array([each.kind in inside for each in objects], bool)
-            possible = sure | np.array([each.kind in alike for each in objects], bool)
+            own = np.array([each.kind in inside for each in objects], bool)
+            looks = np.array([each.looks in inside for each in objects], bool)
+            sure = own & (looks | np.array([each.looks is None for each in objects], bool))
+            possible = own | looks | np.array([each.kind in alike for each in objects], bool)
             if colour is not None:
                 same = np.array([each.colour == colour for each in objects], bool)
                 sure &= same
@@ -158,6 +160,11 @@ class SceneFacts:
     @cached_property
     def _is_level(self) -> Bools:
         return np.asarray(np.abs(self._base[:, None] - self._base) < limit.LEVEL_M)
+
+    @cached_property
+    def has_same_base(self) -> Bools:
+        """(N, N) pairs whose lower sides have a similar height."""
+        return np.asarray(np.abs(self._base[:, None] - self._base) < limit.SAME_BASE_M)
 
     @cached_property
     def _base(self) -> Floats:
@@ -250,6 +257,8 @@ class ViewFacts:
         apart = np.abs(view.bearing - view.bearing[rows, None])
         anywhere = Masks(np.ones(apart.shape, bool), np.ones(apart.shape, bool))
         aligned = _below(apart, limit.ALIGNED_RAD)
+        level = self.scene.has_same_base[rows]
+        aligned = Masks(aligned.sure & level, aligned.possible)
         found = {}
         for name, along, across, shown in (
             (Relation.LEFT_OF, side, depth, anywhere),

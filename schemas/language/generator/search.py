@@ -108,7 +108,7 @@ class Search:
         if self.view is not None and self.view.view.room == room and len(graph.rooms) > 1:
             yield ExpressionPart(Clause(relation=Relation.THIS_ROOM), masks)
         kind = graph.types[room - 1]
-        if kind in self.rooms and graph.the_room(str(kind)) == room:
+        if kind in self.rooms and graph.unique_room(str(kind)) == room:
             yield ExpressionPart(Clause(relation=Relation.IN_ROOM, room=kind), masks)
         if len(graph.rooms) > 1:
             for each in self._descriptions(np.flatnonzero(masks.sure).tolist()):
@@ -185,6 +185,8 @@ class Search:
             (self.facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
         ):
             own, rest = values[self.number], values[others]
+            if most is Size.TALLEST and not self.facts.has_same_base[self.number, others].all():
+                continue
             if own >= ratio * rest.max():
                 yield most
             if own * ratio <= rest.min():

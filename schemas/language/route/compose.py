@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.language.compose import draw_weighted
+from schemas.language.draw import draw_weighted
 from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.grammar import SentencePattern
 from schemas.language.route.model import DrivenPath, RouteStep, RouteText, StepKind, SubInstruction

@@ -8,6 +8,7 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,9 @@ _EVERY = 4
 _RAY_M = 0.03
 _WALL = 2
 _BEFORE_M = 0.25
-_PASSAGE_M, _DIRECTIONS = 0.7, 8
+_OWN_M = 0.2
+"""Distance before a footprint within which an obstacle is taken for the object itself, metres."""
+_PASSAGE_M, _DIRECTIONS, _MOST_M = 0.7, 8, 3.0
 
 
 class PoseReplay:
@@ -81,15 +84,15 @@ class PoseReplay:
 
     def passage_width(self, t: int) -> float:
         """Returns the smallest width of the free space in any direction within 0.7 m of a frame, metres."""
-        near = [k for k in range(len(self)) if abs(self._points[k] - self._points[t]) < _PASSAGE_M]
-        ways = [cmath.rect(1.0, angle * math.pi / _DIRECTIONS) for angle in range(_DIRECTIONS)]
-        return min(
-            self._free(self._points[k], way, blocked=1) + self._free(self._points[k], -way, blocked=1)
-            for k in near[:: max(1, len(near) // 12)]
-            for way in ways
-        )
+        near = [point for point in self._points if abs(point - self._points[t]) < _PASSAGE_M]
+        points = np.array(near[:: max(1, len(near) // 12)])[:, None, None]
+        ways = np.exp(1j * np.pi * np.arange(2 * _DIRECTIONS) / _DIRECTIONS)[:, None]
+        rays = points + ways * np.arange(0.0, _MOST_M, _RAY_M)  # (points, directions, steps)
+        hit = self.graph.sight_grid.at(np.stack((rays.real, rays.imag), axis=-1)) >= 1
+        free = np.where(hit.any(axis=-1), hit.argmax(axis=-1) * _RAY_M, _MOST_M)
+        return float((free[:, :_DIRECTIONS] + free[:, _DIRECTIONS:]).min())
 
-    def _free(self, point: complex, way: complex, most_m: float = 3.0, blocked: int = _WALL) -> float:
+    def _free(self, point: complex, way: complex, most_m: float, blocked: int = _WALL) -> float:
         """Returns the distance to the next cell with at least a value, metres."""
         steps = np.arange(0.0, most_m, _RAY_M)
         places = np.column_stack((point.real + way.real * steps, point.imag + way.imag * steps))
@@ -116,6 +119,21 @@ class PoseReplay:
                 return True
         return False
 
+    def shown_share(self, number: int, t: int) -> float:
+        """Returns the share of points of a footprint that are in the image and have no obstacle before them."""
+        way = self._ways[t] / abs(self._ways[t])
+        eye = self._points[t] + way * complex(self._camera.x_m, self._camera.y_m)
+        half = math.radians(self._camera.fov_deg) / 2
+        corners = [complex(x, y) for x, y in self.graph.objects[number].outline_m]
+        middle, shown = sum(corners) / len(corners), 0
+        points = [middle, *(middle + 0.9 * (corner - middle) for corner in corners)]
+        for line in (point - eye for point in points):
+            entered = _entry(eye, line, corners)  # the object itself does not block the line
+            if abs(line) > 0 and abs(cmath.phase(line / way)) <= half:
+                free = self._free(eye, line / abs(line), abs(line), blocked=1)
+                shown += free >= min(abs(line), entered * abs(line)) - _OWN_M
+        return shown / len(points)
+
     def position(self, t: int) -> tuple[float, float]:
         """Returns x, y of the robot, metres."""
         return self._points[t].real, self._points[t].imag
@@ -127,3 +145,19 @@ class PoseReplay:
     def bearing(self, point: tuple[float, float], t: int) -> float:
         """Returns the angle from the heading to a point, radians, positive to the left."""
         return cmath.phase((complex(*point) - self._points[t]) / self._ways[t])
+
+
+def _entry(eye: complex, line: complex, corners: Sequence[complex]) -> float:
+    """Returns the share of a line after which it enters a convex polygon; 1 if it does not enter it."""
+    low, high = 0.0, 1.0
+    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+        inward = (b - a) * 1j  # counter-clockwise polygon
+        towards = (line * inward.conjugate()).real
+        before = ((a - eye) * inward.conjugate()).real
+        if towards > 0:
+            low = max(low, before / towards)
+        elif towards < 0:
+            high = min(high, before / towards)
+        elif before > 0:
+            return 1.0
+    return low if low <= high else 1.0

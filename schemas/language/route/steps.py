@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
-from schemas.language.compose import SceneLanguage
 from schemas.language.expression import Expression, Family
 from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
 from schemas.language.graph import UNKNOWN
 from schemas.language.route import thresholds as limit
-from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, find_doorways, room_changes
+from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, room_changes
 from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.segment import PathPart, divide_path
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import SceneView, look
 from schemas.support.numpy_types import Bools, Floats
 
@@ -57,10 +56,10 @@ class SceneRoutes:
     scene: SceneLanguage
     camera: CameraConfig
 
-    @cached_property
+    @property
     def doorways(self) -> tuple[RoomPassage, ...]:
         """Passages between rooms."""
-        return find_doorways(self.scene.graph)
+        return self.scene.doorways
 
 
 class RouteSearch:

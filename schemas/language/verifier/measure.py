@@ -1,4 +1,4 @@
-"""Measures footprints as polygons, one object at a time, for the verifier. Knows no words."""
+"""Measures footprints as polygons, one object at a time, for the verifier. Does not read words."""
 
 from __future__ import annotations
 
@@ -126,6 +126,10 @@ class Footprints:
     def is_apart(self, one: int, two: int) -> bool:
         """Returns whether the lower sides of two objects have very different heights, such as a chair and a sign."""
         return abs(self._objects[one].base_m - self._objects[two].base_m) >= limit.LEVEL_M
+
+    def has_same_base(self, one: int, two: int) -> bool:
+        """Returns whether the lower sides of two objects have a similar height."""
+        return abs(self._objects[one].base_m - self._objects[two].base_m) < limit.SAME_BASE_M
 
     def is_supported(self, number: int) -> bool:
         """Returns whether an object may rest on another one."""

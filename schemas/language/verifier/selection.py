@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import Size, ViewSide
@@ -24,6 +24,8 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
     tall = size in (Size.TALLEST, Size.LOWEST)
     values = {number: prints.height(number) if tall else prints.volume(number) for number in truths}
     way = Selected.MOST if size in (Size.TALLEST, Size.LARGEST) else Selected.LEAST
+    if tall and not all(prints.has_same_base(one, two) for one, two in combinations(truths, 2)):
+        return dict.fromkeys(truths, Truth.MAYBE)
     return extreme(truths, values, way, limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, 0.0)
 
 

@@ -26,7 +26,7 @@ class FittingObjects(NamedTuple):
     possible: frozenset[int]
     """Objects that it possibly fits; includes those that it surely fits."""
     fault: str = ""
-    """Why the expression has no meaning in the scene, such as a landmark that is not unique."""
+    """Reason why the expression has no meaning in the scene, such as a landmark that is not unique."""
 
     def fits_only(self, number: int) -> bool:
         """Returns whether the expression fits one object and no other."""
@@ -111,6 +111,8 @@ class Verifier:
         inside, alike = table.kinds_of(kind), table.borderline_of(kind)
         for number, each in enumerate(self.graph.objects):
             truth = Truth.YES if each.kind in inside else Truth.MAYBE if each.kind in alike else Truth.NO
+            if each.looks is not None and (each.kind in inside) != (each.looks in inside):
+                truth = Truth.MAYBE
             if colour is not None and each.colour != colour:
                 truth = min(truth, Truth.MAYBE if each.colour == UNKNOWN else Truth.NO)
             if truth is not Truth.NO:
@@ -163,7 +165,7 @@ class Verifier:
                 return down(each.corner_gap_m, limit.CORNER_M)
             case Relation.IN_ROOM:
                 assert clause.room is not None
-                return self._in(number, self._the_room(clause.room))
+                return self._in(number, self._unique_room(clause.room))
             case Relation.THIS_ROOM:
                 assert view is not None
                 if not view.room:
@@ -173,7 +175,7 @@ class Verifier:
                 assert view is not None
                 return self._ego(clause.relation, number, view)
 
-    def _the_room(self, kind: str) -> int:
+    def _unique_room(self, kind: str) -> int:
         labels = [room.label for room, own in zip(self.graph.rooms, self.graph.types, strict=True) if own == kind]
         if len(labels) > 1:
             raise _Ambiguous(f"the scene has {len(labels)} rooms of the type {kind}")
@@ -227,6 +229,7 @@ class Verifier:
         way = down(beside(angle, turn[relation]), limit.DIRECTION_RAD)
         if relation in (Relation.BEHIND, Relation.IN_FRONT_OF):
             way = min(way, down(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
+            way = way if self._prints.has_same_base(number, other) else min(way, Truth.MAYBE)
         if way is Truth.NO:
             return Truth.NO
         return min(shown, way, down(self._prints.gap(number, other), limit.DIRECTION_GAP_M))

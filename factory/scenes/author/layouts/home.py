@@ -9,7 +9,7 @@ import math
 
 from numpy.random import Generator
 
-from factory.scenes.author.dwelling import Fabric, Look, build_rooms
+from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
 from factory.scenes.author.layouts.home_rooms import furnish_home
 from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
@@ -33,7 +33,7 @@ def lay_out_home(plan: FloorPlan) -> None:
     palette = draw_palette(plan.rng)
     plan.texture_seed = 0
     division = _divide(plan.rng)
-    fabric = Fabric(
+    building = BuildingLook(
         _looks(palette),
         palette.trim,
         palette.leaf,
@@ -41,7 +41,7 @@ def lay_out_home(plan: FloorPlan) -> None:
         palette.view,
         float(plan.rng.choice((2.5, 2.6, 2.75, 2.9))),
     )
-    furnish_home(plan, build_rooms(plan, division, fabric), palette)
+    furnish_home(plan, build_rooms(plan, division, building), palette)
 
 
 def _divide(rng: Generator) -> Division:
@@ -70,15 +70,15 @@ def _divide(rng: Generator) -> Division:
     return divide_floor(rng, outline, specs, doors, hall)
 
 
-def _looks(palette: Palette) -> dict[str, Look]:
+def _looks(palette: Palette) -> dict[str, RoomLook]:
     paints, curtain = palette.paints, palette.curtain
     return {
-        "living": Look(palette.boards, paints[0], 3, curtain),
-        "dining": Look(palette.boards, paints[1], 2, curtain),
-        "kitchen": Look(palette.stone, paints[2], 1),
-        "bedroom": Look(palette.pile, paints[3], 1, curtain + 1),
-        "study": Look(palette.boards, paints[4], 1, curtain + 2),
-        "bath": Look(palette.stone, palette.tiles, 0),
-        "laundry": Look(palette.stone, paints[5], 0),
-        "hall": Look(palette.boards, paints[5], 1),
+        "living": RoomLook(palette.boards, paints[0], 3, curtain),
+        "dining": RoomLook(palette.boards, paints[1], 2, curtain),
+        "kitchen": RoomLook(palette.stone, paints[2], 1),
+        "bedroom": RoomLook(palette.pile, paints[3], 1, curtain + 1),
+        "study": RoomLook(palette.boards, paints[4], 1, curtain + 2),
+        "bath": RoomLook(palette.stone, palette.tiles, 0),
+        "laundry": RoomLook(palette.stone, paints[5], 0),
+        "hall": RoomLook(palette.boards, paints[5], 1),
     }

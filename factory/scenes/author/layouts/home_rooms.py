@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from factory.scenes.author.dwelling import Chamber, rug
+from factory.scenes.author.dwelling import BuiltRoom, rug
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle
 from factory.scenes.author.style import Palette
@@ -29,7 +29,7 @@ _EVERYWHERE = {
 """Pieces that every home has, with their least numbers."""
 
 
-def furnish_home(plan: FloorPlan, rooms: Sequence[Chamber], palette: Palette) -> None:
+def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) -> None:
     """Furnishes every room by its kind."""
     kinds: dict[str, Callable[[Furnisher], None]] = {
         "living": _living,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from factory.scenes.author.dwelling import Fabric, Look, build_rooms
+from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
@@ -34,10 +34,10 @@ def lay_out_school(plan: FloorPlan) -> None:
     palette = draw_palette(plan.rng, PLAIN_WALLS)
     plan.texture_seed = 0
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
-    fabric = Fabric(
+    building = BuildingLook(
         _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.8, 3.3))
     )
-    rooms = build_rooms(plan, _divide(plan), fabric)
+    rooms = build_rooms(plan, _divide(plan), building)
     kinds = {
         "class": _class, "library": _library, "computing": _computing, "staff": _staff, "wash": _wash, "hall": _hall,
     }  # fmt: skip
@@ -63,15 +63,15 @@ def _divide(plan: FloorPlan) -> Division:
     return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, hall)
 
 
-def _looks(palette: Palette) -> dict[str, Look]:
+def _looks(palette: Palette) -> dict[str, RoomLook]:
     paints = palette.paints
     return {
-        "class": Look(palette.boards, paints[0], 3),
-        "library": Look(palette.pile, paints[1], 2),
-        "computing": Look(palette.pile, paints[2], 2, palette.curtain),
-        "staff": Look(palette.boards, paints[3], 2, palette.curtain + 1),
-        "wash": Look(palette.stone, palette.tiles, 0),
-        "hall": Look(palette.stone, paints[4], 1),
+        "class": RoomLook(palette.boards, paints[0], 3),
+        "library": RoomLook(palette.pile, paints[1], 2),
+        "computing": RoomLook(palette.pile, paints[2], 2, palette.curtain),
+        "staff": RoomLook(palette.boards, paints[3], 2, palette.curtain + 1),
+        "wash": RoomLook(palette.stone, palette.tiles, 0),
+        "hall": RoomLook(palette.stone, paints[4], 1),
     }
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from factory.scenes.author.dwelling import Fabric, Look, build_rooms
+from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
 from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
@@ -37,10 +37,10 @@ def lay_out_shop(plan: FloorPlan) -> None:
     plan.texture_seed = 0
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
-    fabric = Fabric(
+    building = BuildingLook(
         _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.9, 3.4))
     )
-    rooms = build_rooms(plan, _divide(plan), fabric)
+    rooms = build_rooms(plan, _divide(plan), building)
     own = [Furnisher(plan, room, palette) for room in rooms]
     for each in own:
         {"sales": _sales, "annex": _annex, "store": _store, "office": _office, "wash": _wash}[each.room.kind](
@@ -66,13 +66,13 @@ def _divide(plan: FloorPlan) -> Division:
     return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), specs, doors)
 
 
-def _looks(palette: Palette) -> dict[str, Look]:
+def _looks(palette: Palette) -> dict[str, RoomLook]:
     return {
-        "sales": Look(palette.stone, palette.paints[0], 3),
-        "annex": Look(palette.boards, palette.paints[1], 2),
-        "store": Look(palette.stone, palette.paints[2], 0),
-        "office": Look(palette.pile, palette.paints[3], 1, palette.curtain),
-        "wash": Look(palette.stone, palette.tiles, 0),
+        "sales": RoomLook(palette.stone, palette.paints[0], 3),
+        "annex": RoomLook(palette.boards, palette.paints[1], 2),
+        "store": RoomLook(palette.stone, palette.paints[2], 0),
+        "office": RoomLook(palette.pile, palette.paints[3], 1, palette.curtain),
+        "wash": RoomLook(palette.stone, palette.tiles, 0),
     }
 
 

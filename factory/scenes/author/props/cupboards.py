@@ -20,8 +20,8 @@ SPINES = SurfaceMaterial("BookSpines", "#5a4a44", "BookSpines")
 FRONT_M = 0.018
 
 
-class Make(NamedTuple):
-    """Make of a cupboard: width, depth and height, metres; rows and columns of fronts; finishes."""
+class CupboardModel(NamedTuple):
+    """Model of a cupboard: width, depth and height, metres; rows and columns of fronts; finishes."""
 
     size: tuple[float, float, float]
     rows: int
@@ -33,72 +33,72 @@ class Make(NamedTuple):
 
 
 NIGHTSTANDS = (
-    Make((0.45, 0.40, 0.52), 2, 1, wood("Oak"), wood("Oak"), 0.12, BLACK),
-    Make((0.42, 0.38, 0.55), 2, 1, WHITE, WHITE, 0.06),
-    Make((0.50, 0.40, 0.48), 1, 1, wood("Walnut"), wood("Walnut"), 0.18),
-    Make((0.44, 0.38, 0.54), 3, 1, painted("SkyBlue", 0.5), painted("SkyBlue", 0.5), 0.05),
+    CupboardModel((0.45, 0.40, 0.52), 2, 1, wood("Oak"), wood("Oak"), 0.12, BLACK),
+    CupboardModel((0.42, 0.38, 0.55), 2, 1, WHITE, WHITE, 0.06),
+    CupboardModel((0.50, 0.40, 0.48), 1, 1, wood("Walnut"), wood("Walnut"), 0.18),
+    CupboardModel((0.44, 0.38, 0.54), 3, 1, painted("SkyBlue", 0.5), painted("SkyBlue", 0.5), 0.05),
 )
 DRESSERS = (
-    Make((1.20, 0.46, 0.80), 3, 2, wood("Oak"), wood("Oak"), 0.10, BLACK),
-    Make((0.90, 0.45, 1.05), 4, 1, WHITE, WHITE, 0.06),
-    Make((1.30, 0.45, 0.76), 3, 3, wood("Walnut"), wood("Walnut"), 0.12),
-    Make((1.00, 0.45, 0.90), 4, 2, painted("Green", 0.5), painted("Green", 0.5), 0.08),
+    CupboardModel((1.20, 0.46, 0.80), 3, 2, wood("Oak"), wood("Oak"), 0.10, BLACK),
+    CupboardModel((0.90, 0.45, 1.05), 4, 1, WHITE, WHITE, 0.06),
+    CupboardModel((1.30, 0.45, 0.76), 3, 3, wood("Walnut"), wood("Walnut"), 0.12),
+    CupboardModel((1.00, 0.45, 0.90), 4, 2, painted("Green", 0.5), painted("Green", 0.5), 0.08),
 )
 WARDROBES = (
-    Make((1.20, 0.58, 2.05), 1, 2, wood("Oak"), wood("Oak"), 0.08, BLACK),
-    Make((1.50, 0.60, 2.15), 1, 3, WHITE, WHITE, 0.06),
-    Make((1.00, 0.58, 1.95), 1, 2, wood("Walnut"), wood("Walnut"), 0.10),
-    Make((1.60, 0.60, 2.10), 1, 4, wood("Ash"), wood("Ash"), 0.06, BLACK),
+    CupboardModel((1.20, 0.58, 2.05), 1, 2, wood("Oak"), wood("Oak"), 0.08, BLACK),
+    CupboardModel((1.50, 0.60, 2.15), 1, 3, WHITE, WHITE, 0.06),
+    CupboardModel((1.00, 0.58, 1.95), 1, 2, wood("Walnut"), wood("Walnut"), 0.10),
+    CupboardModel((1.60, 0.60, 2.10), 1, 4, wood("Ash"), wood("Ash"), 0.06, BLACK),
 )
 SIDEBOARDS = (
-    Make((1.50, 0.45, 0.78), 1, 3, wood("Oak"), wood("Oak"), 0.14, BLACK),
-    Make((1.40, 0.42, 0.80), 2, 2, WHITE, WHITE, 0.10),
-    Make((1.60, 0.45, 0.74), 1, 4, wood("Walnut"), wood("Walnut"), 0.16),
-    Make((1.20, 0.42, 0.90), 2, 2, painted("Green", 0.5), painted("Green", 0.5), 0.10),
+    CupboardModel((1.50, 0.45, 0.78), 1, 3, wood("Oak"), wood("Oak"), 0.14, BLACK),
+    CupboardModel((1.40, 0.42, 0.80), 2, 2, WHITE, WHITE, 0.10),
+    CupboardModel((1.60, 0.45, 0.74), 1, 4, wood("Walnut"), wood("Walnut"), 0.16),
+    CupboardModel((1.20, 0.42, 0.90), 2, 2, painted("Green", 0.5), painted("Green", 0.5), 0.10),
 )
 MEDIA_BENCHES = (
-    Make((1.50, 0.40, 0.46), 1, 3, wood("Oak"), wood("Oak"), 0.10, BLACK),
-    Make((1.60, 0.42, 0.42), 1, 2, WHITE, WHITE, 0.06),
-    Make((1.40, 0.40, 0.48), 2, 2, wood("Walnut"), wood("Walnut"), 0.12),
-    Make((1.70, 0.42, 0.40), 1, 4, painted("Black", 0.5), painted("Black", 0.5), 0.05),
+    CupboardModel((1.50, 0.40, 0.46), 1, 3, wood("Oak"), wood("Oak"), 0.10, BLACK),
+    CupboardModel((1.60, 0.42, 0.42), 1, 2, WHITE, WHITE, 0.06),
+    CupboardModel((1.40, 0.40, 0.48), 2, 2, wood("Walnut"), wood("Walnut"), 0.12),
+    CupboardModel((1.70, 0.42, 0.40), 1, 4, painted("Black", 0.5), painted("Black", 0.5), 0.05),
 )
 LOCKERS = tuple(
-    Make((0.90, 0.45, 1.85), rows, 3, GREY, painted(paint, 0.45), 0.10)
+    CupboardModel((0.90, 0.45, 1.85), rows, 3, GREY, painted(paint, 0.45), 0.10)
     for rows, paint in ((1, "Blue"), (2, "Red"), (2, "Green"), (1, "Yellow"))
 )
 
 
-def carcass(make: Make) -> list[PropPiece]:
+def carcass(model: CupboardModel) -> list[PropPiece]:
     """A body on a plinth or feet with a grid of fronts; each front has a grip."""
-    width, depth, height = make.size
+    width, depth, height = model.size
     half, back = width / 2, depth / 2
     front = -back + FRONT_M
-    body = block((-half, front, make.foot_m), (half, back, height))
+    body = block((-half, front, model.foot_m), (half, back, height))
     feet = [
-        block((x - 0.03, y - 0.03, 0.0), (x + 0.03, y + 0.03, make.foot_m))
+        block((x - 0.03, y - 0.03, 0.0), (x + 0.03, y + 0.03, model.foot_m))
         for x in (-half + 0.06, half - 0.06)
         for y in (front + 0.06, back - 0.06)
     ]
     fronts, grips = [], []
-    across, up = width / make.columns, (height - make.foot_m) / make.rows
-    for column in range(make.columns):
-        for row in range(make.rows):
-            x0, z0 = -half + column * across, make.foot_m + row * up
+    across, up = width / model.columns, (height - model.foot_m) / model.rows
+    for column in range(model.columns):
+        for row in range(model.rows):
+            x0, z0 = -half + column * across, model.foot_m + row * up
             fronts.append(
                 open_block((x0 + 0.006, -back, z0 + 0.006), (x0 + across - 0.006, front, z0 + up - 0.006), "SEWBT")
             )
-            grips.append(_grip(make, x0, z0, across, up, column))
+            grips.append(_grip(model, x0, z0, across, up, column))
     return [
-        PropPiece(make.body, body),
-        *(PropPiece(make.body, mesh) for mesh in feet),
-        *(PropPiece(make.front, mesh) for mesh in fronts),
-        *(PropPiece(make.grip, mesh) for mesh in grips),
+        PropPiece(model.body, body),
+        *(PropPiece(model.body, mesh) for mesh in feet),
+        *(PropPiece(model.front, mesh) for mesh in fronts),
+        *(PropPiece(model.grip, mesh) for mesh in grips),
     ]
 
 
-def _grip(make: Make, x0: float, z0: float, across: float, up: float, column: int) -> AuthoredMesh:
+def _grip(model: CupboardModel, x0: float, z0: float, across: float, up: float, column: int) -> AuthoredMesh:
     """A bar: level on a drawer, upright at the opening edge of a door."""
-    face = -make.size[1] / 2
+    face = -model.size[1] / 2
     if up < 1.1 * across:
         x, z = x0 + across / 2, z0 + 0.72 * up
         return open_block((x - 0.07, face - 0.022, z - 0.007), (x + 0.07, face, z + 0.007), "SEWBT")
@@ -109,20 +109,20 @@ def _grip(make: Make, x0: float, z0: float, across: float, up: float, column: in
 
 def nightstand(variant: int, rng: Generator) -> list[PropPiece]:
     """A bedside unit with a book or a cup."""
-    make = NIGHTSTANDS[variant % len(NIGHTSTANDS)]
-    top = make.size[2]
+    model = NIGHTSTANDS[variant % len(NIGHTSTANDS)]
+    top = model.size[2]
     if rng.random() < 0.5:
         thing = cylinder(0.04, top, top + 0.09, (0.1, -0.05), 10)
     else:
         thing = block((0.02, -0.12, top), (0.16, 0.08, top + 0.03))
-    return [*carcass(make), PropPiece(painted(("Orange", "SkyBlue", "Red")[int(rng.integers(3))]), thing)]
+    return [*carcass(model), PropPiece(painted(("Orange", "SkyBlue", "Red")[int(rng.integers(3))]), thing)]
 
 
 def dresser(variant: int, rng: Generator) -> list[PropPiece]:
     """A chest of drawers, with a bowl."""
-    make = DRESSERS[variant % len(DRESSERS)]
-    x, top = float(rng.uniform(-0.25, 0.25)), make.size[2]
-    return [*carcass(make), PropPiece(WHITE, cylinder(0.06, top, top + 0.07, (x, 0.0), 12, top=0.11))]
+    model = DRESSERS[variant % len(DRESSERS)]
+    x, top = float(rng.uniform(-0.25, 0.25)), model.size[2]
+    return [*carcass(model), PropPiece(WHITE, cylinder(0.06, top, top + 0.07, (x, 0.0), 12, top=0.11))]
 
 
 def wardrobe(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -132,10 +132,10 @@ def wardrobe(variant: int, _rng: Generator) -> list[PropPiece]:
 
 def sideboard(variant: int, rng: Generator) -> list[PropPiece]:
     """A low cabinet with books on it."""
-    make = SIDEBOARDS[variant % len(SIDEBOARDS)]
-    x, top = float(rng.uniform(-0.4, 0.2)), make.size[2]
+    model = SIDEBOARDS[variant % len(SIDEBOARDS)]
+    x, top = float(rng.uniform(-0.4, 0.2)), model.size[2]
     books = fitted_block((x, -0.08, top), (x + 0.26, 0.12, top + 0.22))
-    return [*carcass(make), PropPiece(SPINES, books)]
+    return [*carcass(model), PropPiece(SPINES, books)]
 
 
 def media_bench(variant: int, _rng: Generator) -> list[PropPiece]:

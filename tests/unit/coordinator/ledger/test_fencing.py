@@ -21,7 +21,7 @@ from schemas.terms import FailReason
 from tests.builders.ledger import TTL_S, Desk, room_plan
 
 ANY_GRANT = st.sampled_from([0, 0, 0, 1, 2, 3, 5, 8])
-"""How many grants ago; the newest is the likeliest."""
+"""Number of grants since the chosen one; 0, the newest, is the most probable."""
 ONE_OR_TWO = st.integers(1, 2)
 REASON = st.sampled_from([FailReason.TIMEOUT, FailReason.SPAWN, FailReason.CRASH, FailReason.RELEASED])
 OTHER_SHA256 = "d" * 64

@@ -13,10 +13,12 @@ import yaml
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.instances import Side
 from coordinator.tables.write import SIDE_COLUMN, write_tables
+from schemas.appearance import Appearance, LightRanges
 from schemas.dataset.meta import DATASET_FORMAT, DatasetMeta, GateOutcome, git_commit, read_dataset_meta
 from schemas.dataset.rows import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.language.file import LanguageSpec
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.dataset import NOW, failure
 from tests.builders.plan import small_plan
@@ -100,6 +102,24 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
     assert "| 3 | 67 % |" in text
     assert "| train_id | seen categories, training phrases | 2 | 2 |" in text
     assert "may name the same instances" in text
+
+
+def test_the_card_describes_verified_instructions_and_varied_light(tmp_path: Path) -> None:
+    write(tmp_path / "templates", 1, 1)
+    plan = small_plan(1).model_copy(
+        update={"language": LanguageSpec(languages=["de", "zh"]), "appearance": Appearance(light=LightRanges())}
+    )
+    with open_archive(tmp_path / "verified") as archive:
+        write_tables(archive, plan, {}, [row(1)], [], NOW)
+    before, after = ((tmp_path / name / "README.md").read_text() for name in ("templates", "verified"))
+    assert "- en\n" in before
+    assert "instruction in English" in before
+    assert "30 English templates" in before
+    assert "each scene has one light" in before
+    assert "- de\n- zh\n" in after
+    assert "verifier" in after
+    assert "English" not in after
+    assert "one light" not in after
 
 
 def test_the_side_of_an_instance_is_in_row_description_and_card(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from coordinator.protocol.pulls import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import Nearby, nothing_nearby
 from coordinator.transfer.puller import Pullers
+from coordinator.validation.scope import Scope
 from schemas.errors import TransientError
 from schemas.protocol.keys import Chunk
 from schemas.protocol.messages import Lease
@@ -36,18 +37,20 @@ class House:
 
     fetched: list[Chunk] = field(default_factory=list)
     judged: list[bytes] = field(default_factory=list)
-    sampled: list[bool] = field(default_factory=list)
+    scopes: list[Scope] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    barred: list[str] = field(default_factory=list)
+    checked: list[bool] = field(default_factory=list)
     done: threading.Event = field(default_factory=threading.Event)
 
     def fetch(self, _sid: str, _lease: Lease, chunk: Chunk) -> bytes:
         self.fetched.append(chunk)
         return BUNDLE[chunk.offset : chunk.offset + chunk.length]
 
-    def check(self, path: Path, _job: Any, _target: Any = None, sampled: bool = False) -> Any:
+    def check(self, path: Path, _job: Any, _target: Any = None, scope: Scope = Scope.ALL) -> Any:
         data = path.read_bytes()
         self.judged.append(data)
-        self.sampled.append(sampled)
+        self.scopes.append(scope)
         return SimpleNamespace(num_steps=1, file_sha256=hashlib.sha256(data).hexdigest())
 
     def keep(self, _pull: Pull, _seconds: float) -> bool:
@@ -56,10 +59,12 @@ class House:
     def is_owned(self, _index: int) -> bool:
         return False
 
-    def own(self, _pull: Pull, _receipt: Any) -> bool:
+    def own(self, _pull: Pull, _receipt: Any, *, is_checked: bool = True) -> bool:
+        self.checked.append(is_checked)
         return True
 
-    def refuse(self, _pull: Pull, detail: str) -> None:
+    def refuse(self, _pull: Pull, detail: str, *, is_false: bool = False) -> None:
+        self.barred += [detail] if is_false else []
         self.refused.append(detail)
         self.done.set()
 
@@ -94,14 +99,14 @@ def test_a_bundle_is_fetched_over_the_network_in_parts(tmp_path: Path) -> None:
     with brought(tmp_path, nothing_nearby) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert [chunk.offset for chunk in house.fetched] == [0, 4096, 8192]
-        assert house.sampled == [False]
+        assert house.scopes == [Scope.ALL]
 
 
 def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: Path) -> None:
     path = spooled(tmp_path, BUNDLE)
     with brought(tmp_path, lambda lease: path if lease == LEASE else None) as (house, place):
         assert house.fetched == []
-        assert (house.judged, house.sampled) == ([BUNDLE], [True])
+        assert (house.judged, house.scopes) == ([BUNDLE], [Scope.SAMPLE])
         assert place.samefile(path)
         path.unlink()
         assert place.read_bytes() == BUNDLE
@@ -164,7 +169,7 @@ class Crowd(House):
             time.sleep(self.pause_s)
         return super().fetch(sid, lease, chunk)
 
-    def own(self, pull: Pull, _receipt: Any) -> bool:
+    def own(self, pull: Pull, _receipt: Any, *, is_checked: bool = True) -> bool:
         self.owned.append(pull.sid)
         self.changed.set()
         return True

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from coordinator.validation.scope import Scope
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import ArraySpec
@@ -26,9 +27,9 @@ def rigged_parts() -> BundleParts:
     return parts_for(job_for(view=ViewSettings(rig=RIG)))
 
 
-def findings(data: bytes, sampled: bool = False) -> list[str]:
+def findings(data: bytes, scope: Scope = Scope.ALL) -> list[str]:
     with BundleReader(io.BytesIO(data)) as bundle:
-        return validate(bundle, sampled=sampled)
+        return validate(bundle, scope=scope)
 
 
 def test_a_bundle_with_measurements_is_valid() -> None:
@@ -58,7 +59,7 @@ def test_a_sample_decodes_some_measurements_and_the_last_one() -> None:
         }
 
     parts.measure = measure
-    assert [text.partition(":")[0] for text in findings(parts.write(), sampled=True)] == ["sensor scan, step 11"]
+    assert [text.partition(":")[0] for text in findings(parts.write(), scope=Scope.SAMPLE)] == ["sensor scan, step 11"]
 
 
 def test_exchanged_measurements_do_not_have_the_recorded_digest() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coordinator.validation.scope import Scope
 from coordinator.validation.validate import sampled_frames, validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
@@ -353,18 +354,18 @@ def test_a_sample_has_both_ends_and_one_frame_in_eight_by_the_content_digest() -
 def test_only_the_frames_of_a_sample_are_decoded_and_each_of_them_is_checked() -> None:
     sound = BundleReader(io.BytesIO(bundle_bytes()))
     steps, seen = sampled_frames(sound.meta), list[int]()
-    assert validate(sound, on_frame=seen.append, sampled=True) == []
+    assert validate(sound, on_frame=seen.append, scope=Scope.SAMPLE) == []
     assert seen == steps
     for t in steps:
         broken = BundleReader(io.BytesIO(with_image(parts_for(), t, 2, slice(400, 405), 77).write()))
         if t in sampled_frames(broken.meta):
-            assert f"frame {t}: seg_front shows ids [77]" in "\n".join(validate(broken, sampled=True))
+            assert f"frame {t}: seg_front shows ids [77]" in "\n".join(validate(broken, scope=Scope.SAMPLE))
 
 
 @pytest.mark.parametrize("said", [0, 1])
 def test_a_sample_refuses_a_visibility_that_it_contradicts(said: int) -> None:
     broken = BundleReader(io.BytesIO(parts_for().with_rollout(steps_visible=said).write()))
-    assert f"steps_visible {said}, but" in "\n".join(validate(broken, sampled=True))
+    assert f"steps_visible {said}, but" in "\n".join(validate(broken, scope=Scope.SAMPLE))
 
 
 def test_progress_names_every_frame() -> None:

@@ -12,8 +12,8 @@ from coordinator.expansion.file import load_plan
 from factory.bench.machine import (
     StageRecorder,
     describe_machine,
-    forget_peak,
     measure_memory,
+    reset_peak,
     resident_mib,
     stage_costs,
 )
@@ -95,7 +95,7 @@ def test_a_memory_peak_can_be_reset() -> None:
     held.write(b"x" * len(held))
     held.close()
     before = measure_memory(resident_mib())
-    forget_peak()
+    reset_peak()
     after = measure_memory(resident_mib())
     assert after.peak_mib < before.peak_mib - 100
     assert after.peak_mib >= after.end_mib - 1

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factory.dataset.antialias import mean_of_blocks, middle_of_blocks, shrink_frame
 from factory.dataset.reader import Dataset
+from factory.dataset.rendering.antialias import mean_of_blocks, middle_of_blocks, shrink_frame
 from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import make_dataset

@@ -15,7 +15,7 @@ from coordinator.protocol.tls import Guard, read_credentials
 from factory.keys import admit, create_authority, list_hosts, revoke
 from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
 from schemas.errors import UsageError
-from schemas.protocol.identity import Role, parse_admitted, spell_admitted, tls_files
+from schemas.protocol.identity import Role, format_admitted, parse_admitted, tls_files
 from tests.builders.keys import make_authority
 
 NOW = datetime.now(UTC)
@@ -148,7 +148,7 @@ def test_an_incomplete_folder_is_refused_with_the_missing_files(pki):
 
 def test_the_host_list_is_read_back_as_written():
     admitted = {"a": Role.WORKER, "b-1": Role.OPERATOR}
-    assert parse_admitted(spell_admitted(admitted)) == admitted
+    assert parse_admitted(format_admitted(admitted)) == admitted
     assert parse_admitted("a\n# b\n\nc operator # d\n") == {"a": Role.WORKER, "c": Role.OPERATOR}
 
 

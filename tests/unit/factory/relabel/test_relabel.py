@@ -1,6 +1,7 @@
 """Tests `factory relabel` on a small dataset: verified instructions, continuation, and refusals that change nothing."""
 
 import dataclasses
+import json
 import threading
 from pathlib import Path
 
@@ -15,18 +16,21 @@ from factory.relabel.run import relabel
 from factory.verify.dataset import verify
 from schemas.config import CameraConfig
 from schemas.errors import InvalidLanguage, UsageError
-from schemas.language.compose import SceneLanguage
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
 from schemas.language.graph import build_graph
+from schemas.language.question.model import Question
+from schemas.language.question.verify import QuestionVerifier
 from schemas.language.reading import reader
+from schemas.language.route.steps import SceneRoutes
+from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.scene import Instance, encode_scene
 from schemas.terms import Split
 from tests.builders.dataset import chair, make_dataset
 from tests.builders.language import furnished_scene
 
-SPEC = LanguageSpec(per_episode=2, false_premises=1.0, languages={"en": 1, "de": 1, "es": 1, "zh": 1})
+SPEC = LanguageSpec(per_episode=2, false_premises=1.0, languages={"en": 1, "de": 1, "es": 1, "zh": 1}, questions=True)
 SPLITS = (Split.TRAIN_ID, Split.TEST_PARAPHRASE_OOD)
 
 
@@ -72,6 +76,22 @@ def test_every_new_instruction_fits_its_target_only_and_the_dataset_is_valid(sou
     assert verify(relabelled, deep=True).findings == verify(source, deep=True).findings
 
 
+def test_questions_are_rows_of_their_episodes_that_the_verifier_accepts(source, relabelled):
+    scene, dataset = SceneLanguage(build_graph(scene_with_the_chair())), Dataset(relabelled)
+    rows = dataset.questions.to_pylist()
+    assert {row["kind"] for row in rows} >= {"object", "visible", "feasible"}
+    for row in rows:
+        with dataset[row["episode_id"]] as episode:
+            number = scene.graph.number_of[episode.summary.target_id]
+            verifier = QuestionVerifier(SceneRoutes(scene, CameraConfig()), episode.poses, number)
+            names = set(Question.model_fields) - {"meaning"}
+            asked = Question(**{name: row[name] for name in names}, meaning=json.loads(row["meaning"]))
+            assert verifier.check(asked, reader(row["language"]), episode) == ""
+    assert dataset.filter(episode=rows[0]["episode_id"]).questions.num_rows < len(rows)
+    with pytest.raises(UsageError, match="has no questions: `factory relabel` with questions = true"):
+        _ = Dataset(source).questions
+
+
 def test_the_source_keeps_its_files_and_instructions(source, relabelled):
     assert {episode.instruction for episode in Dataset(source)} != {
         episode.instruction for episode in Dataset(relabelled)
@@ -88,7 +108,7 @@ def test_an_interrupted_call_continues_and_gives_the_same_instructions(source, r
     third = relabel(source, tmp_path / "out", SPEC)
     assert (first.finished, again.finished) == (False, True)
     assert third.model_copy(update={"rejected": again.rejected}) == again
-    names = ("instructions.parquet", "metadata.parquet")
+    names = ("instructions.parquet", "metadata.parquet", "questions.parquet")
     tables = [[pq.read_table(root / name) for name in names] for root in (relabelled, tmp_path / "out")]
     assert tables[0] == tables[1]
     assert not (tmp_path / "out" / ".export").exists()

@@ -2,7 +2,6 @@
 
 import functools
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,28 +15,12 @@ from schemas.language.route.segment import divide_path
 from schemas.language.route.steps import RouteSearch, SceneRoutes
 from schemas.language.route.verify import RouteVerifier
 from schemas.language.route.words import clause_of, route_words
-from tests.builders.language import CAMERA, number_at, two_rooms
+from tests.builders.language import CAMERA, driven, number_at, two_rooms
 
 TO_SOFA = ((-4.5, -0.3), (3.2, -0.3), (3.2, 1.4))
 """East through the doorway, then left, and north to the sofa."""
 TO_TRASH_CAN = ((3.2, 1.4), (3.2, -0.3), (-2.9, -0.3), (-2.9, -1.7))
 """From the sofa south, right, through the doorway to the west, left, and south to the gray trash can."""
-
-
-def driven(*corners: tuple[float, float], step_m: float = 0.025, step_rad: float = 0.05) -> np.ndarray:
-    """Returns the (T, 7) poses of a robot that drives straight between corners, and turns in place at each."""
-    poses: list[tuple[float, float, float]] = []
-    yaw = math.atan2(corners[1][1] - corners[0][1], corners[1][0] - corners[0][0])
-    for start, end in pairwise(corners):
-        wanted = math.atan2(end[1] - start[1], end[0] - start[0])
-        turn = math.remainder(wanted - yaw, math.tau)
-        poses += [(*start, yaw + turn * share) for share in np.linspace(0, 1, 1 + math.ceil(abs(turn) / step_rad))]
-        count = math.ceil(math.dist(start, end) / step_m)
-        poses += [(*(np.array(start) + (np.array(end) - start) * k / count), wanted) for k in range(1, count + 1)]
-        yaw = wanted
-    x, y, headings = np.array(poses).T
-    zero = np.zeros(len(x))
-    return np.column_stack((x, y, zero, np.cos(headings / 2), zero, zero, np.sin(headings / 2)))
 
 
 @functools.cache

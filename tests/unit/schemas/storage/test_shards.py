@@ -13,7 +13,7 @@ import pytest
 from schemas.encoding.container import ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.storage.packed_path import PackedPath
-from schemas.storage.place import at_hand, digest_of
+from schemas.storage.place import digest_of, local_copy
 from schemas.storage.shard_index import (
     ShardIndex,
     episode_place,
@@ -161,7 +161,7 @@ def test_a_packed_path_reads_its_episode(tmp_path: Path) -> None:
         assert not path.is_symlink()
         assert path.parents[1] == tmp_path
         assert pickle.loads(pickle.dumps(path)) == path
-        with at_hand(path) as local:
+        with local_copy(path) as local:
             assert local.read_bytes() == EPISODES[number]
             assert digest_of(local) == digest_of(path)
 

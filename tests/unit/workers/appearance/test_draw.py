@@ -22,10 +22,10 @@ from schemas.support.numpy_types import Floats
 from tests.builders.lit import lit_room, room_light
 from workers.appearance import (
     AppearanceScene,
+    apply_appearance,
     changed_camera,
     clutter_instances,
     draw_appearance,
-    dress_scene,
     recorded_camera,
 )
 from workers.appearance.clutter_shapes import RADII
@@ -69,19 +69,19 @@ def test_objects_keep_the_names_of_their_colours(seed: int) -> None:
     repainted = set()
     for episode in range(20):
         changes = drawn(Appearance(materials=MaterialRanges()), seed, episode).materials
-        dressed = dress_scene(lit_room(), None, drawn(Appearance(materials=MaterialRanges()), seed, episode))
-        assert SceneSurfaces.of(dressed).names() == names
+        changed = apply_appearance(lit_room(), None, drawn(Appearance(materials=MaterialRanges()), seed, episode))
+        assert SceneSurfaces.of(changed).names() == names
         repainted |= {change.to_colour for change in changes if change.surface == "object"}
     assert len(repainted) > 5
 
 
 def test_walls_and_floors_change_and_lamps_do_not() -> None:
     room = lit_room()
-    dressed = dress_scene(room, None, drawn(Appearance(materials=MaterialRanges())))
-    assert (dressed.part_texture[:5] >= len(room.textures)).all()
-    assert np.array_equal(dressed.colours[-3 * 36 :], room.colours[-3 * 36 :])
+    changed = apply_appearance(room, None, drawn(Appearance(materials=MaterialRanges())))
+    assert (changed.part_texture[:5] >= len(room.textures)).all()
+    assert np.array_equal(changed.colours[-3 * 36 :], room.colours[-3 * 36 :])
     for name in ("positions", "part_first", "part_count", "part_instance", "light_uvs", "light_map"):
-        assert getattr(dressed, name) is getattr(room, name)
+        assert getattr(changed, name) is getattr(room, name)
 
 
 def test_empty_sets_keep_the_surfaces() -> None:
@@ -107,20 +107,20 @@ def test_clutter_keeps_its_distance_from_the_footprint_and_from_the_view_of_the_
     assert placed > 20
 
 
-def test_clutter_stands_on_the_floor_with_ids_of_its_own_and_the_light_beneath_it() -> None:
+def test_clutter_stands_on_the_floor_with_separate_ids_and_the_light_beneath_it() -> None:
     room, factors = lit_room(), drawn(Appearance(clutter=ClutterRanges(count=(3, 3))))
-    dressed = dress_scene(room, None, factors)
-    assert len(dressed.info.instances) == len(room.info.instances) + len(factors.clutter)
-    added = dressed.positions[len(room.positions) :]
+    changed = apply_appearance(room, None, factors)
+    assert len(changed.info.instances) == len(room.info.instances) + len(factors.clutter)
+    added = changed.positions[len(room.positions) :]
     assert 0.0 < added[:, 2].min() < 0.005
-    assert dressed.part_instance[: len(room.part_instance)].tolist() == room.part_instance.tolist()
-    things = dressed.info.instances[len(room.info.instances) :]
+    assert changed.part_instance[: len(room.part_instance)].tolist() == room.part_instance.tolist()
+    things = changed.info.instances[len(room.info.instances) :]
     assert things == clutter_instances([item.id for item in room.info.instances], factors.clutter)
 
 
 def test_light_of_another_scene_is_refused() -> None:
     with pytest.raises(WorldError, match="no light groups"):
-        dress_scene(lit_room(), None, drawn(Appearance(light=LightRanges())))
+        apply_appearance(lit_room(), None, drawn(Appearance(light=LightRanges())))
 
 
 def test_a_change_moves_camera_and_focal_length() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from schemas.protocol.keys import sid_belongs_to
 from schemas.protocol.messages import Hello, Lease
-from workers.client.host import Backoff, LeaseBook, Phase, make_sid, tidy_host
+from workers.client.host import Backoff, LeaseBook, Phase, make_sid, valid_host_name
 from workers.client.settings import WorkerSettings
 
 LEASE = Lease(job_id=1, fence=1, token="0" * 32)
@@ -25,7 +25,7 @@ def test_pauses_double_up_to_the_longest_and_start_again_after_a_success():
     [("Node_07.cluster.local", "node-07-cluster-local"), ("-x-", "x"), ("***", "host"), ("a" * 99, "a" * 48)],
 )
 def test_host_names_are_converted_to_valid_keys(name, tidy):
-    assert tidy_host(name) == tidy
+    assert valid_host_name(name) == tidy
 
 
 def test_session_id_is_fresh_and_belongs_to_its_host():

@@ -82,7 +82,7 @@ class Oracle(ExpertPolicy):
 NAMES = """
 class Pilot:
     knows, looks, privileged = "goal", False, True
-    def enter(self, situation): self.situation = situation
+    def enter(self, state): self.state = state
     def reset(self, instruction, info): pass
     def act(self, observation): return 0.0, 0.0
 """

@@ -34,7 +34,7 @@ KEPT = {
     ".urdf": "names colours collision",
     ".xml": "names colours textures collision",
 }
-"""What the room keeps of what `write_room` writes; test_details.py has the textures of PLY, COLLADA, SDF and URDF."""
+"""Properties of `write_room` that each format keeps; test_details.py has the textures of PLY, COLLADA, SDF and URDF."""
 
 
 def extract(path: Path) -> Extraction:

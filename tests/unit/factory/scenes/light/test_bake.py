@@ -57,7 +57,7 @@ def light_in(light: LightMap, triangle: int, weights: tuple[float, float, float]
 
 @pytest.mark.parametrize("lamps", [((0.0, 0.0),), ((-2.0, -1.6), (2.0, -1.6), (-2.0, 1.6), (2.0, 1.6))])
 def test_the_light_of_a_symmetric_room_is_symmetric(lamps: tuple[tuple[float, float], ...]) -> None:
-    """What differs between the halves of a large face is the noise of few rays, which looks cloudy."""
+    """A difference between the halves of a large face is noise of too few rays, which is visible as clouds."""
     halves = [(x, y) for x in (-1, 1) for y in (-1, 1)]
     desks = [Box((1.5 * x - 0.6, y - 0.3, 0.7), (1.5 * x + 0.6, y + 0.3, 0.74)) for x, y in halves]
     lit = [Box((x - 0.3, y - 0.6, 2.45), (x + 0.3, y + 0.6, 2.49)) for x, y in lamps]

@@ -13,13 +13,13 @@ from factory.dataset.packages import ScenePackage
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.job import Job
 from schemas.scene import CompiledScene, encode_scene
-from workers.appearance import draw_appearance, dress_scene
+from workers.appearance import apply_appearance, draw_appearance
 
 if TYPE_CHECKING:
     from workers.sensors.rays import SceneRays
 
 
-class DressedPackage(NamedTuple):
+class AppearancePackage(NamedTuple):
     """Scene of an episode with its appearance, as a package for a renderer."""
 
     package: ScenePackage
@@ -36,7 +36,7 @@ class DressedPackage(NamedTuple):
     def scene(self) -> CompiledScene:
         """Returns the scene with the appearance; raises the errors of `ScenePackage.appearance_scene`."""
         place = self.package.appearance_scene(self.drawn.light is not None)
-        return dress_scene(place.scene, place.light, self.drawn)
+        return apply_appearance(place.scene, place.light, self.drawn)
 
     def read(self) -> bytes:
         """Returns the scene as a package."""
@@ -48,11 +48,11 @@ class DressedPackage(NamedTuple):
 
 
 @functools.lru_cache(maxsize=2)
-def _rays_of(dressed: DressedPackage) -> SceneRays:
+def _rays_of(varied: AppearancePackage) -> SceneRays:
     from workers.sensors.rays import SceneRays
 
-    dressed.package.rays()  # raises the error of a missing package
-    return SceneRays(dressed.scene())
+    varied.package.rays()  # raises the error of a missing package
+    return SceneRays(varied.scene())
 
 
 def drawn_for(ranges: Appearance, job: Job, package: ScenePackage, poses: NDArray[np.float64]) -> DrawnAppearance:

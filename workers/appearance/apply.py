@@ -30,7 +30,7 @@ _RING_STEPS = 24
 _FULL = 255
 
 
-def dress_scene(scene: CompiledScene, light: LightGroups | None, drawn: DrawnAppearance) -> CompiledScene:
+def apply_appearance(scene: CompiledScene, light: LightGroups | None, drawn: DrawnAppearance) -> CompiledScene:
     """Returns the scene with the appearance of an episode.
 
     Args:
@@ -41,10 +41,10 @@ def dress_scene(scene: CompiledScene, light: LightGroups | None, drawn: DrawnApp
     Raises:
         WorldError: the factors are of another scene.
     """
-    dressed = _repaint(scene, drawn.materials)
+    changed = _repaint(scene, drawn.materials)
     if drawn.clutter:
-        dressed = _with_clutter(dressed, drawn.clutter)
-    return _relight(dressed, light, drawn)
+        changed = _with_clutter(changed, drawn.clutter)
+    return _relight(changed, light, drawn)
 
 
 def clutter_instances(scene_ids: list[int], clutter: tuple[ClutterObject, ...]) -> tuple[Instance, ...]:

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple, cast
 
-from factory.dataset.appearance import DressedPackage
 from factory.dataset.packages import ScenePackage
+from factory.dataset.rendering.appearance import AppearancePackage
 from factory.support.settings import read_renderer
 from schemas.appearance import CameraChange
 from schemas.config import CameraConfig
@@ -34,9 +34,9 @@ _REMEDY = (
 
 
 class View(NamedTuple):
-    """What determines a frame."""
+    """Everything that determines a rendered frame."""
 
-    package: ScenePackage | DressedPackage
+    package: ScenePackage | AppearancePackage
     camera: CameraConfig
     pose: Pose
     size: int
@@ -95,7 +95,7 @@ class SharedRenderer:
             return RenderedFrame(image.rgb, image.depth, image.ids)
 
     def render_camera(
-        self, package: ScenePackage | DressedPackage, camera: Camera, pose: Pose, recorded_with: str
+        self, package: ScenePackage | AppearancePackage, camera: Camera, pose: Pose, recorded_with: str
     ) -> CameraImage:
         """Returns the image of a camera of a rig for a pose of base_link; arguments and errors as those of `render`."""
         with self._borrowed(package.sha256) as renderer:

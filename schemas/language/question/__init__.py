@@ -1,0 +1,1 @@
+"""Questions about an episode with computed answers and reasons (docs/language.md#questions)."""

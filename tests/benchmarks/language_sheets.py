@@ -1,0 +1,232 @@
+"""Draws sheets of random instructions, routes and questions to judge by eye: the image of the start beside a map.
+
+python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [PACKAGE ...]
+
+The scenes are those of DATASET and the packages. The target is red, objects of the named kind are blue, landmarks are
+green; the magenta line is the heading. Each sheet has eight tiles; texts.tsv lists them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import textwrap
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from factory.dataset.reader import Dataset
+from schemas.config import CameraConfig
+from schemas.language.compose import Composer
+from schemas.language.expression import Expression
+from schemas.language.file import LanguageSpec
+from schemas.language.graph import SceneGraph, build_graph
+from schemas.language.question.compose import AskedEpisode, QuestionComposer
+from schemas.language.route.compose import RouteComposer
+from schemas.language.route.model import DrivenPath
+from schemas.language.route.steps import SceneRoutes
+from schemas.language.scene import SceneLanguage
+from schemas.language.view import look
+from schemas.scene import CompiledScene, decode_scene
+from workers.geometry.pose import Pose
+from workers.render.choose import open_renderer
+
+SIDE, HEAD, COLUMNS, ROWS = 380, 56, 2, 4
+CAMERA = CameraConfig()
+SPEC = LanguageSpec(languages={"en": 3.0, "de": 1.0, "es": 1.0, "zh": 1.0}, features={"colour": 0.5}, redundant=0.15)
+GREY, RED, BLUE, GREEN, MAGENTA = (170, 170, 170), (255, 0, 0), (0, 0, 255), (0, 140, 0), (255, 0, 255)
+FONTS = [path for path in sorted(Path("/usr/share/fonts").rglob("*CJK*")) if path.suffix in (".ttc", ".otf", ".ttf")]
+
+
+class Shown(NamedTuple):
+    """Text with what its tile shows."""
+
+    kind: str
+    text: str
+    pose: tuple[float, float, float]
+    number: int | None
+    """Object drawn in red."""
+    named: tuple[Expression, ...] = ()
+    path: tuple[tuple[float, float], ...] = ()
+    marks: tuple[tuple[float, float], ...] = ()
+    """Ends of the steps of a route."""
+
+
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.truetype(str(FONTS[0]), size) if FONTS else ImageFont.load_default(size)
+
+
+class SceneSheets:
+    """Tiles of one scene."""
+
+    def __init__(self, name: str, scene: CompiledScene, rng: np.random.Generator) -> None:
+        self.name, self.scene, self.rng = name, scene, rng
+        self.language = SceneLanguage(build_graph(scene))
+        self.place, self.composer = SceneRoutes(self.language, CAMERA), Composer(SPEC)
+
+    @property
+    def graph(self) -> SceneGraph:
+        return self.language.graph
+
+    def goals(self, count: int) -> Iterator[Shown]:
+        """Yields instructions for random targets from random starts; each eighth one has a false premise."""
+        numbers = sorted(self.graph.number_of.values())
+        found = 0
+        while found < count:
+            number = int(self.rng.choice(numbers))
+            x, y = self.middle(number)
+            distance = np.hypot(*(self.scene.spawns - (x, y)).T)
+            near = self.scene.spawns[(distance > 1.5) & (distance < 7)]
+            if not len(near):
+                continue
+            start = near[self.rng.integers(len(near))].tolist()
+            pose = (*start, math.atan2(y - start[1], x - start[0]) + float(self.rng.uniform(-0.7, 0.7)))
+            view, held_out = look(self.graph, pose, CAMERA), bool(self.rng.random() < 0.2)
+            is_false = found % 8 == 7
+            if is_false:
+                one = self.composer.write_false_premise(self.language, view, number, held_out, self.rng)
+            else:
+                one = next(iter(self.composer.write(self.language, view, number, held_out, self.rng)), None)
+            if one is not None:
+                found += 1
+                meaning = (Expression.model_validate_json(one.expression),)
+                yield Shown(str(one.kind), one.text, pose, None if is_false else number, meaning)
+
+    def of_episode(self, poses: np.ndarray, target_id: str) -> Iterator[Shown]:
+        """Yields the route and two questions of a recorded episode."""
+        number, path = self.graph.number_of[target_id], DrivenPath(poses)
+        track = tuple((float(x), float(y)) for x, y in path.xy[::5])
+        for route in RouteComposer(SPEC).write(self.place, poses, number, False, self.rng):
+            marks = tuple((float(x), float(y)) for x, y in path.xy[[each.end - 1 for each in route.steps]])
+            named = tuple(each.step.named for each in route.steps if each.step.named is not None)
+            yield Shown("route", route.text, path.pose(0), number, named, track, marks)
+        goals = tuple(
+            self.composer.write(self.language, look(self.graph, path.pose(0), CAMERA), number, False, self.rng)
+        )
+        asked = QuestionComposer(self.composer).write(self.place, AskedEpisode(poses, number, goals), False, self.rng)
+        for place in self.rng.permutation(len(asked))[:2].tolist():
+            one = asked[place]
+            text = f"{one.question} | {one.answer} | {one.reason or ''} [{one.start}:{one.end}]"
+            named = () if one.meaning.named is None else (one.meaning.named,)
+            yield Shown(f"question {one.meaning.kind}", text, path.pose(one.start), number, named, track)
+
+    def middle(self, number: int) -> tuple[float, float]:
+        each = self.graph.objects[number]
+        return (each.low_m[0] + each.high_m[0]) / 2, (each.low_m[1] + each.high_m[1]) / 2
+
+    def map_of(self, shown: Shown) -> Image.Image:
+        """Draws walls, objects, start and path."""
+        points = np.array(
+            [shown.pose[:2], *([self.middle(shown.number)] if shown.number is not None else []), *shown.path]
+        )
+        middle, half = (points.min(0) + points.max(0)) / 2, max(4.5, float(np.ptp(points, axis=0).max()) / 2 + 2)
+        axis = (np.arange(SIDE) + 0.5) / SIDE * 2 * half - half
+        x, y = np.meshgrid(middle[0] + axis, middle[1] - axis)
+        cells = self.graph.sight_grid.at(np.stack((x, y), -1)).astype(int)
+        image = Image.fromarray(np.array([(255, 255, 255), (235, 235, 235), (90, 90, 90)], np.uint8)[cells])
+        draw = ImageDraw.Draw(image)
+
+        def at(point: Sequence[float]) -> tuple[float, float]:
+            return (point[0] - middle[0] + half) / (2 * half) * SIDE, (half - point[1] + middle[1]) / (2 * half) * SIDE
+
+        kinds = {kind for each in shown.named for kind in self.graph.kinds.kinds_of(each.kind)}
+        near = {mark.kind for each in shown.named for clause in each.clauses for mark in clause.landmarks}
+        marks = {kind for name in near for kind in self.graph.kinds.kinds_of(name)}
+        for number, each in enumerate(self.graph.objects):
+            colour = (
+                RED if number == shown.number else BLUE if each.kind in kinds else GREEN if each.kind in marks else GREY
+            )
+            draw.polygon([at(point) for point in each.outline_m], outline=colour)
+            if colour != GREY or half < 6:
+                said = f"{each.kind[:9]} {each.colour[:4] if each.colour != 'unknown' else ''}"
+                draw.text(at(self.middle(number)), said, fill=colour, font=font(9), anchor="mm")
+        draw.line([at(point) for point in shown.path], fill=(255, 140, 0), width=2)
+        for number, point in enumerate(shown.marks, 1):
+            draw.text(at(point), str(number), fill=(0, 0, 0), font=font(12), anchor="mm")
+        px, py, yaw = shown.pose
+        for angle, length, colour in (
+            (0.0, 0.8, MAGENTA),
+            (math.pi / 4, 3.0, (255, 180, 0)),
+            (-math.pi / 4, 3.0, (255, 180, 0)),
+        ):
+            draw.line(
+                [at((px, py)), at((px + length * math.cos(yaw + angle), py + length * math.sin(yaw + angle)))], colour
+            )
+        return image
+
+    def tile(self, shown: Shown, rgb: np.ndarray, ids: np.ndarray, number: int) -> Image.Image:
+        """Returns text, image with the outline of the target, and map."""
+        image = rgb.copy()
+        if shown.number is not None and shown.kind != "question visible":
+            mask = np.isin(ids, self.graph.objects[shown.number].ids)
+            inner = np.logical_and.reduce([np.roll(mask, step, axis) for step in (3, -3) for axis in (0, 1)])
+            image[mask & ~inner] = RED
+        tile = Image.new("RGB", (2 * SIDE + 8, SIDE + HEAD), "white")
+        tile.paste(Image.fromarray(image).resize((SIDE, SIDE)), (0, HEAD))
+        tile.paste(self.map_of(shown), (SIDE + 8, HEAD))
+        lines = textwrap.wrap(f"{number} {self.name} {shown.kind}: {shown.text}", 112)
+        for place, line in enumerate(lines[:3]):
+            ImageDraw.Draw(tile).text((2, 1 + place * 18), line, fill="black", font=font(13))
+        return tile
+
+
+def write_sheets(tiles: Sequence[Image.Image], out: Path, first: int) -> None:
+    per = COLUMNS * ROWS
+    for begin in range(0, len(tiles), per):
+        sheet = Image.new("RGB", (COLUMNS * (2 * SIDE + 10), ROWS * (SIDE + HEAD)), "white")
+        for place, tile in enumerate(tiles[begin : begin + per]):
+            sheet.paste(tile, (place % COLUMNS * (2 * SIDE + 10), place // COLUMNS * (SIDE + HEAD)))
+        sheet.save(out / f"sheet_{(first + begin) // per:03d}.jpg", quality=80)
+
+
+def main() -> None:
+    """Draws the sheets of all scenes."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("packages", type=Path, nargs="*")
+    for name, default in (("--seed", 0), ("--goals", 40), ("--episodes", 12)):
+        parser.add_argument(name, type=int, default=default)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    dataset, total = Dataset(given.dataset), 0
+    files = [*sorted((given.dataset / "scenes").glob("*.scene.zip")), *given.packages]
+    with (given.out / "texts.tsv").open("w", encoding="utf-8") as texts:
+        for place, file in enumerate(files):
+            scene = decode_scene(file.open("rb"))
+            name, rng = scene.info.name, np.random.default_rng((given.seed, place))
+            sheets = SceneSheets(name, scene, rng)
+            shown = list(sheets.goals(given.goals)) + list(_episodes(sheets, dataset, name, given.episodes))
+            tiles = _drawn(sheets, shown, total)
+            texts.writelines(f"{total + n}\t{name}\t{each.kind}\t{each.text}\n" for n, each in enumerate(shown, 1))
+            texts.flush()
+            write_sheets(tiles, given.out, total)
+            total += -(-len(shown) // (COLUMNS * ROWS)) * COLUMNS * ROWS
+
+
+def _episodes(sheets: SceneSheets, dataset: Dataset, scene: str, count: int) -> Iterator[Shown]:
+    if scene not in dataset.column("scene").to_pylist():
+        return
+    chosen = dataset.filter(scene=scene)
+    for place in sheets.rng.permutation(len(chosen))[:count].tolist():
+        with chosen[place] as episode:
+            yield from sheets.of_episode(episode.poses, episode.summary.target_id)
+
+
+def _drawn(sheets: SceneSheets, shown: Collection[Shown], first: int) -> list[Image.Image]:
+    found = []
+    with contextlib.closing(open_renderer()) as renderer:
+        renderer.load(sheets.scene, CAMERA)
+        for number, each in enumerate(shown, first + 1):
+            x, y, yaw = each.pose
+            frame = renderer.render(Pose.planar(x, y, yaw, z=sheets.scene.info.floor_height_m))
+            found.append(sheets.tile(each, np.array(frame.rgb), frame.ids, number))
+    return found
+
+
+if __name__ == "__main__":
+    main()

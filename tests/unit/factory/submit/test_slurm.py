@@ -1,0 +1,101 @@
+"""Slurm scripts of a run: run by bash with a stub of the command line, and submitted to a stub of sbatch."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from factory.submit.slurm import SlurmJob, submit_all, write_scripts
+from schemas.errors import UsageError, WorldError
+
+
+def tool(folder: Path, name: str, body: str) -> Path:
+    path = folder / name
+    path.write_text(f"#!/bin/bash\n{body}\n")
+    path.chmod(0o755)
+    return path
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> SlurmJob:
+    """A run in a folder whose name has a space, with a command line that records its arguments."""
+    run = tmp_path / "the run"
+    (run / "slurm").mkdir(parents=True)
+    stub = tool(tmp_path, "factory", f'printf "%s|" "$@" >> "{tmp_path}/said"; exit 0')
+    return SlurmJob(run, tasks=3, cpus=4, time="01:00:00", factory=(str(stub),))
+
+
+def environment(tmp_path: Path) -> dict[str, str]:
+    return {
+        "PATH": f"{tmp_path}:{os.environ['PATH']}",
+        "SLURM_TMPDIR": str(tmp_path / "local"),
+        "SLURM_JOB_ID": "17",
+        "SLURM_ARRAY_JOB_ID": "15",
+        "SLURM_ARRAY_TASK_ID": "2",
+        "USER": "me",
+    }
+
+
+def test_each_task_generates_its_shard_with_quoted_paths(job, tmp_path):
+    shards, gather = write_scripts(job, "shards")
+    subprocess.run([shards], env=environment(tmp_path), check=True)
+    said = (tmp_path / "said").read_text()
+    assert said.startswith(f"run|{job.plan}|--scenes|{job.scenes}|--workers|4|")
+    assert said.endswith(f"--shard|2/3|--out|{job.run}/shards/2|")
+    text = shards.read_text()
+    assert {"#SBATCH --array=1-3", "#SBATCH --cpus-per-task=4", "#SBATCH --time=01:00:00"} <= set(text.splitlines())
+    assert "--array" not in gather.read_text()
+
+
+def test_the_options_of_the_site_are_part_of_every_script(job):
+    special = replace(job, partition="cpu", setup=("module load minivla",), has_local_ledgers=True)
+    for script in (*write_scripts(special, "shards"), *write_scripts(special, "workers")):
+        lines = script.read_text().splitlines()
+        assert "#SBATCH --partition=cpu" in lines
+        assert "module load minivla" in lines
+        assert any("MINIVLA_LEDGER" in line for line in lines)
+
+
+@pytest.mark.parametrize(("number", "is_requeued"), [(signal.SIGUSR1, True), (signal.SIGTERM, False)])
+def test_a_worker_task_keeps_its_spool_only_for_a_requeue(job, tmp_path, number, is_requeued):
+    tool(tmp_path, "scontrol", f'echo "$@" > "{tmp_path}/told"')
+    body = 'mkdir -p "${@: -1}"; trap "exit 0" TERM; echo up; while :; do sleep 0.05; done'
+    stub = tool(tmp_path, "waiting", body)
+    _, workers = write_scripts(replace(job, factory=(str(stub),)), "workers")
+    command = ["bash", workers]
+    with subprocess.Popen(command, env=environment(tmp_path), stdout=subprocess.PIPE, text=True) as task:
+        assert task.stdout is not None
+        assert task.stdout.readline() == "up\n"
+        task.send_signal(number)
+        assert task.wait(60) == 0
+    (spool,) = [*(tmp_path / "local").glob("*/spool-2")] or [None]
+    assert (spool is not None) == is_requeued
+    assert (tmp_path / "told").exists() == is_requeued
+
+
+def test_the_second_job_waits_for_the_first(job, tmp_path, monkeypatch):
+    tool(tmp_path, "sbatch", f'echo "$@" >> "{tmp_path}/submitted"; echo "41;cluster"')
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    write_scripts(job, "shards")
+    write_scripts(job, "workers")
+    assert submit_all(job, "shards") == {"shards": 41, "gather": 41}
+    assert submit_all(job, "workers") == {"coordinator": 41, "workers": 41}
+    lines = (tmp_path / "submitted").read_text().splitlines()
+    assert ["--dependency=afterany:41" in line for line in lines] == [False, True, False, False]
+    assert ["--dependency=after:41" in line for line in lines] == [False, False, False, True]
+
+
+def test_a_host_without_slurm_and_a_refused_job_are_errors_with_the_reason(job, tmp_path, monkeypatch):
+    write_scripts(job, "shards")
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    with pytest.raises(UsageError, match="sbatch is not installed on this host"):
+        submit_all(job, "shards")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    tool(tmp_path, "sbatch", 'echo "invalid partition" >&2; exit 1')
+    with pytest.raises(WorldError, match=r"sbatch refused .*shards\.sh: invalid partition"):
+        submit_all(job, "shards")
