@@ -10,7 +10,10 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
+from coordinator.expansion.draw import expand_layout
+from coordinator.ledger.builds import number_of_layout, open_builds
 from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.repair import adopt_package
 from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
 from coordinator.options import CoordinatorOptions
@@ -40,6 +43,8 @@ class RunContext:
     """Wall clock."""
     meters: Meters
     """Counters of the running coordinator."""
+    packages: dict[str, Path]
+    """Files that workers fetch by SHA-256; layouts are added when they are built."""
     are_tables_owed: bool
     """Whether the dataset's tables are older than the ledger."""
 
@@ -58,7 +63,7 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
         WorldError: another coordinator uses the directory, or the disk cannot be written.
     """
     url = ledger_url_of(root, options.ledger_url)
-    packages = {entry.sha256: entry.path for entry in terms.catalog.values()}
+    packages = {sha256: path for entry in terms.catalog.values() for sha256, path in entry.files.items()}
     checker = options.checker or Validator(options.settings.pullers, packages=packages)
     stack.callback(checker.close)
     archive = stack.enter_context(open_archive(root, options.store, take_over=options.take_over))
@@ -66,8 +71,28 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
     are_tables_owed = _reconcile(archive, ledger, terms, checker, options)
     return RunContext(
-        terms, options.settings, archive, ledger, checker, options.clock, Meters(), are_tables_owed=are_tables_owed
+        terms,
+        options.settings,
+        archive,
+        ledger,
+        checker,
+        options.clock,
+        Meters(),
+        packages=packages,
+        are_tables_owed=are_tables_owed,
     )
+
+
+def _adopt_layouts(ledger: RunLedger, terms: Terms, now: datetime) -> None:
+    """Records the layouts that were stored without a commit before an interruption."""
+    plan = terms.plan
+    with ledger.engine.begin() as connection:
+        for build in open_builds(connection) if terms.evaluation is None else ():
+            entry = terms.catalog.get(build.scene)
+            if entry is not None:
+                number, first = number_of_layout(plan, build), plan.spans[build.scene][0]
+                planned = tuple(expand_layout(plan, number, first, entry))
+                adopt_package(connection, build, entry.sha256, entry.size, planned, now)
 
 
 def _reconcile(
@@ -79,6 +104,7 @@ def _reconcile(
     )
     for name, entry in terms.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256)
+    _adopt_layouts(ledger, terms, options.clock())
     reconciled = reconcile(archive, ledger.engine, terms, checker, options.clock())
     ledger.start_writer()
     with ledger.reading() as connection:

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import structlog
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.ledger.states import OPEN_STATES
-from coordinator.ledger.tables import episodes, jobs
+from coordinator.ledger.tables import BUILD, episodes, jobs
 from coordinator.tables.card import with_shards
 from schemas.plan import Plan
 from schemas.storage.dataset_files import CARD_FILE
@@ -104,7 +104,13 @@ def pack_ranges(archive: Archive, ranges: Iterable[tuple[Range, Mapping[int, str
 
 def _is_open(connection: Connection, span: Range) -> bool:
     query = select(jobs.c.id).where(jobs.c.idx.between(*span), jobs.c.state.in_(OPEN_STATES)).limit(1)
-    return connection.execute(query).first() is not None
+    if connection.execute(query).first() is not None:
+        return True
+    building = select(jobs.c.id).where(jobs.c.tier == BUILD, jobs.c.state.in_(OPEN_STATES)).limit(1)
+    if connection.execute(building).first() is None:
+        return False
+    present = select(func.count(jobs.c.idx.distinct())).where(jobs.c.idx.between(*span))
+    return connection.execute(present).scalar_one() < span[1] - span[0] + 1  # the layouts of others are not built
 
 
 def _owned(connection: Connection, span: Range) -> dict[int, str]:

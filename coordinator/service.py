@@ -8,6 +8,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from collections.abc import MutableMapping
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 import structlog
 
 from coordinator.context import RunContext, open_context
-from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
 from coordinator.ledger.requests import execute
 from coordinator.options import CoordinatorOptions
@@ -28,9 +29,10 @@ from coordinator.recheck import Rechecks
 from coordinator.status.health import HealthMonitor
 from coordinator.table_writer import TableWriter
 from coordinator.transfer.contract import Nearby
+from coordinator.transfer.layouts import LayoutStore
 from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Pullers
-from coordinator.validation.validator import sandbox_of
+from coordinator.validation.validator import Validator, sandbox_of
 from schemas.plan import Plan
 from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
@@ -67,7 +69,8 @@ class Coordinator(Closing):
         self._settings = options.settings
         self._draining = threading.Event()
         room = FreeSpaceMonitor(options.settings.reserve_bytes)
-        terms = self._terms_of(plan, catalog, options, room)
+        scenes = dict(catalog)
+        terms = self._terms_of(plan, scenes, options, room)
         with ExitStack() as stack:
             self._run = run = open_context(stack, root, terms, options)
             chores = Housekeeping(run, room, options.elapsed)
@@ -75,7 +78,7 @@ class Coordinator(Closing):
             self._tables = TableWriter(run, options.gate)
             stack.callback(self._tables.write_splits)
             stack.callback(self._tables.write)
-            self._pullers = stack.enter_context(self._open_pullers(run, options.nearby))
+            self._pullers = stack.enter_context(self._open_pullers(run, options.nearby, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
             chores.check_free_space()
             handler = stack.enter_context(self._open_request_handler(run))
@@ -181,7 +184,15 @@ class Coordinator(Closing):
             workers_validate=options.settings.spot_checks is not None and options.evaluation is None,
         )
 
-    def _open_pullers(self, run: RunContext, nearby: Nearby) -> Pullers:
+    def _open_pullers(
+        self, run: RunContext, nearby: Nearby, home: Path, scenes: MutableMapping[str, SceneEntry]
+    ) -> Pullers:
+        layouts = None
+        if isinstance(run.checker, Validator):  # an evaluation, whose results another validator checks, builds nothing
+            check = run.checker.check_package
+            layouts = LayoutStore(
+                run.archive, home, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock
+            )
         return Pullers(
             run.archive,
             LocalLedgerClient(run.ledger.writer, run.terms, run.clock),
@@ -191,6 +202,7 @@ class Coordinator(Closing):
             self._tables.note_change,
             run.meters,
             nearby,
+            layouts,
         )
 
     def _open_request_handler(self, run: RunContext) -> RequestHandler:
@@ -223,7 +235,7 @@ def _open_router(run: RunContext, options: CoordinatorOptions, handler: RequestH
     return Router(
         terms.plan.run,
         options.listen,
-        terms.catalog,
+        run.packages,
         run.settings,
         handler.take,
         handler.note_gone,

@@ -7,13 +7,16 @@ unseen-scene splits. Pure functions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from pydantic import Field, InstanceOf
 
 from schemas.scene_plan import ScenePlan
 from schemas.support.apportion import apportion, webster_sequence
 from schemas.terms import Split, Tier, layout_name, layout_number
+
+LAYOUT_SEEDS = 20
+"""Largest number of seeds of one layout."""
 
 Cell = tuple[Split, Tier]
 Cells = dict[Cell, int]
@@ -42,10 +45,11 @@ class LayoutPlan(ScenePlan):
         """Returns the entry of the first seed of the layout as a fixed scene."""
         return ScenePlan.model_construct(**{name: getattr(self, name) for name in ScenePlan.model_fields})
 
-    def seeds(self, tries: int) -> Iterator[int]:
-        """Yields the seeds to try, in order; no other layout of the family tries one of them."""
+    @property
+    def seeds(self) -> Sequence[int]:
+        """Seeds to try, in order; no other layout of the family tries one of them."""
         stride = self.family.layouts or 1
-        yield from range(self.seed, self.seed + tries * stride, stride)
+        return range(self.seed, self.seed + LAYOUT_SEEDS * stride, stride)
 
 
 def cross_quota(splits: Mapping[Split, float], tiers: Mapping[Tier, float], episodes: int) -> Cells:

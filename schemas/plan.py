@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -223,6 +224,12 @@ class Plan(Model):
         return self._parts_by_name[name]
 
     @functools.cached_property
+    def spans(self) -> Mapping[str, range]:
+        """Numbers of the episodes of each entry of `parts`, by name."""
+        ends = tuple(itertools.accumulate((part.episodes for part in self.parts), initial=1))
+        return {part.name: range(*span) for part, span in zip(self.parts, itertools.pairwise(ends), strict=True)}
+
+    @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
         # cached, because every claimed job needs it; parsed again, so that 1 and 1.0 give one digest
@@ -232,7 +239,7 @@ class Plan(Model):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Returns a copy with other values, without cached values."""
         copy = super().model_copy(update=update, deep=deep)
-        for name in ("digest", "parts", "_parts_by_name"):
+        for name in ("digest", "parts", "spans", "_parts_by_name"):
             copy.__dict__.pop(name, None)
         return copy
 

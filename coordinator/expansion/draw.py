@@ -65,6 +65,7 @@ def expand_each(plan: Plan, catalog: Catalog) -> Iterator[PlannedJob]:
     evenly. With `plan.balance == "categories"` the category is sampled first; with `categories_overall`, each cell has
     an exact quota of each category, which makes the categories of the whole plan as even as its scenes permit.
     The draws of a layout depend on the plan and on its own package only, so that memory holds one layout at a time.
+    The layouts that the catalog lacks are omitted.
 
     Raises:
         InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell of the fixed scenes,
@@ -77,7 +78,8 @@ def expand_each(plan: Plan, catalog: Catalog) -> Iterator[PlannedJob]:
     first_index, scenes = 1, iter(fixed)
     for number, part in enumerate(plan.parts):
         if isinstance(part, LayoutPlan):
-            yield from expand_layout(plan, number, first_index, catalog[part.name])
+            if part.name in catalog:
+                yield from expand_layout(plan, number, first_index, catalog[part.name])
         else:
             rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
             yield from _expand_scene(next(scenes), rng, first_index, templates, quotas.get(part.name, {}))

@@ -11,6 +11,7 @@ from coordinator.expansion.cells import Cells, cells
 from coordinator.expansion.far_tiers import with_far_tiers
 from coordinator.expansion.instances import Side, Sides, side_of, sides_of, startable_tiers
 from coordinator.expansion.wording import Wording
+from schemas.layouts import LayoutPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import Split, Tier
@@ -63,14 +64,10 @@ def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
 
 
 def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:
-    """Yields the cells of every scene, in the order of the plan."""
+    """Yields the cells of every scene, in the order of the plan, except of layouts that the catalog lacks."""
     for part in plan.parts:
-        yield scene_cells(plan, part, catalog[part.name])
-
-
-def all_sides(plan: Plan, catalog: Catalog) -> dict[str, Sides]:
-    """Returns the sides of every scene that has any."""
-    return {each.scene.name: each.sides for each in each_scene(plan, catalog) if each.sides}
+        if part.name in catalog or not isinstance(part, LayoutPlan):
+            yield scene_cells(plan, part, catalog[part.name])
 
 
 def categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import Archived, ExtendLease, Inventory, InventoryReply, Refused
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import UsageError

@@ -21,7 +21,7 @@ from coordinator.gateway.remote_ledger import RemoteLedgerClient, has_owner, req
 from coordinator.meters import Meters
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.node import ZenohNode
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import MAX_ORDERS, Join, JoinReply, Orders, OrdersRequest, RelayOrder
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config

@@ -12,7 +12,7 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import OPEN_STATES, Event, JobState
-from coordinator.ledger.tables import events, jobs
+from coordinator.ledger.tables import IS_EPISODE, events, jobs
 from coordinator.ledger.transitions import (
     FREED,
     JOB,
@@ -42,6 +42,7 @@ NEXT_ID = (
     .order_by(jobs.c.not_before, jobs.c.id)
     .limit(1)
 )
+NEXT_EPISODE_ID = NEXT_ID.where(IS_EPISODE)
 ANY_OPEN = select(jobs.c.id).where(is_in(*OPEN_STATES)).limit(1)
 _BY_IDS = select(jobs).where(jobs.c.id.in_(bindparam("ids", expanding=True)))
 _BEAT = (
@@ -64,13 +65,16 @@ _CLAIMED_BEFORE = (
 _HOLDER = PreparedStatement(BY_TOKEN)
 _LONGER = case((jobs.c.lease_until < bindparam("until"), bindparam("until")), else_=jobs.c.lease_until)
 _EXTEND = PreparedStatement(update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=_LONGER))
-_CLAIM = Transition(
-    Event.CLAIMED,
-    jobs.c.id == NEXT_ID.scalar_subquery(),
-    fence=jobs.c.fence + 1,
-    token=bindparam("of_token"),
-    sid=bindparam("by"),
-    lease_until=bindparam("until"),
+_CLAIM, _CLAIM_EPISODE = (
+    Transition(
+        Event.CLAIMED,
+        jobs.c.id == next_id.scalar_subquery(),
+        fence=jobs.c.fence + 1,
+        token=bindparam("of_token"),
+        sid=bindparam("by"),
+        lease_until=bindparam("until"),
+    )
+    for next_id in (NEXT_ID, NEXT_EPISODE_ID)
 )
 _EXPIRE = Transition(
     Event.EXPIRED,
@@ -100,7 +104,14 @@ def lease_of(row: JobRow) -> Lease:
 
 
 def claim(
-    connection: Connection, sid: str, token: str, now: datetime, ttl_s: float, *, may_start: bool = True
+    connection: Connection,
+    sid: str,
+    token: str,
+    now: datetime,
+    ttl_s: float,
+    *,
+    may_start: bool = True,
+    can_build: bool = True,
 ) -> JobRow | None:
     """Leases the job that has waited longest, or returns the job that the token already holds.
 
@@ -111,6 +122,7 @@ def claim(
         now: time of the claim.
         ttl_s: duration of the lease without a heartbeat, seconds.
         may_start: whether the function may lease a job that the token does not hold yet.
+        can_build: whether the function may lease the build of a layout.
 
     Returns:
         The job's row; `None` if no job is due, the token was used before, or it belongs to another host.
@@ -122,7 +134,7 @@ def claim(
     if not may_start:
         return None
     lease = {"of_token": token, "by": sid, "until": now.timestamp() + ttl_s}
-    return _CLAIM.make(connection, lease, now, by=sid)
+    return (_CLAIM if can_build else _CLAIM_EPISODE).make(connection, lease, now, by=sid)
 
 
 def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> BeatOutcome:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
@@ -15,14 +15,15 @@ from typing import Any
 
 import xxhash
 from pydantic import TypeAdapter
-from sqlalchemy import Engine, Row, insert, inspect, select
+from sqlalchemy import Engine, Row, insert, inspect, or_, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand_each
+from coordinator.ledger.builds import built_layouts, insert_builds, unbuilt_layouts
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import JobState
-from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
+from coordinator.ledger.tables import BUILD, LEDGER_FORMAT, METADATA, PLANNED, PLANNED_EPISODES, info, jobs
 from coordinator.ledger.tallies import install_tallies
 from schemas.base import Sha256
 from schemas.dataset.run_shard import RunShard, parse_shard
@@ -35,6 +36,7 @@ _INSERT_ROWS = 5000
 _SCENES = TypeAdapter(dict[str, Sha256])
 _SANDBOX, _SHARD = "sandbox", "shard"
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
+_BUILDING = select(jobs.c.scene).where(jobs.c.tier == BUILD)
 _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
 
 
@@ -58,6 +60,10 @@ class LedgerInfo:
     """Active sandbox layers of the validating processes; empty if none was started."""
     shard: RunShard | None = None
     """Shard of the run that the ledger contains; `None` if it contains the whole run."""
+    layouts: Mapping[str, str] = field(default_factory=dict)
+    """Mapping of layout to SHA-256 of the package that a worker has built."""
+    episodes: int | None = None
+    """Number of episodes, including those of unbuilt layouts; `None` if the run was created with all scenes."""
 
 
 def ledger_url_of(root: Path, url: str | None = None) -> str:
@@ -93,10 +99,12 @@ def open_run(
         WorldError: a scene differs from the scene at the start of the run.
         InvalidPlan: the plan requires targets that its scenes do not have.
     """
+    if shard is not None and unbuilt_layouts(plan, catalog):
+        raise ValueError("a shard of a run needs the packages of all layouts")
     with engine.begin() as connection:
         if holds_run(connection):
             found = read_info(connection)
-            _check_is_ours(found, plan, catalog)
+            _check_is_ours(found, plan, catalog, {**found.scenes, **found.layouts})
             require_shard(found.shard, shard)
             _bring_up_to_date(connection)
             install_tallies(connection)
@@ -105,12 +113,16 @@ def open_run(
                 facts[PLANNED] = planned_digest(connection)
             write_info(connection, facts)
             return False
+        unbuilt = unbuilt_layouts(plan, catalog) if planned is None else []
         planned = expand_each(plan, catalog) if planned is None else planned
         if shard is not None:
             numbers = shard.numbers(plan.episodes)
             planned = (job for job in planned if job.index in numbers)
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
+        if unbuilt:
+            insert_builds(connection, plan, unbuilt, now)
+            write_info(connection, {PLANNED_EPISODES: str(plan.episodes)})
         install_tallies(connection)
         write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
         if shard is not None:
@@ -138,7 +150,7 @@ def read_info(connection: Connection) -> LedgerInfo:
         raise UsageError("the database contains no ledger: start a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
     try:
-        return _info_of(facts)
+        return replace(_info_of(facts), layouts=built_layouts(connection))
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         said = str(error).splitlines()[0]
         raise WorldError(f"the ledger is damaged: its description cannot be read ({said})") from error
@@ -163,6 +175,7 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
         created_at=datetime.fromisoformat(facts["created_at"]),
         sandbox=tuple(facts.get(_SANDBOX, "").split()),
         shard=parse_shard(facts[_SHARD]) if _SHARD in facts else None,
+        episodes=int(facts[PLANNED_EPISODES]) if PLANNED_EPISODES in facts else None,
     )
 
 
@@ -171,12 +184,21 @@ def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:
     write_info(connection, {_SANDBOX: " ".join(layers)})
 
 
-def planned_digest(connection: Connection) -> str:
-    """Returns a digest of the initial state of the run: its scenes and the first draw of every episode."""
+def planned_digest(connection: Connection, span: range | None = None) -> str:
+    """Returns a digest of the initial state of the run: its scenes, the first draw of every episode, and the builds.
+
+    Args:
+        connection: connection for reading.
+        span: numbers of the episodes of a layout that a worker has built; `None` omits all such episodes.
+    """
     digest = xxhash.xxh3_128()
     facts = select(info).where(info.c.key.in_(_BEGUN_WITH)).order_by(info.c.key)
     digest.update(repr([tuple(row) for row in connection.execute(facts)]).encode("utf-8", "surrogatepass"))
     query = select(*(jobs.c[name] for name in _IDENTITY)).where(jobs.c.draw == 0).order_by(jobs.c.idx)
+    if span is None:
+        query = query.where(or_(jobs.c.tier == BUILD, jobs.c.scene.not_in(_BUILDING)))
+    else:
+        query = query.where(jobs.c.idx.between(span[0], span[-1]))
     rows = iter(connection.execute(query.execution_options(yield_per=_INSERT_ROWS)))
     while batch := [tuple(row) for row in islice(rows, _INSERT_ROWS)]:
         digest.update(repr(batch).encode("utf-8", "surrogatepass"))
@@ -253,9 +275,9 @@ def require_shard(begun: RunShard | None, shard: RunShard | None) -> None:
         )
 
 
-def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
+def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog, scenes: Mapping[str, str]) -> None:
     require_plan(found.plan, plan)
-    for name, sha256 in found.scenes.items():
+    for name, sha256 in scenes.items():
         if name not in catalog or catalog[name].sha256 != sha256:
             now = catalog[name].sha256[:16] if name in catalog else "none"
             raise WorldError(

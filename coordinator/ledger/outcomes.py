@@ -6,7 +6,7 @@ nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -15,11 +15,21 @@ from sqlalchemy.engine import Connection
 
 from coordinator.expansion.draw import PlannedJob
 from coordinator.ledger import hosts
+from coordinator.ledger.builds import budget_of_builds, insert_next_seed
 from coordinator.ledger.claims import HELD_STATES
-from coordinator.ledger.opening import insert_planned, planned_of
+from coordinator.ledger.opening import insert_planned, planned_digest, planned_of, write_info
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState
-from coordinator.ledger.tables import attempts, episodes, gateway_episodes, jobs, unchecked_episodes, workers
+from coordinator.ledger.tables import (
+    BUILD,
+    PLANNED,
+    attempts,
+    episodes,
+    gateway_episodes,
+    jobs,
+    unchecked_episodes,
+    workers,
+)
 from coordinator.ledger.transitions import FREED, JOB, UNDER_LEASE, JobRow, Transition, lease_parameters, record_attempt
 from schemas.dataset.rows import BundleReceipt
 from schemas.plan import Budget
@@ -55,6 +65,7 @@ _ANNOUNCE = Transition(
 )
 _IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("announced"))
 _ARCHIVE = Transition(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
+_END_BUILD = Transition(Event.ARCHIVED, *UNDER_LEASE, _IS_ANNOUNCED[1], lease_until=None, losses=0)
 _ADOPT = Transition(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
 _LOSE = Transition(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
 _MISSED: dict[str, Any] = {
@@ -110,6 +121,28 @@ def archive(connection: Connection, lease: Lease, summary: BundleReceipt, now: d
     return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
 
 
+def record_package(
+    connection: Connection, lease: Lease, sha256: str, planned: Sequence[PlannedJob], now: datetime
+) -> bool:
+    """Records the package of a layout and inserts the episodes of the layout, if the lease of the build is in force.
+
+    Args:
+        connection: within a transaction.
+        lease: lease of the build.
+        sha256: digest of the stored package, which is the announced one.
+        planned: first draws of the episodes of the layout.
+        now: time of the record.
+    """
+    row = _END_BUILD.make(connection, {**lease_parameters(lease), "announced": sha256}, now)
+    if row is None:
+        return False
+    insert_planned(connection, planned, now)
+    span = range(planned[0].index, planned[-1].index + 1)
+    write_info(connection, {f"{PLANNED}:{row.idx}": planned_digest(connection, span)})
+    hosts.reduce_strikes(connection, row.sid)
+    return True
+
+
 def adopt(connection: Connection, job_id: int, summary: BundleReceipt, now: datetime) -> bool:
     """Records an episode that was published before a crash of the coordinator; its digest must be the announced one."""
     return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
@@ -143,7 +176,8 @@ def fail(
     if not _is_of_same_host(row, report.sid):
         return False
     if report.reason.is_task_failure:
-        return _miss(connection, row, report, now, budget, successor)
+        limits = budget_of_builds(budget) if row.tier == BUILD else budget
+        return _miss(connection, row, report, now, limits, successor)
     if report.reason.is_of_the_worker:
         return _hurt(connection, row, report, now, budget, blames_hosts=blames_hosts)
     return _release(connection, row, report, now)
@@ -218,7 +252,9 @@ def _miss(
     }
     if not _settle(connection, _EXHAUST if is_last else _MISS, row, report, now, values, settles=True):
         return False
-    if has_successor:
+    if has_successor and row.tier == BUILD:
+        insert_next_seed(connection, row, now, row.attempt + 1)
+    elif has_successor:
         insert_planned(connection, [successor(planned_of(row))], now, attempt=row.attempt + 1)
     return True
 

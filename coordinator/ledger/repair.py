@@ -7,7 +7,7 @@ has validated them.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +16,7 @@ from sqlalchemy import Row, bindparam, insert, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import redraw
+from coordinator.expansion.draw import PlannedJob, redraw
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import insert_planned, planned_of
@@ -121,6 +121,27 @@ def record_whole(
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
     return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger changed during the repair"
+
+
+def adopt_package(
+    connection: Connection, build: Row[Any], sha256: str, size: int, planned: Sequence[PlannedJob], now: datetime
+) -> None:
+    """Records the stored package of a layout whose build is open.
+
+    Args:
+        connection: within a transaction.
+        build: job of the build.
+        sha256: digest of the package.
+        size: size of the package, bytes.
+        planned: first draws of the episodes of the layout.
+        now: time of the repair.
+    """
+    if build.state != JobState.PENDING:
+        build = _made(_FREE[JobState(build.state)], connection, build, {}, now)
+    lease = lease_of(_take(connection, build, build.attempt, now))
+    outcomes.announce(connection, Done(sid=REPAIRER, lease=lease, sha256=sha256, size=size), now, _LEASE_S)
+    if not outcomes.record_package(connection, lease, sha256, planned, now):
+        raise AssertionError("the ledger was changed by another writer")
 
 
 def record_failures(

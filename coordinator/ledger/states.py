@@ -31,7 +31,7 @@ class Event(StrEnum):
     ARCHIVED = "archived"  # the bundle was validated and published
     ADOPTED = "adopted"  # the bundle was found published at start, without a commit
     TASK_FAILED = "missed"  # task failure; the next attempt follows
-    EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw
+    EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw, or a layout that is refused
     RELEASED = "released"  # its worker returned it without an outcome
     EXPIRED = "expired"  # the lease expired without a heartbeat
     WORKER_FAILED = "hurt"  # worker failure: crash, hang or invalid bundle
@@ -53,7 +53,7 @@ TRANSITIONS = MappingProxyType(
         (JobState.PENDING, Event.CANCELLED): JobState.CANCELLED,
         (JobState.LEASED, Event.ANNOUNCED): JobState.SUBMITTED,
         (JobState.LEASED, Event.TASK_FAILED): JobState.PENDING,
-        (JobState.LEASED, Event.EXHAUSTED): JobState.FAILED,
+        **{(held, Event.EXHAUSTED): JobState.FAILED for held in _HELD},
         **{(held, Event.RELEASED): JobState.PENDING for held in _HELD},
         **{(held, Event.EXPIRED): JobState.PENDING for held in _HELD},
         **{(held, Event.WORKER_FAILED): JobState.PENDING for held in _HELD},

@@ -8,14 +8,22 @@ from __future__ import annotations
 from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, Integer, MetaData, String, Table, Text
 from sqlalchemy import text as sql
 
-LEDGER_FORMAT = 2
-"""Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost."""
+LEDGER_FORMAT = 3
+"""Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost; since 3
+jobs may build layouts."""
 
 ADDED_LATER = frozenset({"hosts", "keepers", "unchecked_episodes", "job_tallies", "attempt_tallies"})
 """Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
 
 PLANNED = "planned"
 """Key of `info` with the digest of the initial jobs. Opening a ledger of an older format for writing adds it."""
+
+PLANNED_EPISODES = "episodes"
+"""Key of `info` with the number of episodes, including those of layouts that are not built yet; absent in a ledger
+that was created with all scenes."""
+
+BUILD = "build"
+"""Tier and split of a job that builds the package of a layout. Its number follows the episodes of the plan."""
 
 METADATA = MetaData()
 
@@ -78,6 +86,9 @@ Index(
     sqlite_where=sql("token IS NOT NULL"),
     postgresql_where=sql("token IS NOT NULL"),
 )
+
+IS_EPISODE = jobs.c.tier != BUILD
+"""Condition that a job makes an episode."""
 
 attempts = Table(
     "attempts",

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Select, Table, delete, func, insert, inspect, select, text
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.tables import attempt_tallies, attempts, job_tallies, jobs
+from coordinator.ledger.tables import BUILD, attempt_tallies, attempts, job_tallies, jobs
 
 _COUNT_JOBS = select(
     jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.superseded, func.count().label("jobs")
@@ -38,8 +38,19 @@ def install_tallies(connection: Connection) -> None:
 
 
 def job_counts(connection: Connection) -> Select[Any]:
-    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded."""
-    return select(job_tallies) if _has_tallies(connection) else _COUNT_JOBS
+    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded; without
+    builds of layouts."""
+    return select(job_tallies).where(job_tallies.c.tier != BUILD) if _has_tallies(connection) else _COUNT_JOBS
+
+
+def build_counts(connection: Connection) -> dict[str, int]:
+    """Returns the number of layouts that workers build by state; empty if there are none."""
+    if not _has_tallies(connection):  # no ledger of an older version has builds
+        return {}
+    count = select(job_tallies.c.state, func.sum(job_tallies.c.jobs)).where(
+        job_tallies.c.tier == BUILD, job_tallies.c.superseded.is_(False), job_tallies.c.jobs > 0
+    )
+    return {row[0]: int(row[1]) for row in connection.execute(count.group_by(job_tallies.c.state))}
 
 
 def attempt_counts(connection: Connection) -> Select[Any]:

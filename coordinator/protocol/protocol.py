@@ -20,8 +20,11 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw, to_job
 from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import claims, hosts, outcomes, requests
+from coordinator.ledger.builds import number_of_layout, order_of
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
+from coordinator.ledger.tables import BUILD
+from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.base import Model
 from schemas.job import Job
 from schemas.plan import Plan
@@ -40,12 +43,10 @@ from schemas.protocol.messages import (
     Hello,
     HelloReply,
     HostMemory,
-    Lease,
     Ping,
     Refusal,
     RunKind,
 )
-from schemas.scene import Target
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -98,28 +99,6 @@ class Terms:
     """Memory in the last heartbeat by host."""
     workers_validate: bool = False
     """Whether workers validate their bundles before they announce them."""
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Announced bundle in a worker's spool."""
-
-    lease: Lease
-    """Lease of the job."""
-    sid: str
-    """Session id of the worker."""
-    sha256: str
-    """Announced SHA-256."""
-    size: int
-    """Announced size, bytes."""
-    job: Job
-    """Job of the bundle."""
-    target: Target
-    """Target in the compiled scene."""
-    via: str | None = None
-    """zenoh id of the router that the worker is connected to; `None` if unknown."""
-    is_validated: bool = False
-    """Whether the worker has announced that it validated the bundle."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +215,11 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     may_start = terms.has_room() and not terms.is_draining() and not requests.is_paused(connection)
     pause_s = hosts.pause_of(connection, host, now)
     may_start = may_start and pause_s == 0
-    row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
+    row = claims.claim(
+        connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start, can_build=claim.can_build
+    )
+    if row is not None and row.tier == BUILD:
+        return ProtocolAnswer(ClaimReply(build=order_of(terms.plan, row), lease=lease_of(row)))
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)
@@ -285,6 +268,9 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
 
 
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
+    if row.tier == BUILD:
+        build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
+        return Pull(lease_of(row), sid, row.sha256, row.size, build, None)  # the coordinator needs it, not a gateway
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     target = terms.catalog[job.scene].info.target(job.target_id)
     return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via, is_validated)

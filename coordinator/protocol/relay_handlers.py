@@ -22,7 +22,8 @@ from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import jobs
 from coordinator.ledger.transitions import JobRow
-from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Pull, Terms, fail_attempt
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, fail_attempt
+from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import (
     MAX_LOST,
     Archived,
@@ -39,6 +40,7 @@ from coordinator.protocol.relay import (
 )
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, file_name_of
+from schemas.job import Job
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Fail, Refusal, cut_detail
 from schemas.terms import FailReason
@@ -66,6 +68,7 @@ def orders_for(pulls: tuple[Pull, ...]) -> Orders:
         orders=tuple(
             RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
             for p in pulls
+            if isinstance(p.job, Job) and p.target is not None  # no package of a layout is assigned to a gateway
         )
     )
 

@@ -5,14 +5,12 @@ The module does not parse messages and does not access the ledger; `protocol.par
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import structlog
 import zenoh
 
-from coordinator.expansion.catalog import Catalog
 from coordinator.protocol.node import Admitted, ZenohNode
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
@@ -76,7 +74,7 @@ class Router(Closing):
     Args:
         run: name of the run, part of every key.
         listen: endpoints; port 0 selects a free port.
-        catalog: scenes that are served to workers.
+        packages: scenes that are served to workers, by SHA-256; the mapping may grow.
         settings: settings of the coordinator.
         on_inquiry: callback for a received request; must not block.
         on_gone: callback with the session id of a worker whose connection closed; must not block.
@@ -92,7 +90,7 @@ class Router(Closing):
         self,
         run: str,
         listen: Sequence[str],
-        catalog: Catalog,
+        packages: Mapping[str, Path],
         settings: CoordinatorSettings,
         on_inquiry: Callable[[Inquiry], None],
         on_gone: Callable[[str], None],
@@ -104,10 +102,8 @@ class Router(Closing):
         self._connect = tuple(connect)
         self._on_inquiry = on_inquiry
         self._on_gone = on_gone
-        served = {sha256: path for entry in catalog.values() for sha256, path in entry.files.items()} | dict(
-            files or {}
-        )
-        self._scenes = _open_files(run, served)
+        self._packages = packages
+        self._files = files or {}
         self._settings = settings
         self._guard = guard
         self._present: set[str] = set()
@@ -136,9 +132,6 @@ class Router(Closing):
     def close(self) -> None:
         """Closes the session."""
         self._node.close()
-        for descriptor in self._scenes.values():
-            os.close(descriptor)
-        self._scenes = {}
 
     def _config(self, endpoints: Sequence[str], admitted: Admitted) -> zenoh.Config:
         files = self._guard.files if self._guard is not None else None
@@ -179,17 +172,17 @@ class Router(Closing):
             return
         with query:
             key = str(query.key_expr)
-            descriptor = self._scenes.get(key)
-            if descriptor is None:
+            sha256 = key.rpartition("/")[2]
+            path = self._packages.get(sha256) or self._files.get(sha256)
+            if path is None or key != scene_key(self._run, sha256):
                 query.reply_err(f"no scene {key}")
                 return
             try:
                 chunk = parse_chunk({name: query.parameters.get(name) or "" for name in ("off", "n")})
-            except ValueError as error:
+                with path.open("rb", buffering=0) as file:
+                    file.seek(chunk.offset)
+                    data = file.read(chunk.length)
+            except (OSError, ValueError) as error:
                 query.reply_err(str(error))
                 return
-            query.reply(key, os.pread(descriptor, chunk.length, chunk.offset))
-
-
-def _open_files(run: str, files: Mapping[str, Path]) -> Mapping[str, int]:
-    return {scene_key(run, sha256): os.open(path, os.O_RDONLY | os.O_CLOEXEC) for sha256, path in files.items()}
+            query.reply(key, data)

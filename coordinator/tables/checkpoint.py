@@ -11,12 +11,13 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.instances import shared_categories
-from coordinator.expansion.scene_cells import all_sides
+from coordinator.expansion.instances import Sides, shared_categories
+from coordinator.expansion.scene_cells import scene_cells
+from coordinator.ledger.builds import refused_seeds
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.ledger.states import Event
-from coordinator.ledger.tables import attempts, episodes, events, jobs
+from coordinator.ledger.tables import IS_EPISODE, attempts, episodes, events, jobs
 from coordinator.tables.write import DatasetTables, TableChanges, TableContent
 from schemas.dataset.meta import DatasetMeta, GateOutcome, read_dataset_meta
 from schemas.dataset.rows import FailedAttempt
@@ -32,7 +33,7 @@ _WITHOUT_FAILURE = frozenset({Event.ARCHIVED, Event.ADOPTED})
 _FAILURES = (
     select(attempts, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.category, jobs.c.target_id)
     .join(jobs, jobs.c.id == attempts.c.job_id)
-    .where(attempts.c.outcome != SUCCESS)
+    .where(attempts.c.outcome != SUCCESS, IS_EPISODE)
     .order_by(attempts.c.idx, attempts.c.attempt, attempts.c.id)
 )
 
@@ -43,16 +44,14 @@ class Checkpoints:
     Args:
         archive: archive of the dataset, held exclusively.
         plan: plan of the run.
-        catalog: compiled scenes of the plan.
+        catalog: compiled scenes of the plan; layouts are added when they are built.
         gate: results of the pilot; empty keeps the results in the existing metadata.
     """
 
     def __init__(self, archive: Archive, plan: Plan, catalog: Catalog, gate: Sequence[GateOutcome] = ()) -> None:
-        self._archive, self._plan, self._gate = archive, plan, gate
-        self._scenes = {name: entry.sha256 for name, entry in catalog.items()}
-        self._sides = all_sides(plan, catalog)
-        shared = {name: shared_categories(found, catalog[name]) for name, found in self._sides.items()}
-        self._shared = shared if plan.disjoint_instances else None
+        self._archive, self._plan, self._gate, self._catalog = archive, plan, gate, catalog
+        self._sides: dict[str, Sides] = {}
+        self._shared: dict[str, tuple[str, ...]] | None = {} if plan.disjoint_instances else None
         self._tables = DatasetTables()
         self._last_event: int | None = None
 
@@ -71,16 +70,28 @@ class Checkpoints:
         changes = None if rewrite or self._last_event is None else _changes(connection, self._last_event)
         content = TableContent(
             plan=self._plan,
-            scenes=self._scenes,
+            scenes=self._present_scenes(),
             episodes=LedgerEpisodes(connection),
             failures=LedgerFailures(connection),
             sides=self._sides,
             shared=self._shared,
             gate=self._gate,
+            refused_seeds=refused_seeds(connection),
         )
         meta = self._tables.write(self._archive, content, now, changes)
         self._last_event = last
         return meta
+
+    def _present_scenes(self) -> dict[str, str]:
+        """Returns the digests of the packages in the order of the plan, after assigning instances of new ones."""
+        parts = [part for part in self._plan.parts if part.name in self._catalog]
+        for part in parts if self._shared is not None else ():
+            entry = self._catalog[part.name]
+            if part.name not in self._sides:
+                self._sides[part.name] = sides = scene_cells(self._plan, part, entry).sides
+                if sides:
+                    self._shared[part.name] = shared_categories(sides, entry)
+        return {part.name: self._catalog[part.name].sha256 for part in parts}
 
 
 def write_checkpoint(
@@ -105,7 +116,7 @@ def _changes(connection: Connection, since: int) -> TableChanges:
     query = (
         select(events.c.event, jobs.c.idx)
         .join(jobs, jobs.c.id == events.c.job_id)
-        .where(events.c.id > since, events.c.event.not_in(_OF_LEASES))
+        .where(events.c.id > since, events.c.event.not_in(_OF_LEASES), IS_EPISODE)
     )
     archived: set[int] = set()
     failed: set[int] = set()
@@ -132,7 +143,8 @@ def is_checkpoint_due(archive: Archive, connection: Connection) -> bool:
 
 def count_failures(connection: Connection) -> int:
     """Returns the number of attempts without an episode."""
-    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
+    of_jobs = attempts.join(jobs, jobs.c.id == attempts.c.job_id)
+    failed = select(func.count()).select_from(of_jobs).where(attempts.c.outcome != SUCCESS, IS_EPISODE)
     return int(connection.execute(failed).scalar_one())
 
 

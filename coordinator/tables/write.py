@@ -60,6 +60,8 @@ class TableContent(NamedTuple):
     """Mapping of scene name to the categories with shared instances; `None` for other plans."""
     gate: Sequence[GateOutcome] = ()
     """Results of the pilot; empty keeps the results in the existing metadata."""
+    refused_seeds: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    """Reasons why seeds of layouts were not used, by layout."""
 
     def episode_rows(self, first: int, last: int) -> Iterator[dict[str, Any]]:
         """Yields rows of `metadata.parquet`."""
@@ -126,6 +128,7 @@ class DatasetTables:
             updated_at=now,
             shared_instances=None if content.shared is None else dict(content.shared),
             gate=tuple(content.gate) or (former.gate if former else ()),
+            refused_seeds=dict(content.refused_seeds) or (former.refused_seeds if former else {}),
         )
         aggregates = TableAggregates.total((episodes, failures))
         card = dataset_card(meta, aggregates, splits_at(archive.root))

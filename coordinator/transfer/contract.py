@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import Pull
 from coordinator.validation.scope import Scope
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.job import Job

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.transfer.contract import BundleValidator
 from coordinator.validation.scope import Scope
 from schemas.dataset.rows import BundleReceipt
@@ -60,6 +60,8 @@ class BundleJudge:
             InvalidBundle: the bundle has violations.
             TransientError: the bundle cannot be validated now.
         """
+        if isinstance(pull.job, BuildJob):
+            raise TypeError(f"{pull.name} is the package of a layout")
         scope = Scope.SAMPLE if is_local else self._scope(pull)
         host, begun = host_of(pull.sid), time.monotonic()
         try:

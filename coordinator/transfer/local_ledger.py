@@ -12,7 +12,8 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger import claims, outcomes, unchecked
 from coordinator.ledger.writer import Writer
-from coordinator.protocol.protocol import Pull, Terms, fail_attempt
+from coordinator.protocol.protocol import Terms, fail_attempt
+from coordinator.protocol.pulls import Pull
 from schemas.dataset.rows import BundleReceipt
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Fail, cut_detail

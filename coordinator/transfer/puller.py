@@ -9,12 +9,13 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import structlog
 
 from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
@@ -41,6 +42,9 @@ _QUEUED = 2
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
 """First and longest pause between two log lines about refused bundles of one host, seconds."""
+
+if TYPE_CHECKING:
+    from coordinator.transfer.layouts import LayoutStore
 
 log = structlog.get_logger(__name__)
 
@@ -99,11 +103,13 @@ class Pullers(Closing):
         on_archived: Callable[[], None],
         meters: Meters | None = None,
         nearby: Nearby = nothing_nearby,
+        layouts: LayoutStore | None = None,
     ) -> None:
         self._archive = archive
         self._ledger = ledger
         self._fetch = fetch
         self._nearby = nearby
+        self._layouts = layouts
         self._settings = settings
         self._on_archived = on_archived
         self._meters = meters or Meters()
@@ -169,7 +175,7 @@ class Pullers(Closing):
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
             if isinstance(error, FactoryError):
                 self._meters.add(Meter.PULLS_FAILED)
-            self._failing.fail(error, episode=episode_id(pull.job.index), worker=pull.sid)
+            self._failing.fail(error, episode=pull.name, worker=pull.sid)
         return True
 
     def _bring(self, host: str, transfer: _Transfer) -> bool:
@@ -190,6 +196,9 @@ class Pullers(Closing):
         else:
             if pull.size > _SMALL_BYTES:
                 self._ledger.keep(pull, _VALIDATION_S)
+            if isinstance(pull.job, BuildJob):
+                self._receive_layout(pull, pull.job, staged)
+                return True
             verdict = self._judge(pull, staged)
             if verdict is not None and not (staged.is_taken and self._is_another(pull, verdict.receipt.file_sha256)):
                 self._publish(pull, staged, verdict)
@@ -283,7 +292,15 @@ class Pullers(Closing):
             if source is not None and source.stat().st_size == pull.size:
                 staged.take(source)
         except OSError as error:
-            log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
+            log.debug("fetched_instead", episode=pull.name, error=str(error))
+
+    def _receive_layout(self, pull: Pull, build: BuildJob, staged: Staged) -> None:
+        if self._layouts is None:
+            raise TypeError(f"no store for the package of {build.layout}")
+        try:
+            self._layouts.receive(pull, build, staged)
+        except InvalidBundle as error:
+            self._refuse(pull, str(error))
 
     def _judge(self, pull: Pull, staged: Staged) -> Judgement | None:
         try:
@@ -295,7 +312,7 @@ class Pullers(Closing):
     def _refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
         self._forget_failures(pull)
         self._meters.add(Meter.REFUSED)
-        episode, host = episode_id(pull.job.index), host_of(pull.sid)
+        episode, host = pull.name, host_of(pull.sid)
         self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
         self._ledger.refuse(pull, detail, is_false=is_false)
 

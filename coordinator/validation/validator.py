@@ -63,8 +63,8 @@ class ValidatorLimits(Model):
 class ValidationTask(Model):
     """Task of a child for the bundle whose descriptor is sent with it."""
 
-    job: Job
-    """Leased job."""
+    job: Job | None = None
+    """Leased job; `None` if the bundle is the package of a scene."""
     target: Target | None = None
     """Target in the compiled scene; `None` skips the comparison."""
     scope: Scope = Scope.ALL
@@ -128,12 +128,21 @@ class Validator(Closing):
             TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
                 cannot be opened now.
         """
-        task = ValidationTask(job=job, target=target, scope=scope)
+        verdict = self._verdict(ValidationTask(job=job, target=target, scope=scope), path)
+        return self._with_sentence(verdict, job)
+
+    def check_package(self, path: Path) -> None:
+        """Decodes the package of a scene; raises the errors of `check`."""
+        verdict = self._verdict(ValidationTask(), path)
+        if verdict.findings:
+            raise InvalidBundle("bundle refused", verdict.findings)
+
+    def _verdict(self, task: ValidationTask, path: Path) -> Verdict:
         with self._child() as child:
             for _ in range(_TRIES):
                 verdict = self._ask(child, task, path)
                 if verdict is not None:
-                    return self._with_sentence(verdict, job)
+                    return verdict
                 self._limit.write(_log().warning, "validator_died", file=str(path), how=child.last_words)
                 if child.was_ended:
                     raise TransientError(f"a signal from outside ended the validating process ({child.last_words})")

@@ -30,6 +30,7 @@ from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.errors import InvalidBundle
 from schemas.language.grammar import LANGUAGES, grammar
+from schemas.scene import decode_scene
 
 
 def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
@@ -39,6 +40,9 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
         size = file.seek(0, os.SEEK_END)
         if size > MAX_BUNDLE_BYTES:
             return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
+        if task.job is None:
+            decode_scene(file)
+            return Verdict()
         with BundleReader(file) as bundle:
             findings = validate(bundle, task.job, task.target, scope=task.scope)
             if not findings:

@@ -7,7 +7,7 @@ nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,7 @@ def open_catalog(
     tell: MessageCallback = lambda _: None,
     builds: LayoutBuilds | None = None,
     packages: Place | None = None,
+    only: Collection[str] | None = None,
 ) -> Catalog:
     """Returns the scenes of a plan after checking that they can fulfil it; see `collect_scenes`.
 
@@ -50,7 +51,7 @@ def open_catalog(
         InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
             been written to `root`.
     """
-    entries = collect_scenes(plan, root, cache, tell, builds, packages=packages)
+    entries = collect_scenes(plan, root, cache, tell, builds, only, packages)
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
@@ -81,7 +82,8 @@ def collect_scenes(
         cache: Folder in which new packages are built.
         tell: Called with the name of each scene before it is built or compiled.
         builds: Settings of the builds of layouts; `None` builds them in this process.
-        only: Names of the scenes to return; `None` returns all.
+        only: Names of the scenes to build or compile, if they are missing; other missing ones are omitted. `None`
+            selects all.
         packages: Folder with the package of every scene, so that none is built; `None` uses `root`.
 
     Raises:
@@ -100,7 +102,7 @@ def collect_scenes(
     require_files(plan, held)
     found: dict[str, Path] = {}
     missing: list[str] = []
-    parts = [part for part in plan.parts if only is None or part.name in only]
+    parts = [part for part in plan.parts if only is None or part.name in held or part.name in only]
     for part in parts:
         if part.name in held:
             found[part.name] = package_file(held[part.name])
@@ -111,6 +113,23 @@ def collect_scenes(
     builds = builds or LayoutBuilds()
     found |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
     return with_light(plan, {part.name: read_entry(found[part.name]) for part in parts})
+
+
+def scenes_before_run(plan: Plan, pilots: Iterable[Plan]) -> frozenset[str] | None:
+    """Returns the scenes that are needed before a run, whose workers build the others; `None` for all.
+
+    These are the scenes that are not layouts, the first layout of each family, which shows whether the plan is
+    possible, and the scenes of pilots. Light groups are baked before a run, so that varied light needs all scenes.
+
+    Args:
+        plan: Plan of the run.
+        pilots: Plans of the pilots before the run.
+    """
+    if plan.record is Recording.FRAMES and plan.appearance is not None and plan.appearance.light is not None:
+        return None
+    first = {family_of(part.name): part.name for part in reversed(plan.parts)}
+    fixed = {part.name for part in plan.parts if not isinstance(part, LayoutPlan)}
+    return frozenset({*fixed, *first.values(), *(part.name for pilot in pilots for part in pilot.parts)})
 
 
 def with_light(plan: Plan, catalog: Catalog) -> Catalog:

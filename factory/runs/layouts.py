@@ -21,9 +21,6 @@ from schemas.errors import InvalidPlan, LayoutError
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan
 
-_TRIES = 20
-"""Largest number of seeds of one layout."""
-
 
 @dataclass(frozen=True)
 class BuiltLayout:
@@ -106,7 +103,7 @@ def _build(task: _Task) -> BuiltLayout:
         raise TypeError(f"{task.name} is not a layout")
     rules = None if part.rules is None else load_rules(Path(part.rules))
     refused: list[str] = []
-    for seed in part.seeds(_TRIES):
+    for seed in part.seeds:
         try:
             path = build_scene(part.family.name, seed, task.cache, rules, called=part.name)
             faults = list(faults_of(scene_cells(plan, part, read_entry(path)), f"seed {seed}"))
@@ -115,7 +112,7 @@ def _build(task: _Task) -> BuiltLayout:
         if not faults:
             return BuiltLayout(part.name, path, tuple(refused))
         refused += faults
-    raise InvalidPlan(f"none of {_TRIES} seeds of {part.name} gives a layout for plan {plan.name!r}", refused)
+    raise InvalidPlan(f"none of {len(part.seeds)} seeds of {part.name} gives a layout for plan {plan.name!r}", refused)
 
 
 @lru_cache(maxsize=1)

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_content, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
+from factory.scenes.requirements import require_building
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import LayoutError, UsageError, WorldError
 from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
-from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 
@@ -88,7 +88,7 @@ def build_scene(
     """
     path = package_path(name, seed, cache, rules, targets, called)
     if not path.is_file():
-        _require_usd()
+        require_building()
         tell()
         try:
             scene = _compile_builtin(name, seed, called or name, rules or rules_of(name), targets)
@@ -192,7 +192,7 @@ def _read_stage(
     path: Path, rules: RuleBook | None, targets: TargetList | None, limits: StageLimits
 ) -> tuple[Extraction, str]:
     """Returns the extracted stage, and the SHA-256 of all inputs of its package."""
-    _require_usd()
+    require_building()
     from factory.scenes.formats import extract_scene
 
     extraction = extract_scene(path, limits)
@@ -217,8 +217,3 @@ def load_edits(
     """
     book = None if rules is None else load_rules(rules)
     return book, None if targets is None else load_target_list(targets, scene)
-
-
-def _require_usd() -> None:
-    for module in ("pxr", "mapbox_earcut", "embreex", "defusedxml", "collada"):
-        require_package(module, "building a scene")

@@ -95,7 +95,7 @@ def _from_ledger(url: str) -> _Record | None:
             info = read_info(connection) if holds_run(connection) else None
     except WorldError:
         return None
-    return None if info is None else _Record(info.plan, info.scenes)
+    return None if info is None else _Record(info.plan, {**info.scenes, **info.layouts})
 
 
 def _from_meta(root: Place) -> _Record | None:

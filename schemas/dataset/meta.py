@@ -107,6 +107,8 @@ class DatasetMeta(Model):
     every other category occur either in training or in evaluation. Null if the plan does not separate instances."""
     gate: tuple[GateOutcome, ...] = ()
     """Results of the pilot attempts before the run; empty if the gate was skipped."""
+    refused_seeds: dict[str, tuple[str, ...]] = Field(default={}, exclude_if=lambda seeds: not seeds)
+    """Reasons why earlier seeds of a layout were not used, by layout; omitted if there are none."""
     relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)
     """Source of the new instructions; omitted for a dataset with its recorded instructions."""
 

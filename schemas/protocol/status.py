@@ -60,13 +60,13 @@ class Progress(Model):
     planned: Count
     """Number of episodes in the plan."""
     jobs: Counts
-    """Number of episodes by the state of their current draw; the sum is `planned`."""
+    """Number of episodes by the state of their current draw, pending in unbuilt layouts; the sum is `planned`."""
     by_scene: Groups
-    """Number of episodes by scene and state."""
+    """Number of episodes by scene or family and state, without unbuilt layouts."""
     by_tier: Groups
-    """Number of episodes by tier and state."""
+    """Number of episodes by tier and state, without unbuilt layouts."""
     by_split: Groups
-    """Number of episodes by split and state."""
+    """Number of episodes by split and state, without unbuilt layouts."""
     redrawn: Count
     """Number of draws that were replaced after too many failed attempts."""
     attempts: Counts
@@ -77,6 +77,8 @@ class Progress(Model):
     """Hosts that pause or are barred."""
     by_gateway: Counts = Field(default_factory=dict)
     """Number of archived episodes that a gateway stores, by its name; the core stores all others."""
+    layouts: Counts = Field(default_factory=dict)
+    """Number of layouts that workers build by state; empty if the run started with all scenes."""
     shards: Count = 0
     """Number of shards of the dataset; 0 if no episode is packed."""
     episodes_per_hour: NonNegative | None

@@ -93,8 +93,9 @@ class WireWorker(Closing):
     def hello(self, version: str) -> HelloReply | Refusal | None:
         return self.ask(Verb.HELLO, Hello(sid=self.sid, host=self.host, slots=2, version=version), HelloReply)
 
-    def claim(self, token: str | None = None) -> ClaimReply:
-        reply = self.ask(Verb.CLAIM, Claim(sid=self.sid, token=token or secrets.token_hex(16)), ClaimReply)
+    def claim(self, token: str | None = None, *, can_build: bool = False) -> ClaimReply:
+        claim = Claim(sid=self.sid, token=token or secrets.token_hex(16), can_build=can_build)
+        reply = self.ask(Verb.CLAIM, claim, ClaimReply)
         assert isinstance(reply, ClaimReply)
         return reply
 

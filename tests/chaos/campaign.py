@@ -41,7 +41,13 @@ train_id = 1.0
 [[scenes]]
 name = "hospital"
 episodes = {episodes}
+[[scenes]]
+name = "home"
+layouts = 4
+episodes = 8
 """
+_IN_LAYOUTS = 8
+"""Episodes in the layouts of the plan with the real simulation; killed simulations include their builders."""
 _PACKING_S = 0.3
 """Interval of checkpoints, which pack, seconds."""
 log = Console(stderr=True, highlight=False)
@@ -192,7 +198,7 @@ def _command_sets(options: argparse.Namespace, root: Path) -> tuple[ClusterComma
     if options.simulation == "real":
         plan = root / "plan.toml"
         plan.write_text(_REAL_PLAN.format(episodes=options.episodes))
-        command_sets = [real_commands(plan, options.episodes)]
+        command_sets = [real_commands(plan, options.episodes + _IN_LAYOUTS)]
     else:
         budgets = (LARGE_CRASH_BUDGET, Budget().crashes) if options.peers else (LARGE_CRASH_BUDGET,)
         choices = itertools.product(budgets, sorted({0, options.gateways}))

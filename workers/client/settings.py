@@ -66,6 +66,8 @@ class WorkerSettings:
     """Function that validates a bundle, in another process; `None` if this worker cannot validate its bundles."""
     eval_command: tuple[str, ...] = ()
     """Command line of a process that executes evaluation tasks; if empty, the worker rejects evaluations."""
+    build_command: tuple[str, ...] = ()
+    """Command line of a process that builds layouts; if empty, the worker claims no builds."""
 
     @property
     def simulation_command(self) -> tuple[str, ...]:

@@ -15,16 +15,18 @@ import structlog
 from schemas.errors import FactoryError, InvalidBundle, LeaseLost, TransientError, WorldError
 from schemas.job import Job
 from schemas.protocol.keys import Chunk, Verb
-from schemas.protocol.messages import Ack, Claim, ClaimReply, Fail, Lease
+from schemas.protocol.messages import Ack, BuildOrder, Claim, ClaimReply, Fail, Lease
 from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
 from workers.client.heartbeat import make_done
 from workers.client.host import Backoff, Host
-from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure
+from workers.process.messages import BuildTask, SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
 
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
+_BUILD_S = 900.0
+"""Longest time of a build without a report, seconds; a build takes 4 to 10 s of CPU time and reports only its end."""
 _STARTS = 3
 _LAST_TRIES = 2
 _SIGNALLED_S = 1.0
@@ -45,6 +47,7 @@ class Slot:
     def __init__(self, host: Host) -> None:
         self._host = host
         self._simulation = Simulation(host.command, host.settings.hang_s)
+        self._builder = Simulation(host.settings.build_command, _BUILD_S)
         self._backoff = Backoff(1.0, 60.0)
         self._failing = Repeated(log, "attempts_failing")
 
@@ -59,6 +62,7 @@ class Slot:
             self._host.phase.fail(error)
         finally:
             self._simulation.kill()
+            self._builder.kill()
 
     def _run_once(self) -> None:
         if self._host.spool.is_full:
@@ -69,8 +73,8 @@ class Slot:
         reply = self._claim()
         if reply is None:
             return
-        if reply.job is not None and reply.lease is not None:
-            self._work(reply.job, reply.lease, reply)
+        if reply.lease is not None:
+            self._work(reply, reply.lease)
         elif reply.finished:
             self._host.phase.finish()
         else:
@@ -117,7 +121,7 @@ class Slot:
     def _claim(self) -> ClaimReply | None:
         """Claims a job with one token until a reply arrives; returns `None` if the worker closes before."""
         host, backoff = self._host, Backoff(0.1, 5.0)
-        claim = Claim(sid=host.sid, token=secrets.token_hex(16))
+        claim = Claim(sid=host.sid, token=secrets.token_hex(16), can_build=bool(host.settings.build_command))
         while not host.phase.closing.is_set():
             reply = host.link.ask(Verb.CLAIM, claim, ClaimReply, host.phase.ask_timeout_s)
             if reply is not None:
@@ -125,27 +129,34 @@ class Slot:
             host.pause(backoff.fail())
         return None
 
-    def _work(self, job: Job, lease: Lease, given: ClaimReply) -> None:
+    def _work(self, given: ClaimReply, lease: Lease) -> None:
         started = time.monotonic()
+        name = given.build.layout if given.build is not None else given.job.episode_id if given.job is not None else ""
         with self._host.leases.held(lease):
             try:
-                report = self._attempt(job, lease, given)
+                if given.build is not None:
+                    report = self._build(given.build, lease)
+                elif given.job is not None:
+                    report = self._attempt(given.job, lease, given)
+                else:
+                    report = failure(FailReason.RELEASED, "the coordinator sent no job with the lease")
             except LeaseLost:
                 self._abort(lease)
-                log.info("lease_lost", job=lease.job_id, fence=lease.fence, episode=job.episode_id)
+                log.info("lease_lost", job=lease.job_id, fence=lease.fence, episode=name)
                 return
             except _Stopped:
                 self._abort(lease)
                 report = failure(FailReason.RELEASED, "the worker stopped")
             if report.kind is SimulationReportKind.SUCCESS:
-                report = self._spool_bundle(job, lease, report)
+                report = self._spool_bundle(name, given.job, lease, report)
             if report.kind is SimulationReportKind.FAILURE:
                 self._host.spool.clear(lease)
-                self._report_failure(job, lease, report, time.monotonic() - started)
+                self._report_failure(name, lease, report, time.monotonic() - started)
         self._pause_after(report)
 
     def _abort(self, lease: Lease) -> None:
         self._simulation.kill()
+        self._builder.kill()
         self._host.spool.clear(lease)
 
     def _attempt(self, job: Job, lease: Lease, given: ClaimReply) -> SimulationReport:
@@ -172,9 +183,19 @@ class Slot:
             states=given.states,
         )
         self._simulation.order(order)
-        step = 0
+        return self._receive_result(self._simulation, lease)
+
+    def _build(self, order: BuildOrder, lease: Lease) -> SimulationReport:
+        """Builds a layout in a separate process, which keeps textures for the next one."""
+        if not self._builder.is_running:
+            self._builder.start()
+        self._builder.order(BuildTask(order=order, bundle_path=self._host.spool.path_for(lease)))
+        return self._receive_result(self._builder, lease)
+
+    def _receive_result(self, process: Simulation, lease: Lease) -> SimulationReport:
+        host, step = self._host, 0
         while True:
-            report = self._simulation.receive(_POLL_S)
+            report = process.receive(_POLL_S)
             if isinstance(report, Death):
                 if report.is_killed and host.phase.stopping.wait(_SIGNALLED_S):
                     raise _Stopped
@@ -211,13 +232,13 @@ class Slot:
         if self._host.leases.is_lost(lease):
             raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) belongs to another worker")
 
-    def _spool_bundle(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
+    def _spool_bundle(self, name: str, job: Job | None, lease: Lease, report: SimulationReport) -> SimulationReport:
         """Spools and announces a bundle; returns the report, or a failure if the spool cannot store the bundle."""
         host = self._host
         if report.sha256 is None or report.size is None:
             self._raise_invalid(report)
         try:
-            is_validated = self._is_validated(job, host.spool.path_for(lease))
+            is_validated = job is not None and self._is_validated(job, host.spool.path_for(lease))
             entry = host.spool.add(lease, report.sha256, report.size, is_validated=is_validated)
         except InvalidBundle as error:
             return failure(FailReason.INVALID, str(error), report.step, report.seconds)
@@ -225,7 +246,7 @@ class Slot:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         if 2 * len(host.spool) >= host.settings.spool_limit:
             host.phase.beating.set()  # its reply names the bundles to drop; small episodes take less than a beat
-        log.info("bundle_spooled", episode=job.episode_id, steps=report.step, seconds=round(report.seconds, 1))
+        log.info("bundle_spooled", episode=name, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
         host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)
         return report
@@ -248,7 +269,7 @@ class Slot:
             return False
         return True
 
-    def _report_failure(self, job: Job, lease: Lease, report: SimulationReport, seconds: float) -> None:
+    def _report_failure(self, name: str, lease: Lease, report: SimulationReport, seconds: float) -> None:
         """Reports a failed attempt until a reply arrives, the lease is lost, or the worker ends."""
         host, backoff = self._host, Backoff(0.1, 5.0)
         if report.reason is None:
@@ -261,7 +282,7 @@ class Slot:
             steps=report.step,
             seconds=report.seconds or seconds,
         )
-        log.info("attempt_failed", episode=job.episode_id, reason=str(report.reason), detail=report.detail)
+        log.info("attempt_failed", episode=name, reason=str(report.reason), detail=report.detail)
         while host.phase.left_s > 0 and not host.leases.is_lost(lease):
             if host.link.ask(Verb.FAIL, fail, Ack, host.phase.ask_timeout_s) is not None:
                 return

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from schemas.base import Bytes, Count, Line, Model, NonNegative, Sha256
 from schemas.job import Job
-from schemas.protocol.messages import MAX_DETAIL_CHARS, Detail, States
+from schemas.protocol.messages import MAX_DETAIL_CHARS, BuildOrder, Detail, States
 from schemas.terms import FailReason
 
 
@@ -33,6 +33,15 @@ class SimulationOrder(Model):
     """Path of the task's attachment, already fetched and checked."""
     states: States | None = None
     """States recording of the episode; its frames are rendered instead of a simulation."""
+
+
+class BuildTask(Model):
+    """Order to build the package of a layout."""
+
+    order: BuildOrder
+    """Layout to build."""
+    bundle_path: Path
+    """Path of the finished package; the file appears there when it is complete."""
 
 
 class SimulationReportKind(StrEnum):
@@ -82,7 +91,7 @@ def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0
     return SimulationReport(kind=SimulationReportKind.FAILURE, reason=reason, detail=detail, step=step, seconds=seconds)
 
 
-def to_line(message: SimulationOrder | SimulationReport) -> bytes:
+def to_line(message: SimulationOrder | BuildTask | SimulationReport) -> bytes:
     """Returns the message as one JSON line."""
     return message.model_dump_json().encode() + b"\n"
 

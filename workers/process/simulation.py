@@ -13,7 +13,7 @@ from schemas.errors import WorldError
 from schemas.support.child import child_environment
 from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess, describe_exit
 from schemas.terms import FailReason
-from workers.process.messages import SimulationOrder, SimulationReport, read_report, to_line
+from workers.process.messages import BuildTask, SimulationOrder, SimulationReport, read_report, to_line
 from workers.process.one_core import one_core
 
 log = structlog.get_logger(__name__)
@@ -71,7 +71,7 @@ class Simulation:
             raise WorldError(f"cannot start a simulation with `{' '.join(self._command)}`: {error}") from error
         self._silence_s, self._limit_s = 0.0, self._start_s
 
-    def order(self, order: SimulationOrder) -> None:
+    def order(self, order: SimulationOrder | BuildTask) -> None:
         """Sends an order; `receive` reports a process that has died meanwhile."""
         if self._process is None:
             raise RuntimeError("order() before start()")

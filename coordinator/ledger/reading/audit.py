@@ -19,7 +19,7 @@ from coordinator.ledger.engine import open_reader, sqlite_files
 from coordinator.ledger.opening import planned_digest, planned_of, read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, Event, JobState
-from coordinator.ledger.tables import ADDED_LATER, METADATA, PLANNED, info, jobs
+from coordinator.ledger.tables import ADDED_LATER, BUILD, IS_EPISODE, METADATA, PLANNED, info, jobs
 from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import FailReason, Split, Tier
@@ -31,8 +31,8 @@ _OUTCOMES = (SUCCESS, "expired", "lost", "cancelled", *FailReason)
 _ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
     {
         ("jobs", "state"): tuple(JobState),
-        ("jobs", "tier"): tuple(Tier),
-        ("jobs", "split"): tuple(Split),
+        ("jobs", "tier"): (*Tier, BUILD),
+        ("jobs", "split"): (*Split, BUILD),
         ("events", "event"): tuple(Event),
         ("events", "state"): tuple(JobState),
         ("attempts", "outcome"): _OUTCOMES,
@@ -50,8 +50,8 @@ _RULES: Mapping[str, str] = MappingProxyType(
         "a superseded draw has not failed": f"SELECT idx FROM jobs WHERE superseded AND state != '{JobState.FAILED}'",
         "an archived job has no matching row of its episode": f"""
             SELECT jobs.idx FROM jobs LEFT JOIN episodes ON episodes.idx = jobs.idx
-            WHERE jobs.state = '{JobState.ARCHIVED}' AND (episodes.idx IS NULL OR episodes.job_id != jobs.id
-                OR episodes.attempt != jobs.attempt)""",
+            WHERE jobs.state = '{JobState.ARCHIVED}' AND jobs.tier != '{BUILD}'
+                AND (episodes.idx IS NULL OR episodes.job_id != jobs.id OR episodes.attempt != jobs.attempt)""",
         "an episode has a row but its job is not archived": f"""
             SELECT episodes.idx FROM episodes LEFT JOIN jobs ON jobs.id = episodes.job_id
             WHERE jobs.id IS NULL OR jobs.idx != episodes.idx OR jobs.superseded
@@ -101,6 +101,7 @@ _HISTORY = f"""
     FROM jobs WHERE state IN ({_OPEN}) AND (misses > 0 OR attempt != 1 OR draw > 0 OR crashes != 0 OR not_before > 0
         OR EXISTS (SELECT 1 FROM events AS e WHERE e.job_id = jobs.id))
 """
+_BUILT = select(jobs.c.idx, jobs.c.scene).where(jobs.c.tier == BUILD, jobs.c.state == JobState.ARCHIVED)
 _LONGEST_PAUSE_S = 3600.0
 
 
@@ -172,7 +173,7 @@ def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
             yield f"is damaged: {what} (number {row[0]})"
     yield from _plan_findings(connection, plan)
     yield from _history_findings(connection, plan)
-    if catalog is not None and all(part.name in catalog for part in plan.parts):
+    if catalog is not None:
         yield from _draw_findings(connection, plan, catalog)
 
 
@@ -213,7 +214,12 @@ def _plan_findings(connection: Connection, plan: Plan) -> Iterator[str]:
     noted = connection.execute(select(info.c.value).where(info.c.key == PLANNED)).scalar()
     if noted is not None and noted != planned_digest(connection):
         yield "is damaged: its jobs are not those of the plan"
-    for row in connection.execute(select(jobs.c.idx, jobs.c.draw).where(jobs.c.draw >= plan.budget.draws).limit(1)):
+    for row in connection.execute(_BUILT).all():
+        noted = connection.execute(select(info.c.value).where(info.c.key == f"{PLANNED}:{row.idx}")).scalar()
+        if noted != planned_digest(connection, plan.spans[row.scene]):
+            yield f"is damaged: its jobs of layout {row.scene} are not those of the plan"
+    over = (jobs.c.draw >= plan.budget.draws) & IS_EPISODE
+    for row in connection.execute(select(jobs.c.idx, jobs.c.draw).where(over).limit(1)):
         yield f"is damaged: episode {row.idx} has draw {row.draw}, and the plan allows {plan.budget.draws}"
 
 
@@ -237,8 +243,10 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
 
 def _draw_findings(connection: Connection, plan: Plan, catalog: Catalog) -> Iterator[str]:
     """Repeats every redraw and compares the results: a redraw depends on plan, scene and number only."""
-    later = select(jobs).where(jobs.c.draw > 0).order_by(jobs.c.idx, jobs.c.draw)
+    later = select(jobs).where(jobs.c.draw > 0, IS_EPISODE).order_by(jobs.c.idx, jobs.c.draw)
     for row in connection.execute(later).all():
+        if row.scene not in catalog:
+            continue
         before = connection.execute(select(jobs).where(jobs.c.idx == row.idx, jobs.c.draw == row.draw - 1)).one()
         if planned_of(row) != redraw(plan, catalog, planned_of(before)):
             yield f"is damaged: draw {row.draw} of episode {row.idx} is not that of the plan"

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
-from sqlalchemy import Row, func, select
+from sqlalchemy import ColumnElement, Row, Select, Subquery, func, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.claims import HELD_STATES, has_open_jobs
 from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
-from coordinator.ledger.tallies import attempt_counts, job_counts
+from coordinator.ledger.tallies import attempt_counts, build_counts, job_counts
 from schemas.protocol.status import Progress, WorkerStatus
+from schemas.terms import family_of
 
 _RATE_WINDOW_S = 600.0
 
@@ -40,26 +42,31 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         UsageError: the database contains no ledger, or one with a newer format.
     """
     facts = read_info(connection)
-    tallies = connection.execute(job_counts(connection)).all()
-    cells = [row for row in tallies if not row.superseded]
-    counts = _count_by(cells, None)[""]
+    cells = job_counts(connection).subquery()
+    by_tier = _count_by(connection, cells, "tier")
+    counts = sum((Counter(found) for found in by_tier.values()), Counter())
     left = sum(counts[state] for state in OPEN_STATES)
+    layouts = build_counts(connection)
+    unbuilt = max(0, (facts.episodes or 0) - sum(counts.values()))
+    counts[JobState.PENDING] += unbuilt
+    left += unbuilt
     pace = _pace(connection, now, left)
     return Progress(
         run=facts.run,
         planned=sum(counts.values()),
-        jobs=counts,
-        by_scene=_count_by(cells, "scene"),
-        by_tier=_count_by(cells, "tier"),
-        by_split=_count_by(cells, "split"),
-        redrawn=sum(row.jobs for row in tallies if row.superseded),
+        jobs={state.value: counts[state] for state in JobState},
+        by_scene=_count_by(connection, cells, "scene", family_of),
+        by_tier=by_tier,
+        by_split=_count_by(connection, cells, "split"),
+        redrawn=connection.execute(_sum_of(cells).where(cells.c.superseded)).scalar_one() or 0,
         attempts={row.outcome: row.attempts for row in _attempts(connection)},
         workers=_workers(connection, now, facts.lease_ttl_s),
         hosts=troubled(connection),
+        layouts=layouts,
         by_gateway=dict(count_by_gateway(connection)),
         episodes_per_hour=pace.per_hour,
         eta_s=pace.eta_s,
-        finished=left == 0,
+        finished=not has_open_jobs(connection),
         sandbox=facts.sandbox,
     )
 
@@ -75,11 +82,18 @@ def _attempts(connection: Connection) -> list[Row[Any]]:
     return [row for row in rows if row.attempts]
 
 
-def _count_by(cells: list[Row[Any]] | Any, column: str | None) -> dict[str, dict[str, int]]:
-    """Returns the job counts by group and state, with all states; without a column the only group is ''."""
-    groups: dict[str, Counter[str]] = {} if column else {"": Counter()}
-    for row in cells:
-        groups.setdefault(getattr(row, column) if column else "", Counter())[row.state] += row.jobs
+def _sum_of(cells: Subquery, *columns: ColumnElement[Any]) -> Select[Any]:
+    return select(*columns, func.sum(cells.c.jobs)).group_by(*columns)
+
+
+def _count_by(
+    connection: Connection, cells: Subquery, column: str, group_of: Callable[[str], str] = str
+) -> dict[str, dict[str, int]]:
+    """Returns the job counts by group and state, with all states."""
+    groups: dict[str, Counter[str]] = {}
+    query = _sum_of(cells, cells.c[column], cells.c.state).where(cells.c.superseded.is_(False), cells.c.jobs > 0)
+    for name, state, count in connection.execute(query):
+        groups.setdefault(group_of(name), Counter())[state] += int(count)
     return {name: {state.value: groups[name][state] for state in JobState} for name in sorted(groups)}
 
 

@@ -13,7 +13,7 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from coordinator.ledger.states import JobState
-from coordinator.ledger.tables import attempts, episodes, events, jobs
+from coordinator.ledger.tables import IS_EPISODE, attempts, episodes, events, jobs
 from coordinator.ledger.tallies import job_counts
 from schemas.dataset.rows import EpisodeSummary
 from schemas.episode_spec import EpisodeSpec
@@ -113,7 +113,9 @@ class EventRecord:
 
 def list_jobs(connection: Connection, wanted: JobFilter, limit: int = 100, offset: int = 0) -> list[JobRecord]:
     """Returns jobs ordered by episode number and draw."""
-    query = _filtered(select(jobs), wanted).order_by(jobs.c.idx, jobs.c.draw).limit(limit).offset(offset)
+    query = (
+        _filtered(select(jobs).where(IS_EPISODE), wanted).order_by(jobs.c.idx, jobs.c.draw).limit(limit).offset(offset)
+    )
     return [_job_record(row) for row in connection.execute(query)]
 
 

@@ -6,7 +6,7 @@ The command line runs the pilot, because the coordinator never simulates; the co
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
@@ -54,6 +54,14 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     )
 
 
+def pilots(plan: Plan, mode: GateMode) -> Iterator[Plan]:
+    """Yields the plan of each pilot that a mode requires; `auto` omits families, whose layouts are not built yet."""
+    for scene in plan.scenes:
+        if mode == "skip" or (mode == "auto" and (scene.layouts is not None or scene.episodes < _WORTH_A_PILOT)):
+            continue
+        yield shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
+
+
 def measure_gate(
     plan: Plan, catalog: Catalog, mode: GateMode, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> tuple[GateOutcome, ...] | None:
@@ -63,10 +71,7 @@ def measure_gate(
         WorldError: the mode is `enforce` and the success rate in a scene is too low, or simulations do not start.
     """
     reports: list[GateReport] = []
-    for scene in plan.scenes:
-        if mode == "skip" or (mode == "auto" and scene.episodes < _WORTH_A_PILOT):
-            continue
-        pilot = shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
+    for pilot in pilots(plan, mode):
         report = try_scene(pilot, catalog, _MIN_SUCCESS, renderer, processes, stop)
         if report is None:
             return None

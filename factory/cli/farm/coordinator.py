@@ -17,7 +17,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import choose_listening, find_hosts
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, measure_gate
+from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
@@ -36,7 +36,7 @@ from factory.cli.common.output import say_building
 from factory.cli.common.places import PLACE
 from factory.cli.common.summary import say_missing
 from factory.dataset.site import Site
-from factory.runs.catalog import open_catalog, write_target_lists
+from factory.runs.catalog import open_catalog, scenes_before_run, write_target_lists
 from factory.runs.render import prepare_rendering
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -123,8 +123,9 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = _build(plan, site, stop) if rendering is None else rendering.catalog
-        gate = measure_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
+        gate_mode = gate_mode if is_new else "skip"
+        catalog = _build(plan, site, stop, gate_mode) if rendering is None else rendering.catalog
+        gate = measure_gate(plan, catalog, gate_mode, "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
@@ -148,10 +149,11 @@ def start(
     return _say_end(site, progress)
 
 
-def _build(plan: Plan, site: Site, stop: threading.Event) -> Catalog:
-    """Returns the scenes of the plan; builds missing ones until `stop` is set."""
+def _build(plan: Plan, site: Site, stop: threading.Event, gate_mode: GateMode) -> Catalog:
+    """Returns the scenes that are needed before the run; builds missing ones until `stop` is set."""
+    before = scenes_before_run(plan, pilots(plan, gate_mode))
     with building_layouts(os.cpu_count() or 1, stop) as builds:
-        return open_catalog(plan, site.place, scene_cache(), say_building, builds)
+        return open_catalog(plan, site.place, scene_cache(), say_building, builds, only=before)
 
 
 def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:

@@ -19,6 +19,7 @@ from factory.cli.common.options import (
     tls_option,
     verbose_option,
 )
+from factory.scenes.requirements import can_build
 from factory.support.listen import require_endpoints
 from factory.support.logs import configure_logs
 from schemas.support.child import python_module
@@ -85,6 +86,7 @@ def command(
             wait_s=wait_s,
             check_bundle=validator.check,
             eval_command=_eval_command(renderer, import_policies),
+            build_command=python_module("factory.runs.build_process") if can_build() else (),
             **more,
         )
         if until_eof:

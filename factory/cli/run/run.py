@@ -16,7 +16,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, measure_gate
+from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
 from factory.cli.common.http import http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
@@ -33,7 +33,7 @@ from factory.cli.common.output import json_option, print_result, say_building
 from factory.cli.common.places import PLACE, SHARD
 from factory.cli.common.summary import print_summary, say_missing, summarise
 from factory.dataset.site import Site
-from factory.runs.catalog import open_catalog
+from factory.runs.catalog import open_catalog, scenes_before_run
 from factory.runs.local import LocalRun, run_locally
 from factory.runs.ray_engine import RayCluster
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
@@ -123,9 +123,11 @@ def command(
     has_gate = is_new and not (shard is not None and gate_mode == "auto")
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_signals())
+        gate_mode = gate_mode if has_gate else "skip"
+        before = None if shard is not None or packages is not None else scenes_before_run(plan, pilots(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
-            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages)
-        gate = measure_gate(plan, catalog, gate_mode if has_gate else "skip", renderer, processes, stop)
+            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages, before)
+        gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
             return 130

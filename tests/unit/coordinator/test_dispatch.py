@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from coordinator.protocol.dispatch import Dispatch
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import Pull
 from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for
 from tests.builders.ledger import room_catalog

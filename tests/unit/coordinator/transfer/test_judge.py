@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from coordinator.meters import Meters
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import Pull
 from coordinator.transfer.judge import BundleJudge
 from coordinator.validation.scope import Scope
 from schemas.errors import InvalidBundle

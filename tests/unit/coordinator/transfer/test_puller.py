@@ -16,7 +16,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from coordinator.archive.opening import open_archive
-from coordinator.protocol.protocol import Pull
+from coordinator.protocol.pulls import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import Nearby, nothing_nearby
 from coordinator.transfer.puller import Pullers

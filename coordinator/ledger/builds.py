@@ -1,0 +1,129 @@
+"""Jobs that build the packages of layouts: a row of `jobs` for each tried seed, whose draw is the number of the seed.
+
+The module records no outcome; `outcomes` inserts the episodes of a layout when its package is recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from sqlalchemy import Row, insert, select
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.states import OPEN_STATES, JobState
+from coordinator.ledger.tables import BUILD, attempts, jobs
+from coordinator.ledger.transitions import is_in
+from schemas.errors import TransientError
+from schemas.layouts import LAYOUT_SEEDS, LayoutPlan
+from schemas.plan import Budget, Plan
+from schemas.protocol.messages import BuildOrder
+from schemas.terms import FailReason
+
+_AFTER_EPISODES = 1.0
+"""Time from which a build is due. A job that no attempt has delayed is due since 0, so that workers drive in the built
+layouts first, and build others when no such job is left."""
+
+
+class BuildRow(Protocol):
+    """Row of `jobs` of a build."""
+
+    idx: int
+    draw: int
+    scene: str
+
+
+def budget_of_builds(budget: Budget) -> Budget:
+    """Returns the limits of the build of a layout: one attempt at each seed."""
+    return budget.model_copy(update={"attempts_per_draw": 1, "draws": LAYOUT_SEEDS})
+
+
+def unbuilt_layouts(plan: Plan, built: Collection[str]) -> list[str]:
+    """Returns the layouts of a plan that are not built, in the order of the plan."""
+    return [part.name for part in plan.parts if isinstance(part, LayoutPlan) and part.name not in built]
+
+
+def insert_builds(connection: Connection, plan: Plan, layouts: Iterable[str], now: datetime) -> None:
+    """Inserts the builds of layouts as pending jobs."""
+    wanted = set(layouts)
+    rows = [
+        _row(plan.episodes + number, 0, part.name, 1, now)
+        for number, part in enumerate(plan.parts, 1)
+        if part.name in wanted
+    ]
+    if rows:
+        connection.execute(insert(jobs), rows)
+
+
+def insert_next_seed(connection: Connection, refused: BuildRow, now: datetime, attempt: int) -> None:
+    """Inserts the build of a layout with the next seed."""
+    connection.execute(insert(jobs), [_row(refused.idx, refused.draw + 1, refused.scene, attempt, now)])
+
+
+def _row(index: int, draw: int, layout: str, attempt: int, now: datetime) -> dict[str, Any]:
+    told = dict.fromkeys(("category", "target_id", "colour", "template_id", "instruction"), "")
+    return {
+        "idx": index,
+        "draw": draw,
+        "scene": layout,
+        "tier": BUILD,
+        "split": BUILD,
+        **told,
+        "state": JobState.PENDING,
+        "attempt": attempt,
+        "not_before": _AFTER_EPISODES,
+        "changed_at": now.timestamp(),
+    }
+
+
+def order_of(plan: Plan, row: BuildRow) -> BuildOrder:
+    """Returns the order of a build for a worker.
+
+    Raises:
+        TransientError: the file of category rules cannot be read now.
+    """
+    part = plan.part(row.scene)
+    if not isinstance(part, LayoutPlan):
+        raise TypeError(f"{row.scene} is not a layout")
+    rules = None if part.rules is None else _read_rules(Path(part.rules))
+    return BuildOrder(layout=part.name, family=part.family.name, seed=part.seeds[row.draw], rules=rules)
+
+
+def _read_rules(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise TransientError(f"{path} cannot be read: {error}; restore the file of category rules") from error
+
+
+def number_of_layout(plan: Plan, row: BuildRow) -> int:
+    """Returns the place of the layout of a build in `plan.parts`."""
+    return row.idx - plan.episodes - 1
+
+
+def open_builds(connection: Connection) -> Sequence[Row[Any]]:
+    """Returns the builds that have not ended."""
+    query = select(jobs).where(jobs.c.tier == BUILD, jobs.c.superseded.is_(False), is_in(*OPEN_STATES))
+    return connection.execute(query).all()
+
+
+def built_layouts(connection: Connection) -> dict[str, str]:
+    """Returns the SHA-256 of the recorded package of each layout that workers have built."""
+    query = select(jobs.c.scene, jobs.c.sha256).where(jobs.c.tier == BUILD, jobs.c.state == JobState.ARCHIVED)
+    return {row.scene: row.sha256 for row in connection.execute(query)}
+
+
+def refused_seeds(connection: Connection) -> dict[str, tuple[str, ...]]:
+    """Returns the reasons why seeds of layouts were not used, by layout."""
+    query = (
+        select(jobs.c.scene, attempts.c.detail)
+        .join(attempts, attempts.c.job_id == jobs.c.id)
+        .where(jobs.c.tier == BUILD, attempts.c.outcome == FailReason.LAYOUT)
+        .order_by(jobs.c.idx, jobs.c.draw)
+    )
+    found: dict[str, tuple[str, ...]] = {}
+    for layout, detail in connection.execute(query):
+        found[layout] = (*found.get(layout, ()), detail)
+    return found

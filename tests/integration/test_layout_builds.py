@@ -1,0 +1,197 @@
+"""Workers build the layouts of a plan under leases of its ledger, and drive in those that are built."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.reader import open_ledger
+from coordinator.ledger.reading.records import read_content_digests
+from coordinator.options import CoordinatorOptions
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from factory.runs.catalog import open_catalog
+from factory.scenes.build import package_path
+from schemas.dataset.meta import read_dataset_meta
+from schemas.plan import Plan
+from schemas.protocol.messages import ClaimReply
+from schemas.scene import encode_scene
+from schemas.support.child import python_module
+from schemas.terms import FailReason
+from tests.builders.scene import Box, build_scene, room_walls
+from tests.builders.wire_worker import WireWorker, until
+from tests.builders.worker import WorkerThread, settings_for
+
+PLAN = Plan.model_validate(
+    {
+        "name": "two",
+        "scenes": [{"name": "office", "layouts": 2, "episodes": 4, "seed": 5, "seen": ["chair"], "held_out": ["rack"]}],
+        "splits": {"train_id": 1},
+        "tiers": {"near": 1},
+        "task": {"success": "centroid"},
+        "record": "states",
+    }
+)
+FIRST, SECOND = "office_00005", "office_00006"
+
+
+def package(layout: str, category: str = "chair") -> bytes:
+    """Returns the package of a layout: a room with one object."""
+    box = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category=category)
+    return encode_scene(build_scene((*room_walls((-4.0, -3.0), (4.0, 3.0)), box), name=layout), level=1)
+
+
+class Clock:
+    """Clock of a coordinator, which a test sets forward."""
+
+    def __init__(self) -> None:
+        self.ahead = timedelta()
+
+    def __call__(self) -> datetime:
+        return datetime.now(UTC) + self.ahead
+
+
+@contextmanager
+def coordinator(root: Path, clock: Clock | None = None) -> Iterator[Coordinator]:
+    catalog = open_catalog(PLAN, root, root.parent / "cache", only=())
+    settings = CoordinatorSettings(retry_after_s=0.05, reserve_bytes=0)
+    options = CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock or Clock())
+    with Coordinator(root, PLAN, catalog, options) as opened:
+        yield opened
+
+
+def build_claim(worker: WireWorker) -> ClaimReply:
+    replies: list[ClaimReply] = []
+
+    def has_build() -> bool:
+        replies.append(worker.claim(can_build=True))
+        return replies[-1].build is not None
+
+    until(has_build)
+    return replies[-1]
+
+
+def deliver(worker: WireWorker, claim: ClaimReply, data: bytes) -> None:
+    assert claim.lease is not None
+    assert worker.deliver(claim.lease, data)
+
+
+def test_episodes_of_a_layout_are_claimed_while_another_one_is_built(tmp_path: Path) -> None:
+    with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
+        first, second = build_claim(worker), build_claim(worker)
+        assert [(claim.build.layout, claim.build.seed) for claim in (first, second) if claim.build] == [
+            (FIRST, 5),
+            (SECOND, 6),
+        ]
+        assert core.progress().jobs["pending"] == core.progress().planned == 4
+        deliver(worker, second, package(SECOND))
+        job, lease = worker.job()
+        assert (job.scene, job.index) in {(SECOND, 3), (SECOND, 4)}
+        assert core.progress().layouts == {"leased": 1, "archived": 1}
+        worker.fail(lease, FailReason.RELEASED)
+
+
+def test_a_worker_that_cannot_build_receives_no_build(tmp_path: Path) -> None:
+    with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
+        reply = worker.claim()
+        assert (reply.job, reply.build, reply.finished) == (None, None, False)
+
+
+def test_the_build_of_a_killed_builder_is_leased_again_and_its_late_package_is_ignored(tmp_path: Path) -> None:
+    clock = Clock()
+    with (
+        coordinator(tmp_path / "data", clock) as core,
+        WireWorker(core.endpoints, core.run, "killed") as killed,
+        WireWorker(core.endpoints, core.run, "other") as other,
+    ):
+        lost = build_claim(killed)
+        build_claim(killed)
+        clock.ahead = timedelta(seconds=120)
+        again = build_claim(other)
+        assert lost.build is not None
+        assert lost.lease is not None
+        assert again.build == lost.build
+        deliver(other, again, package(FIRST))
+        other.job()
+        assert not killed.deliver(lost.lease, package(FIRST, "plant"))
+        assert len(list((tmp_path / "data/scenes").glob("office_00005-*.scene.zip"))) == 1
+
+
+def test_a_package_that_cannot_fulfil_the_plan_is_followed_by_the_next_seed(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
+        deliver(worker, build_claim(worker), package(FIRST, "plant"))
+        failed, again = build_claim(worker), build_claim(worker)
+        assert failed.lease is not None
+        assert {failed.build.layout, again.build.layout} == {FIRST, SECOND}  # type: ignore[union-attr]
+        retried = next(claim for claim in (failed, again) if claim.build is not None and claim.build.layout == FIRST)
+        assert retried.build is not None
+        assert retried.build.seed == 7
+        deliver(worker, retried, package(FIRST))
+        worker.job()
+    assert "no reachable 'chair'" in read_dataset_meta(root).refused_seeds[FIRST][0]
+    assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
+
+
+@pytest.mark.parametrize("data", [b"no package", package("office_00006")], ids=["damaged", "of another layout"])
+def test_a_file_that_is_not_the_package_of_the_layout_counts_against_the_host(tmp_path: Path, data: bytes) -> None:
+    with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
+        deliver(worker, build_claim(worker), data)
+        until(lambda: bool(core.progress().hosts))
+        assert core.progress().attempts == {"invalid": 1}
+        assert not list((tmp_path / "data/scenes").glob("*.zip"))
+
+
+def test_a_layout_stored_without_a_commit_is_recorded_at_the_next_start(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
+        build_claim(worker)
+    data = package(FIRST)
+    (root / "scenes" / f"{FIRST}-{hashlib.sha256(data).hexdigest()[:16]}.scene.zip").write_bytes(data)
+    with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
+        assert core.progress().layouts == {"archived": 1, "pending": 1}
+        assert worker.job()[0].scene == FIRST
+    assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
+
+
+_DIES_ONCE = """
+import os, pathlib, signal, sys
+died = pathlib.Path(sys.argv[1])
+if not died.exists():
+    os.write(1, b'{"kind": "ready"}\\n')
+    sys.stdin.readline()
+    died.touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+from factory.runs.build_process import main
+sys.exit(main())
+"""
+
+
+def content_digests(folder: Path, *build_command: str) -> list[str]:
+    """Returns the digests of the episodes of a run with one worker."""
+    with coordinator(folder / "data") as core:
+        settings = settings_for(core.endpoints[0], folder, command=(), build_command=build_command)
+        with WorkerThread(settings) as worker:
+            assert worker.join() == 0
+        assert core.is_finished()
+        assert core.progress().jobs["archived"] == PLAN.episodes
+    with open_ledger(f"sqlite:///{folder}/data/ledger.db") as connection:
+        return read_content_digests(connection)
+
+
+def test_a_killed_builder_does_not_change_the_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MINIVLA_CACHE", str(tmp_path))
+    (tmp_path / "scenes").mkdir()
+    for layout, seed, category in ((FIRST, 5, "plant"), (FIRST, 7, "chair"), (SECOND, 6, "chair")):
+        package_path("office", seed, tmp_path / "scenes", called=layout).write_bytes(package(layout, category))
+    whole = content_digests(tmp_path / "whole", *python_module("factory.runs.build_process"))
+    killed = content_digests(tmp_path / "killed", sys.executable, "-c", _DIES_ONCE, str(tmp_path / "died"))
+    assert (tmp_path / "died").exists()
+    assert killed == whole
