@@ -9,6 +9,7 @@ import click
 from factory.cli.common.http import read_token
 from factory.cli.common.options import ledger_option, site_argument, tls_option, verbose_option
 from factory.dataset.site import Site
+from factory.eval.results.store import read_manifest
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
 from schemas.storage.dataset_files import EPISODES, is_dataset
@@ -38,7 +39,7 @@ _DEFAULT = "127.0.0.1:8080"
 @click.option(
     "--eval",
     "evaluations",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
     multiple=True,
     help="Output directory of `factory eval` to show; repeatable. Default: none.",
@@ -65,6 +66,8 @@ def command(
         require_package(package, "`factory serve`")
     if not (is_dataset(site.home) or (site.place / EPISODES).is_dir()):
         raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
+    for folder in evaluations:
+        read_manifest(folder)  # raises before the server starts
     from factory.web.start import serve  # its packages are an extra
 
     token = read_token(http_token) if http_token is not None else None
