@@ -18,7 +18,7 @@ from schemas.dataset.meta import read_dataset_meta
 
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 
-PLAN = ("demo", "--scene", "office", "--episodes", "16", "--record", "states", "--gate", "skip")
+PLAN = ("demo", "--scene", "office", "--episodes", "28", "--record", "states", "--gate", "skip")
 HURTS = {"crash", "hang", "invalid"}
 
 
