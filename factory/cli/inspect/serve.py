@@ -9,7 +9,6 @@ import click
 from factory.cli.common.http import read_token
 from factory.cli.common.options import ledger_option, site_argument, tls_option, verbose_option
 from factory.dataset.site import Site
-from factory.eval.results.store import read_manifest
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
 from schemas.storage.dataset_files import EPISODES, is_dataset
@@ -66,10 +65,11 @@ def command(
         require_package(package, "`factory serve`")
     if not (is_dataset(site.home) or (site.place / EPISODES).is_dir()):
         raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
-    for folder in evaluations:
-        read_manifest(folder)  # raises before the server starts
+    from factory.eval.results.store import read_manifest
     from factory.web.start import serve  # its packages are an extra
 
+    for folder in evaluations:
+        read_manifest(folder)  # raises before the server starts
     token = read_token(http_token) if http_token is not None else None
     with serve(site, http, token, tls, ledger, evaluations=evaluations) as url, stop_on_signals() as (stop, _):
         click.echo(f"web page of {site}: {url}")
