@@ -196,7 +196,7 @@ class SpokenLanguage:
         base = grammar(code)
         self.code = code
         changes = {"nouns": {**base.nouns, **own}, "paraphrases": more}
-        self.grammar = base.model_copy(update=changes) if own or more else base
+        self.grammar = Grammar(**{**dict(base), **changes}) if own or more else base
         self.reader = Reader(self.grammar) if own or more else reader(code)
 
 
