@@ -6,6 +6,7 @@ The ledger lists the episodes, so that a restarted coordinator continues. Runs n
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 from sqlalchemy.engine import Connection
@@ -18,7 +19,7 @@ from coordinator.ledger.repair import current_job
 from coordinator.ledger.unchecked import note_checked, suspects
 from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id
-from schemas.storage.place import at_hand
+from schemas.storage.place import local_copy
 
 _AT_ONCE = 20
 """Number of episodes per call."""
@@ -51,7 +52,7 @@ class Rechecks:
             if refusal:
                 self._remove(index, refusal)
             else:
-                self._run.ledger.writer.call(lambda connection, index=index: note_checked(connection, index))
+                self._run.ledger.writer.call(partial(note_checked, index=index))
 
     def _job_of(self, connection: Connection, index: int) -> Job:
         terms, row = self._run.terms, current_job(connection, index)
@@ -62,7 +63,7 @@ class Rechecks:
         """Returns the reason why an episode is invalid; empty if it is valid."""
         target = self._run.terms.catalog[job.scene].info.target(job.target_id)
         try:
-            with at_hand(self._run.archive.path_of(index)) as file:
+            with local_copy(self._run.archive.path_of(index)) as file:
                 self._run.checker.check(file, job, target)
         except InvalidBundle as error:
             return str(error)

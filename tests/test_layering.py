@@ -28,6 +28,7 @@ DOORS = {
         "coordinator/protocol/zenoh_config.py",
         "coordinator/protocol/ask.py",
         "factory/bench/fleet.py",
+        "factory/bench/delivery_fleet.py",
     },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},

@@ -21,7 +21,7 @@ from schemas.errors import InvalidBundle
 from schemas.protocol.keys import host_of
 
 
-class Verdict(NamedTuple):
+class Judgement(NamedTuple):
     """Result of the validation of a valid bundle."""
 
     receipt: BundleReceipt
@@ -48,7 +48,7 @@ class BundleJudge:
         self._is_trusted: dict[str, bool] = {}
         """Mapping of host to the result of its complete validations; hosts without one are missing."""
 
-    def judge(self, pull: Pull, path: Path, *, is_local: bool) -> Verdict:
+    def judge(self, pull: Pull, path: Path, *, is_local: bool) -> Judgement:
         """Validates a bundle.
 
         Args:
@@ -72,7 +72,7 @@ class BundleJudge:
             self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
         if pull.is_validated and scope is Scope.ALL:
             self._is_trusted.setdefault(host, True)
-        return Verdict(receipt, scope is not Scope.CLAIM)
+        return Judgement(receipt, scope is not Scope.CLAIM)
 
     def _scope(self, pull: Pull) -> Scope:
         trusts = self._share is not None and pull.is_validated and self._is_trusted.get(host_of(pull.sid), False)

@@ -18,7 +18,7 @@ from coordinator.protocol.protocol import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
 from coordinator.transfer.fair_queue import FairQueue
-from coordinator.transfer.judge import BundleJudge, Verdict
+from coordinator.transfer.judge import BundleJudge, Judgement
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import episode_id
@@ -285,7 +285,7 @@ class Pullers(Closing):
         except OSError as error:
             log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
 
-    def _judge(self, pull: Pull, staged: Staged) -> Verdict | None:
+    def _judge(self, pull: Pull, staged: Staged) -> Judgement | None:
         try:
             return self._judging.judge(pull, staged.path, is_local=staged.is_taken)
         except InvalidBundle as error:
@@ -303,7 +303,7 @@ class Pullers(Closing):
         with self._guard:
             self._failed.pop(pull.job.index, None)
 
-    def _publish(self, pull: Pull, staged: Staged, verdict: Verdict) -> None:
+    def _publish(self, pull: Pull, staged: Staged, verdict: Judgement) -> None:
         index = pull.job.index
         self._forget_failures(pull)
         self._archive.publish(staged, index)

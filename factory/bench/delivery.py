@@ -15,7 +15,7 @@ from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.settings import CoordinatorSettings
 from factory.bench.coordinator_process import CoordinatorReady, serve_archive
-from factory.bench.delivery_fleet import Recording, deliver_copies
+from factory.bench.delivery_fleet import RecordedBundle, deliver_copies
 from factory.bench.delivery_model import DeliveryBench, DeliveryPace
 from factory.bench.machine import describe_machine
 from factory.bench.sample import BenchSample
@@ -57,7 +57,7 @@ def bench_delivery(
     """
     machine, paces = describe_machine(), []
     plan = plan.model_copy(update={"scenes": (plan.scenes[0].model_copy(update={"episodes": episodes}),)})
-    recordings = [Recording(sample.path) for sample in samples]
+    recordings = [RecordedBundle(sample.path) for sample in samples]
     steps = [recording.meta.rollout.num_steps for recording in recordings]
     frames = sum(steps[index % len(steps)] for index in range(1, episodes + 1))
     sizes = [sample.path.stat().st_size for sample in samples]
@@ -108,7 +108,7 @@ def bench_delivery(
     )
 
 
-def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[Recording]) -> None:
+def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[RecordedBundle]) -> None:
     """Creates a ledger whose jobs are those of the recordings, in turns."""
     root.mkdir()
     engine = open_writer(ledger_url_of(root))
@@ -116,6 +116,6 @@ def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[Recordi
     engine.dispose()
 
 
-def _planned(plan: Plan, recordings: Sequence[Recording]) -> Iterator[PlannedJob]:
+def _planned(plan: Plan, recordings: Sequence[RecordedBundle]) -> Iterator[PlannedJob]:
     for index in range(1, plan.episodes + 1):
         yield PlannedJob(index, 0, EpisodeSpec.of(recordings[index % len(recordings)].meta.job))

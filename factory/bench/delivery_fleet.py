@@ -30,7 +30,7 @@ _BEAT_S = 2.0
 _IDLE_S = 0.02
 
 
-class Recording:
+class RecordedBundle:
     """Recorded bundle that can be copied for other jobs with the same target, start and template."""
 
     def __init__(self, path: Path) -> None:
@@ -63,7 +63,7 @@ class DeliveringWorker(BenchWorker):
     """
 
     def __init__(
-        self, endpoints: Sequence[str], run: str, recordings: Sequence[Recording], is_validated: bool, at_once: int
+        self, endpoints: Sequence[str], run: str, recordings: Sequence[RecordedBundle], is_validated: bool, at_once: int
     ) -> None:
         self._recordings = recordings
         self._is_validated, self._at_once = is_validated, at_once
@@ -122,7 +122,7 @@ def deliver_copies(
     at_once: int,
 ) -> None:
     """Delivers all jobs of a run after a message; sends the number of workers, and the wall time, seconds."""
-    recordings = [Recording(path) for path in paths]
+    recordings = [RecordedBundle(path) for path in paths]
     fleet = [DeliveringWorker(endpoints, run, recordings, is_validated, at_once) for _ in range(members)]
     pipe.send(len(fleet))
     pipe.recv()

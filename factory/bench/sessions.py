@@ -14,6 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -150,7 +151,7 @@ class _Fleet:
         """CPU time of requests in the writer's thread since the last start of `run_until`, seconds."""
         for number in range(load.sessions):
             session = _Session(f"host-{number}.1", f"host-{number}")
-            self._at(self._rng.uniform(0.0, load.episode_s / 2), lambda now, session=session: self._hello(session, now))
+            self._at(self._rng.uniform(0.0, load.episode_s / 2), partial(self._hello, session))
 
     def run_until(self, end: float) -> None:
         """Handles all events before a virtual time, in windows; the requests of a window are queued together."""
@@ -172,7 +173,8 @@ class _Fleet:
         self._ask(session, Verb.HELLO, hello, now, lambda _reply: None)
         for _ in range(self._load.cores):
             self._claim(session, now)
-        self._beat(session, now)
+        first = now + self._rng.uniform(0.0, self._load.lease_s / _BEATS_PER_LEASE)
+        self._at(first, lambda at: self._beat(session, at))
 
     def _claim(self, session: _Session, now: float) -> None:
         claim = Claim(sid=session.sid, token=f"{next(self._tokens):032x}")

@@ -50,7 +50,7 @@ class SceneObject:
     base_m: float
     """Height of its lower side above the floor, metres."""
     looks: str | None = None
-    """Kind that its prim names, if a viewer may take it for that kind instead of its own."""
+    """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
 
 
 @dataclass(frozen=True)

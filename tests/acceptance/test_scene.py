@@ -15,8 +15,14 @@ def room(factory, folder, body=None):
     return stage, factory.json("scene", "import", stage, "--cache", folder / "cache")["package"]
 
 
-def test_inspect_prints_targets_units_and_extents_and_draws_a_map(factory, tmp_path):
-    _, package = room(factory, tmp_path)
+@pytest.fixture(scope="module")
+def compiled(factory, tmp_path_factory):
+    """The stage of the room and its package; tests only read them."""
+    return room(factory, tmp_path_factory.mktemp("room"))
+
+
+def test_inspect_prints_targets_units_and_extents_and_draws_a_map(factory, compiled, tmp_path):
+    _, package = compiled
     out = factory("scene", "inspect", package, "-o", tmp_path / "map.png").stdout
     assert "metres_per_unit: 1.0" in out
     assert "extents_m: 8.4 x 6.4 x 2.6" in out
@@ -26,8 +32,8 @@ def test_inspect_prints_targets_units_and_extents_and_draws_a_map(factory, tmp_p
     assert facts["targets"][0]["colour"] == "red"
 
 
-def test_inspect_refuses_a_stage_and_names_the_compile_command(factory, tmp_path):
-    stage, _ = room(factory, tmp_path)
+def test_inspect_refuses_a_stage_and_names_the_compile_command(factory, compiled):
+    stage, _ = compiled
     assert "factory scene import" in factory("scene", "inspect", stage, expect=2).stderr
 
 
@@ -78,8 +84,8 @@ def test_a_package_in_another_folder_is_found_by_path(factory, tmp_path):
     assert "'attic' is neither a scene nor an existing file" in factory("scene", "inspect", "attic", expect=2).stderr
 
 
-def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factory, tmp_path):
-    _, package = room(factory, tmp_path)
+def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factory, compiled, tmp_path):
+    _, package = compiled
     report = factory.json("scene", "survey", package)
     assert report["spawns"] >= 40
     assert report["share_within"] == 1.0
@@ -114,16 +120,16 @@ def test_import_and_plans_apply_an_edited_target_list(factory, tmp_path):
     assert factory.json("verify", tmp_path / "data", "--deep")["findings"] == []
 
 
-def test_a_target_list_with_an_unknown_prim_is_refused_with_the_prim_path(factory, tmp_path):
-    stage, package = room(factory, tmp_path)
+def test_a_target_list_with_an_unknown_prim_is_refused_with_the_prim_path(factory, compiled, tmp_path):
+    stage, package = compiled
     edits = tmp_path / "targets_room.yaml"
     factory("scene", "targets", package, "-o", edits)
     edits.write_text(edits.read_text().replace("SM_Chair_01", "SM_Throne_01"))
     assert "/World/SM_Throne_01" in factory("scene", "import", stage, "--targets", edits, expect=2).stderr
 
 
-def test_render_writes_map_views_and_sheets_and_names_them(factory, tmp_path):
-    _, package = room(factory, tmp_path)
+def test_render_writes_map_views_and_sheets_and_names_them(factory, compiled, tmp_path):
+    _, package = compiled
     out = tmp_path / "pictures"
     result = factory.json(
         "scene", "render", package, "-o", out, "--views", 1, "--robot-views", 1, "--colours", 1, "--renderer", "gl"
@@ -134,8 +140,8 @@ def test_render_writes_map_views_and_sheets_and_names_them(factory, tmp_path):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_render_refuses_an_output_that_is_not_a_folder(factory, tmp_path):
-    _, package = room(factory, tmp_path)
+def test_render_refuses_an_output_that_is_not_a_folder(factory, compiled, tmp_path):
+    _, package = compiled
     (tmp_path / "taken").write_text("a file")
     assert "choose another --out" in factory("scene", "render", package, "-o", tmp_path / "taken", expect=1).stderr
 

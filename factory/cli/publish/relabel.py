@@ -35,7 +35,7 @@ from workers.client.stopping import stop_on_signals
     "cache",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Answers of the endpoint, which are not asked for again. Default: the language file with .paraphrases.json.",
+    help="File of the answers of the endpoint, each requested once. Default: the language file with .paraphrases.json.",
 )
 @click.option(
     "--paraphrase-timeout",
@@ -65,7 +65,7 @@ def command(
     instruction keeps the recorded one. After Ctrl-C or a crash, the same command continues.
 
     With --paraphrase, an endpoint rewrites the sentence patterns once. Texts that are no usable pattern, and requests
-    without an answer, are left out and counted. The API key is read from MINIVLA_PARAPHRASE_KEY.
+    without an answer, are omitted and counted. The API key is read from MINIVLA_PARAPHRASE_KEY.
     """
     configure_logs()
     spec, paraphrases = load_language(reference), None

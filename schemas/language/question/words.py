@@ -79,7 +79,7 @@ class QuestionWords(Model):
         nouns: Grammar,
         rng: np.random.Generator,
     ) -> Question | None:
-        """Returns a question in words; chance chooses pattern and synonyms.
+        """Returns a question as text, with a random pattern and random synonyms.
 
         Args:
             meaning: meaning of question, answer and reason.

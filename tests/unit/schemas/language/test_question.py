@@ -52,7 +52,7 @@ def fault(question: Question) -> str:
 
 
 def reworded(question: Question, **changes: object) -> Question:
-    """Returns the question with another meaning, in words."""
+    """Returns the question with another meaning as text."""
     meaning = question.meaning.model_copy(update=changes)
     span, rng = (question.start, question.end), np.random.default_rng(0)
     found = question_words(question.language).write(meaning, span, False, grammar(question.language), rng)
