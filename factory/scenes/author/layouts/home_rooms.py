@@ -221,6 +221,9 @@ def _bedroom(own: Furnisher) -> None:
     tries = (own.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
     found = next((bed for bed in tries if bed is not None), None)
     if found is not None:
+        own.carpet(
+            (found.x, found.y), *((2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)), plan.pick(9) + 2
+        )
         half = float(found.model.high[0])
         for turn in (-1.0, 1.0):
             stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
@@ -228,9 +231,6 @@ def _bedroom(own: Furnisher) -> None:
                 own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
     if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
         own.wall_piece("SM_Wardrobe", look, clearance=0.1)
-        own.carpet(
-            (found.x, found.y), *((2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)), plan.pick(9) + 2
-        )
     own.dress(own.wall_piece("SM_Dresser", look, clearance=0.45), _ON_DRESSERS, 2)
     extra = ("SM_ChairLounge_G", "SM_Ottoman", "SM_Bench", "SM_ShelfBook_B")[plan.pick(4)]
     own.wall_piece(extra, own.palette.cover, clearance=0.45)
