@@ -14,13 +14,14 @@ from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement
 from factory.scenes.author.style import Palette
 
 _EVERYWHERE = {
+    "SM_ChairWood_D": 1,
+    "SM_Plant_A": 2,
     "SM_Sofa_A": 1,
     "SM_Wardrobe": 1,
     "SM_Dresser": 1,
     "SM_Sideboard": 1,
     "SM_ShelfBook_B": 2,
     "SM_LampFloor": 1,
-    "SM_Plant_A": 2,
     "SM_Vase": 2,
     "SM_Ottoman": 2,
     "SM_TrashCan_A": 2,
@@ -64,7 +65,7 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) 
     dry = ("living", "dining", "bedroom", "study", "hall")
     complete(plan, own, {"SM_NightStand": 1}, ("bedroom",))
     complete(plan, own, {"SM_BathTub": 1, "SM_Toilet": 1}, ("bath",))
-    complete(plan, own, {"SM_Refrigerator": 1}, ("kitchen", "dining", "hall"))
+    complete(plan, own, {"SM_Refrigerator": 1}, ("kitchen", "laundry", "dining", "hall", "living"))
     complete(plan, own, {"SM_WashingMachine": 1}, ("laundry", "bath", "kitchen", "hall"))
     complete(plan, own, _EVERYWHERE, dry)
     for furnisher in own:
