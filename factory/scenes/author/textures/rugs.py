@@ -35,7 +35,7 @@ def _medallion(x: Floats, y: Floats) -> Mask:
 
 
 def _stripes(_x: Floats, y: Floats) -> Mask:
-    return ((255.5 - y) // 36 % 3 == 0) | ((255.5 - y) // 12 % 9 == 5)
+    return np.asarray(((255.5 - y) // 36 % 3 == 0) | ((255.5 - y) // 12 % 9 == 5))
 
 
 def _lozenges(x: Floats, y: Floats) -> Mask:
