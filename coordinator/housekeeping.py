@@ -19,6 +19,7 @@ from coordinator.clock import ClockWatch
 from coordinator.context import RunContext
 from coordinator.ledger import claims
 from coordinator.ledger.claims import held_too_long, lease_of
+from coordinator.ledger.host_memory import write_memory
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import note_sandbox
 from coordinator.ledger.transitions import JobRow
@@ -28,13 +29,14 @@ from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.validation.validator import sandbox_of
 from schemas.job import episode_id
 from schemas.protocol.keys import host_of
-from schemas.protocol.messages import Fail
+from schemas.protocol.messages import Fail, HostMemory
 from schemas.terms import FailReason
 
 _SHOWN_HOSTS = 10
 _BARRED_S = 5.0
 _SANDBOX_S = 1.0
 _ROOM_S = 1.0
+_MEMORY_S = 5.0
 _LEASE_LIMIT_S = 1.0
 """Pause between two checks of the lease limit, seconds."""
 
@@ -144,6 +146,7 @@ class Housekeeping:
         )
         self._barred: frozenset[str] = frozenset()
         self._noted_sandbox: tuple[str, ...] = ()
+        self._recorded_memory: dict[str, HostMemory] = {}
 
     def table(self, admit: Callable[[], bool]) -> Mapping[str, PeriodicTask]:
         """Returns every task with its interval.
@@ -158,6 +161,7 @@ class Housekeeping:
             "check_free_space": (_ROOM_S, self.check_free_space),
             "admit": (settings.admission_s, lambda: _admit(admit)),
             "note_sandbox": (_SANDBOX_S, self.note_sandbox),
+            "record_memory": (_MEMORY_S, self.record_memory),
             "warn_of_barred": (_BARRED_S, self._warn_of_barred),
         }
 
@@ -171,6 +175,13 @@ class Housekeeping:
         if layers != self._noted_sandbox:
             self._writer.submit(lambda connection: note_sandbox(connection, layers))
             self._noted_sandbox = layers
+
+    def record_memory(self) -> None:
+        """Records the memory of the hosts for the web page, if a heartbeat has changed it."""
+        memory = dict(self._run.terms.memory)
+        if memory != self._recorded_memory:
+            self._writer.submit(lambda connection: write_memory(connection, memory))
+            self._recorded_memory = memory
 
     def _expire(self) -> None:
         self._check_clock()

@@ -6,6 +6,7 @@ The ledger lists the episodes, so that a restarted coordinator continues. Runs n
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 from sqlalchemy.engine import Connection
@@ -51,7 +52,7 @@ class Rechecks:
             if refusal:
                 self._remove(index, refusal)
             else:
-                self._run.ledger.writer.call(lambda connection, index=index: note_checked(connection, index))
+                self._run.ledger.writer.call(partial(note_checked, index=index))
 
     def _job_of(self, connection: Connection, index: int) -> Job:
         terms, row = self._run.terms, current_job(connection, index)

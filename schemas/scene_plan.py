@@ -31,7 +31,7 @@ MAX_EPISODES = 9_999_999
 MAX_LAYOUTS = 100_000
 _LATER_KEYS = frozenset(
     {"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"}
-    | {"unit", "up", "models", "layouts", "unseen_layouts"}
+    | {"unit", "up", "models", "skip_missing", "floor_m", "layouts", "unseen_layouts"}
 )
 """Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 
@@ -70,6 +70,10 @@ class ScenePlan(Model):
     """Axis of a custom scene that points up; null is the axis that the file states."""
     models: tuple[str, ...] = ()
     """Folders in which `model://` and `package://` names are searched, relative to the plan file."""
+    skip_missing: bool = False
+    """Whether a custom scene is read without the models and meshes that are missing."""
+    floor_m: Annotated[float, Field(ge=-1000, le=1000)] | None = None
+    """Height of a flat floor that is added to a custom scene without one, metres; null adds none."""
     ceiling_m: Annotated[float, Field(ge=1, le=100)] | None = None
     """Height above the floor of a flat ceiling that is added to a custom scene, metres; null adds none."""
     screening: Screening | None = None
@@ -122,12 +126,14 @@ class ScenePlan(Model):
             raise ValueError("; ".join([text, *hints]))
         return categories
 
-    @field_validator("ceiling_m")
+    @field_validator("ceiling_m", "floor_m")
     @classmethod
-    def _is_for_a_stage(cls, ceiling_m: float | None, others: ValidationInfo) -> float | None:
-        if ceiling_m is not None and others.data.get("file") is None:
-            raise ValueError("a built-in scene has a ceiling; `ceiling_m` is for a scene of a file (`file = PATH`)")
-        return ceiling_m
+    def _is_for_a_stage(cls, height_m: float | None, others: ValidationInfo) -> float | None:
+        if height_m is not None and others.data.get("file") is None:
+            key = str(others.field_name)
+            part = key.removesuffix("_m")
+            raise ValueError(f"a built-in scene has a {part}; `{key}` is for a scene of a file (`file = PATH`)")
+        return height_m
 
     @model_validator(mode="after")
     def _layouts_make_sense(self) -> ScenePlan:

@@ -189,8 +189,9 @@ BUILTIN_CATEGORIES = MappingProxyType(
                 "picture",
                 "trash_can",
                 "ottoman",
+                "mirror",
             ),
-            ("bathtub", "washing_machine", "dishwasher", "vase", "microwave"),
+            ("bathtub", "washing_machine", "dishwasher", "vase", "microwave", "suitcase"),
         ),
         "shop": SceneCategories(
             (
@@ -207,6 +208,7 @@ BUILTIN_CATEGORIES = MappingProxyType(
                 "box",
                 "toilet",
                 "sink",
+                "crate",
             ),
             ("mannequin", "vending_machine", "ladder", "basket"),
         ),
@@ -227,6 +229,8 @@ BUILTIN_CATEGORIES = MappingProxyType(
                 "toilet",
                 "sink",
                 "clock",
+                "monitor",
+                "lamp",
             ),
             ("piano", "bicycle", "vending_machine", "water_cooler", "computer", "traffic_cone", "fire_extinguisher"),
         ),

@@ -90,9 +90,13 @@ def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> s
         for key, names in zip(("seen", "held_out"), absent, strict=True)
         if names
     ]
-    shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
+    lacking = {name for names in absent for name in names}
+    shown = {one.category for one in entry.info.instances} & lacking
     blocked = f"; present but not reachable: {', '.join(sorted(filter(None, shown)))}" if shown else ""
     remedy = "remove the missing categories from seen and held_out, or change the scene"
+    by_surface = {one.category for one in entry.info.targets if one.is_reachable(SuccessMeasure.SURFACE)} & lacking
+    if by_surface:
+        remedy = f'set task.success = "surface" to reach {", ".join(sorted(by_surface))}, or {remedy}'
     if scene.file is not None:
         remedy += ", its rules or its list of targets"
     return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"

@@ -7,7 +7,7 @@ the commit.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -42,6 +42,7 @@ from schemas.protocol.messages import (
     Fail,
     Hello,
     HelloReply,
+    HostMemory,
     Ping,
     Refusal,
     RunKind,
@@ -94,6 +95,8 @@ class Terms:
     """Tasks of an evaluation; `None` for a collection."""
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
+    memory: dict[str, HostMemory] = field(default_factory=dict)
+    """Memory in the last heartbeat by host."""
     workers_validate: bool = False
     """Whether workers validate their bundles before they announce them."""
 
@@ -229,6 +232,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
 
 def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
     hosts.note_alive(connection, beat.sid, host, now)
+    if beat.memory is not None and (host in terms.memory or len(terms.memory) < hosts.SESSIONS):
+        terms.memory[host] = beat.memory
     outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
     waiting = tuple(lease_of(row) for row in outcome.waiting)
     is_idle = len(outcome.lost) == len(beat.live) and len(outcome.drop) == len(beat.spool)

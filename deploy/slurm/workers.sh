@@ -59,6 +59,8 @@ run_task() {
         scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
         exit $?
     fi
+    # another task generates the jobs of bundles that were not fetched
+    rm -rf -- "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID:-0}"
     exit "${status}"
 }
 

@@ -1,6 +1,6 @@
 """Renders the pictures of docs/scenes: views, frames, categories and map of a scene; maps and views of a family.
 
-A family has one sheet of maps and one of views, with one layout of each seed. Seeds without a layout are left out.
+A family has one sheet of maps and one of views, each with twelve layouts. Seeds without a layout are left out.
 
 python docs/site/scene_pictures.py [SCENE|FAMILY ...]
 """
@@ -11,7 +11,7 @@ import io
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image, ImageOps
@@ -26,7 +26,7 @@ from workers.render.choose import open_renderer
 
 SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
 FAMILIES = ("home", "shop", "school")
-LAYOUTS = 6
+LAYOUTS = 12
 FOLDER = Path(__file__).parents[1] / "scenes"
 GAP_PX = 4
 
@@ -51,7 +51,7 @@ def main(scenes: Sequence[str]) -> None:
 
 
 def draw_family(family: str) -> None:
-    """Writes the maps and two views of the first layouts of a family, and the categories of the first one."""
+    """Writes the maps and a view of the first layouts of a family, and the categories of the first one."""
     maps: list[Image.Image] = []
     views: list[Image.Image] = []
     for seed in range(3 * LAYOUTS):
@@ -63,7 +63,7 @@ def draw_family(family: str) -> None:
         with package.open("rb") as file:
             scene = decode_scene(file)
         maps.append(Image.open(io.BytesIO(encode_topdown(scene))))
-        views += draw_views(scene)
+        views.append(draw_view(scene))
         if len(maps) == 1:
             with open_renderer("auto", 400) as eye:
                 categories = draw_sheet(eye, scene, variants(scene.info.targets))
@@ -71,18 +71,17 @@ def draw_family(family: str) -> None:
             save(categories, f"{family}_categories.jpg", 80)
         if len(maps) == LAYOUTS:
             break
-    save(tile(maps, 3, 440, fill="white"), f"{family}_maps.jpg", 80)
-    save(tile(views, 4, 340), f"{family}_views.jpg", 80)
+    save(tile(maps, 4, 340, fill="white"), f"{family}_maps.jpg", 75)
+    save(tile(views, 4, 340), f"{family}_views.jpg", 78)
 
 
-def draw_views(scene: CompiledScene) -> Iterator[Image.Image]:
-    """Yields the two best views of a scene at eye height."""
+def draw_view(scene: CompiledScene) -> Image.Image:
+    """Returns the best view of a scene at eye height."""
     with open_renderer("auto", 96) as eye:
-        chosen = best_views(eye, scene, EYE, 2)
+        (view,) = best_views(eye, scene, EYE, 1)
     with open_renderer("auto", 2 * 340) as eye:
-        for view in chosen:
-            eye.load(scene, view.camera)
-            yield Image.fromarray(eye.render(view.pose).rgb)
+        eye.load(scene, view.camera)
+        return Image.fromarray(eye.render(view.pose).rgb)
 
 
 def opened(folder: Path, pattern: str) -> list[Image.Image]:

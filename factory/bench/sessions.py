@@ -14,6 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -150,7 +151,7 @@ class _Fleet:
         """CPU time of requests in the writer's thread since the last start of `run_until`, seconds."""
         for number in range(load.sessions):
             session = _Session(f"host-{number}.1", f"host-{number}")
-            self._at(self._rng.uniform(0.0, load.episode_s / 2), lambda now, session=session: self._hello(session, now))
+            self._at(self._rng.uniform(0.0, load.episode_s / 2), partial(self._hello, session))
 
     def run_until(self, end: float) -> None:
         """Handles all events before a virtual time, in windows; the requests of a window are queued together."""

@@ -84,6 +84,11 @@ _BY_LIGHT = {light: name for name, (light, _) in COLOURS.items()}
 _HEX = re.compile(r"#[0-9a-f]{6}\b")
 
 
+def reason_colour(reason: str) -> str:
+    """Returns the name of the colour of a failure reason."""
+    return next((name for known, name in REASON_COLOURS.items() if known == reason), "other")
+
+
 def colour(name: str) -> str:
     """Returns the colour of the light theme as `#rrggbb`."""
     return COLOURS[name][0]

@@ -216,6 +216,8 @@ def _limits(scene: ScenePlan) -> StageLimits:
         unit=scene.unit,
         up=scene.up,
         models=tuple(map(Path, scene.models)),
+        floor_m=scene.floor_m,
+        skip_missing=scene.skip_missing,
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import read_entry
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
-from factory.scenes.build import build_scene
+from factory.scenes.build import build_scene, rules_of
 from factory.scenes.rules import load_rules
 from factory.support.task_pool import run_tasks
 from schemas.errors import InvalidPlan, LayoutError
@@ -63,10 +63,12 @@ def build_layouts(plan: Plan, names: Collection[str], cache: Path, builds: Layou
         builds: settings of the builds.
 
     Raises:
-        InvalidPlan: no seed of a layout gives a package that fulfils the plan.
+        InvalidPlan: a family has no objects of a category that the plan names, or no seed of a layout gives a package
+            that fulfils the plan.
         KeyboardInterrupt: the builds were stopped.
         WorldError: the cache cannot be written, or a process died.
     """
+    _require_categories(plan)
     text = plan.model_dump_json()
     tasks = (_Task(text, name, cache) for name in names)
     for built in run_tasks(_build, tasks, min(builds.processes, len(names)), builds.stop):
@@ -74,6 +76,24 @@ def build_layouts(plan: Plan, names: Collection[str], cache: Path, builds: Layou
         yield built
     if builds.stop.is_set():
         raise KeyboardInterrupt
+
+
+def _require_categories(plan: Plan) -> None:
+    """Checks that the families can have the categories that the plan names; no seed has another one."""
+    mistakes = []
+    for number, scene in enumerate(plan.scenes):
+        if scene.layouts is None:
+            continue
+        rules = rules_of(scene.name) if scene.rules is None else load_rules(Path(scene.rules))
+        known = {rule.category for rule in rules.rules}
+        absent = sorted({name for group in scene.categories for name in group} - known)
+        if absent:
+            mistakes.append(
+                f"scenes[{number}] {scene.name}: no layout has {', '.join(absent)}; remove them from its categories; "
+                f"categories of the family: {', '.join(sorted(known))}"
+            )
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} names categories that its families do not have", mistakes)
 
 
 def _build(task: _Task) -> BuiltLayout:

@@ -5,6 +5,7 @@ The coordinator stays in the process of `factory run`. Each node gets a certific
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -60,18 +61,19 @@ class RayCluster(Closing):
         require_package("cryptography", "`--engine ray`")
         import ray
 
-        self._ray, self._cores, self._renderer, self._keys = ray, cores, renderer, keys
+        self._ray: Any = ray
+        self._cores, self._renderer, self._keys = cores, renderer, keys
         self._deaths = self._archived = 0
         self._nodes: dict[str, _Node] = {}
         self._looked = float("-inf")
         self._endpoint = ""
         try:
-            ray.init(address=address, log_to_driver=True, include_dashboard=False, logging_level="warning")
+            self._ray.init(address=address, log_to_driver=True, include_dashboard=False, logging_level=logging.WARNING)
         except ConnectionError as error:
             raise UsageError(
                 f"no Ray cluster answers at {address}: {error}; start one with `ray start --head`"
             ) from error
-        now, host = datetime.now(UTC), ray.util.get_node_ip_address()
+        now, host = datetime.now(UTC), self._ray.util.get_node_ip_address()
         create_authority(keys, "ray", _DAYS, now)
         self.guard = Guard(admit(keys, _HUB, Role.COORDINATOR, (host,), _DAYS, now))
         """Credentials and admission list of the coordinator."""
@@ -132,7 +134,7 @@ class RayCluster(Closing):
         folder = admit(self._keys, name, Role.WORKER, (), _DAYS, datetime.now(UTC), renew=True)
         place = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node_id, soft=False)
         options = {"num_cpus": cores, "max_concurrency": 2, "max_restarts": -1, "max_task_retries": -1}
-        actor = (
+        actor: Any = (
             self._ray.remote(RayWorker)
             .options(**options, scheduling_strategy=place)
             .remote(self._endpoint, _contents(folder), cores, self._renderer)

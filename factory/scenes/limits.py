@@ -35,6 +35,10 @@ class StageLimits:
     """Folders in which `model://` and `package://` names are searched."""
     max_file_mb: int = MAX_FILE_MB
     """Maximum size of one file that is not USD, megabytes."""
+    floor_m: float | None = None
+    """Height of a flat floor that is added to a scene without one, metres; `None` adds none."""
+    skip_missing: bool = False
+    """Whether a world is read without the models and meshes that are missing, each with a note."""
 
 
 USUAL_LIMITS = StageLimits()

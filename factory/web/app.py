@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from http import HTTPStatus
 from pathlib import Path
 
@@ -22,14 +22,16 @@ from factory.html import render
 from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
 from factory.web.context import WebContext, page
+from factory.web.evaluations import Evaluations
 from factory.web.forms import read_form
 from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
-from factory.web.pages import episode, episodes, farm, operations, scenes, statistics
+from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError, UsageError
 from schemas.protocol.administration import AdminReply, AdminRequest
 
+_PAGES = (episodes, episode, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 
@@ -40,6 +42,7 @@ def create_app(
     access: Access,
     administer: Callable[[AdminRequest], AdminReply],
     more_routes: Iterable[BaseRoute] = (),
+    evaluations: Sequence[Path] = (),
 ) -> ASGIApp:
     """Returns the application of a dataset.
 
@@ -49,6 +52,7 @@ def create_app(
         access: token and reading rights.
         administer: function that executes an admin request on the run.
         more_routes: further routes, for example the status pages of a coordinator.
+        evaluations: directories of `factory eval -o`.
     """
     app = Starlette(
         routes=[
@@ -56,12 +60,14 @@ def create_app(
             Route("/static/page.css", style),
             Mount("/static", StaticFiles(directory=_STATIC)),
             *farm.routes(workspace),
-            *(route for module in (episodes, episode, scenes, statistics, operations) for route in module.routes()),
+            *(route for module in _PAGES for route in module.routes()),
             *more_routes,
         ],
         exception_handlers={HTTPException: _say_http, FactoryError: _say_failure, Exception: _say_bug},
     )
-    app.state.context = WebContext(workspace, Marks(workspace.site), FrameStore(workspace), administer)
+    app.state.context = WebContext(
+        workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations)
+    )
     return RequestGuard(app, address, access)
 
 

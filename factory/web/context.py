@@ -10,6 +10,7 @@ from starlette.responses import HTMLResponse, Response
 
 from factory.dataset.marks import Marks
 from factory.html import render
+from factory.web.evaluations import Evaluations
 from factory.web.figures import StatisticsStore
 from factory.web.floors import FloorStore
 from factory.web.frames import FrameStore
@@ -17,7 +18,13 @@ from factory.web.table import Tables
 from factory.web.workspace import Workspace
 from schemas.protocol.administration import AdminReply, AdminRequest
 
-NAVIGATION = (("/", "Farm"), ("/episodes", "Episodes"), ("/scenes", "Scenes"), ("/statistics", "Statistics"))
+NAVIGATION = (
+    ("/", "Farm"),
+    ("/episodes", "Episodes"),
+    ("/scenes", "Scenes"),
+    ("/statistics", "Statistics"),
+    ("/evaluations", "Evaluations"),
+)
 """Paths and titles of the pages."""
 
 
@@ -33,6 +40,8 @@ class WebContext:
     """Encoded frames."""
     administer: Callable[[AdminRequest], AdminReply]
     """Executes an admin request on the run."""
+    evaluations: Evaluations
+    """Evaluation directories."""
     tables: Tables = field(default_factory=Tables)
     """Table of the episodes."""
     floors: FloorStore = field(default_factory=FloorStore)

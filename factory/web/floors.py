@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from factory.dataset.packages import ScenePackage, find_package_file
-from factory.html.palette import css_variables
+from factory.html.palette import css_variables, reason_colour
 from schemas.scene import SceneInfo, decode_scene
 
 _KEPT = 16
+
+
+class FloorMark(NamedTuple):
+    """Failure on a floor plan."""
+
+    reason: str
+    """Reason of the failure, which decides the colour."""
+    xy_m: tuple[float, float]
+    """Location x, y, metres."""
+    is_exact: bool
+    """Whether it is the location of the robot; otherwise it is the target's, and the mark is a ring."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +50,12 @@ class Floor:
         """View box of the map in metres."""
         return f"{self.west:.2f} {-self.north:.2f} {self.width:.2f} {self.height:.2f}"
 
-    def image(self, view_box: str = "") -> str:
+    def image(self, view_box: str = "", marks: Iterable[FloorMark] = ()) -> str:
         """Returns the plan as a separate SVG image that follows the colour scheme.
 
         Args:
             view_box: shown part as x, -y, width and height in metres; the whole plan if empty.
+            marks: failures to draw.
         """
         style = (
             f":root {{ {css_variables(dark=False)} }} @media (prefers-color-scheme: dark) {{ :root "
@@ -51,7 +64,8 @@ class Floor:
         )
         paths = "".join(f'<path class="{name}" fill-rule="evenodd" d="{data}"/>' for name, data in self.paths)
         head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{view_box or self.view_box}">'
-        return f"{head}<style>{style}</style>{paths}</svg>"
+        dots = "".join(_dot(*mark, radius=max(self.width, self.height) / 120) for mark in marks)
+        return f"{head}<style>{style}</style>{paths}{dots}</svg>"
 
 
 class FloorStore:
@@ -88,6 +102,14 @@ def _draw(package: ScenePackage) -> Floor:
     paths = tuple((name, "".join(map(_path, outlines))) for name, outlines in layers)
     spawns = tuple((float(x), float(y)) for x, y in scene.spawns[:2000])
     return Floor(scene.info, west, north, east - west, north - south, paths, spawns)
+
+
+def _dot(reason: str, xy_m: tuple[float, float], is_exact: bool, radius: float) -> str:
+    colour = f"var(--{reason_colour(reason)})"
+    return (
+        f'<circle cx="{xy_m[0]:.2f}" cy="{-xy_m[1]:.2f}" r="{radius:.3f}" stroke-width="{radius / 3:.3f}" '
+        f'stroke="{colour}" fill="{colour if is_exact else "none"}"/>'
+    )
 
 
 def _path(outline: Any) -> str:

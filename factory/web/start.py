@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +31,7 @@ def serve(
     ledger: str | None = None,
     administer: Callable[[AdminRequest], AdminReply] | None = None,
     more_routes: Iterable[BaseRoute] = (),
+    evaluations: Sequence[Path] = (),
 ) -> Iterator[str]:
     """Serves the web page of a dataset while the context is open; yields its URL, with the token if it was chosen here.
 
@@ -43,6 +44,7 @@ def serve(
         administer: function that executes an admin request; `None` asks the running coordinator of the dataset, or
             changes the ledger if none runs.
         more_routes: further routes of the application.
+        evaluations: directories of `factory eval -o`.
 
     Raises:
         UsageError: the address is malformed, or other machines can reach it without a token and without TLS.
@@ -55,6 +57,6 @@ def serve(
     def ask(request: AdminRequest) -> AdminReply:
         return administer_dataset(site.home, request, datetime.now(UTC), ledger, name=name, tls=files)
 
-    app = create_app(Workspace(site, ledger), address, access, administer or ask, more_routes)
+    app = create_app(Workspace(site, ledger), address, access, administer or ask, more_routes, evaluations)
     with WebServer(app, address, files) as server:
         yield server.url + ("" if token else f"/?token={access.token}")

@@ -77,15 +77,25 @@ def parse_query(given: Mapping[str, str]) -> TableQuery:
     if unknown:
         near = did_you_mean(unknown[0], (*FILTERS, *_OTHERS))
         raise UsageError(f"unknown filter {unknown[0][:40]!r}; valid filters: {', '.join((*FILTERS, *_OTHERS))}{near}")
-    sort, page, text = given.get("sort") or "episode_id", given.get("page") or "0", given.get("q", "").strip()
+    sort, page, text = given.get("sort") or "episode_id", page_number(given), given.get("q", "").strip()
     if sort not in SORTED:
         raise UsageError(f"sort={sort[:40]!r} is not a column; valid columns: {', '.join(SORTED)}")
-    if not page.isascii() or not page.isdigit() or len(page) > 9:
-        raise UsageError(f"page={page[:40]!r} is not a number from 0")
     if len(text) > _MOST_TEXT:
         raise UsageError(f"q has {len(text)} characters, at most {_MOST_TEXT} are allowed")
     filters = {name: given[name] for name in FILTERS if given.get(name)}
-    return TableQuery(filters, text, sort, given.get("order") == "desc", int(page), bool(given.get("flagged")))
+    return TableQuery(filters, text, sort, given.get("order") == "desc", page, bool(given.get("flagged")))
+
+
+def page_number(given: Mapping[str, str]) -> int:
+    """Returns the number of the page in the query of a URL, from 0.
+
+    Raises:
+        UsageError: the value is not a number.
+    """
+    page = given.get("page") or "0"
+    if not page.isascii() or not page.isdigit() or len(page) > 9:
+        raise UsageError(f"page={page[:40]!r} is not a number from 0")
+    return int(page)
 
 
 class EpisodeTable:

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from coordinator.archive.staging import is_held
+from coordinator.ledger.engine import sqlite_files
+from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
+from coordinator.ledger.reading.failures import FailedPlace, count_failures, read_failures
 from coordinator.ledger.reading.farm import FarmReading, read_farm
+from factory.dataset.packages import packages_by_scene
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.ledger import progress_of, read_ledger
+from factory.support.text import say_bytes
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.errors import FactoryError
 from schemas.protocol.status import Progress
-from schemas.storage.dataset_files import META_FILE, METADATA_FILE
+from schemas.storage.dataset_files import META_FILE, METADATA_FILE, SCENES
 from schemas.storage.place import Place
 
 _RECHECK_S = 1.0
@@ -32,6 +39,10 @@ class Farm(NamedTuple):
     """Cells, running jobs, events and recent attempts."""
     at: datetime
     """Time of the reading, UTC."""
+    info: LedgerInfo
+    """Description of the run."""
+    failed: Mapping[str, int]
+    """Number of recent failed attempts by scene."""
 
 
 class Workspace:
@@ -50,7 +61,9 @@ class Workspace:
         self._opening = threading.Lock()
         self._dataset: Dataset | None = None
         self._version: object = None
-        self._checked = -float("inf")
+        self._checked = self._listed = -float("inf")
+        self._packaged: frozenset[str] = frozenset()
+        self._pause_s = _RECHECK_S if site.store is None else _REMOTE_RECHECK_S
 
     @property
     def root(self) -> Place:
@@ -63,9 +76,8 @@ class Workspace:
         Raises:
             FactoryError: the tables are missing or damaged.
         """
-        pause_s = _RECHECK_S if self.site.store is None else _REMOTE_RECHECK_S
         with self._opening:
-            if self._dataset is None or time.monotonic() - self._checked > pause_s:
+            if self._dataset is None or time.monotonic() - self._checked > self._pause_s:
                 version = self._version_of_tables()
                 if self._dataset is None or version is None or version != self._version:
                     self._dataset = Dataset(self.root)
@@ -88,7 +100,31 @@ class Workspace:
         now = datetime.now(UTC)
         progress = progress_of(self.site, self.ledger)
         with read_ledger(self.site, self.ledger) as connection:
-            return Farm(progress, read_farm(connection, now), now)
+            reading = read_farm(connection, now)
+            return Farm(progress, reading, now, read_info(connection), count_failures(connection))
+
+    def failures(self, scene: str) -> list[FailedPlace]:
+        """Returns the newest failed attempts of a scene; empty without a ledger."""
+        try:
+            with read_ledger(self.site, self.ledger) as connection:
+                return read_failures(connection, scene)
+        except FactoryError:
+            return []
+
+    def packaged_scenes(self) -> frozenset[str]:
+        """Returns the names of the scenes whose package is stored in the dataset."""
+        with self._opening:
+            if time.monotonic() - self._listed > self._pause_s:
+                self._packaged, self._listed = frozenset(packages_by_scene(self.root / SCENES)), time.monotonic()
+            return self._packaged
+
+    def ledger_health(self) -> str:
+        """Returns kind and size of the ledger, and whether a coordinator writes to it."""
+        if self.ledger is not None:
+            return f"{self.ledger.partition('://')[0]} database"
+        sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.home)) if path.exists()]
+        writer = "a coordinator writes to it" if is_held(self.site.home) else "no coordinator writes to it"
+        return f"{say_bytes(sum(sizes))}, {writer}"
 
     def _version_of_tables(self) -> object:
         if self.site.store is not None:

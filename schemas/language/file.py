@@ -195,9 +195,12 @@ class SpokenLanguage:
         own, more = spec.nouns.get(code, {}), spec.paraphrases.get(code, {})
         base = grammar(code)
         self.code = code
+        if not own and not more:
+            self.grammar, self.reader = base, reader(code)
+            return
         changes = {"nouns": {**base.nouns, **own}, "paraphrases": more}
-        self.grammar = base.model_copy(update=changes) if own or more else base
-        self.reader = Reader(self.grammar) if own or more else reader(code)
+        self.grammar = Grammar(**{**{name: getattr(base, name) for name in Grammar.model_fields}, **changes})
+        self.reader = Reader(self.grammar)
 
 
 def load_language(reference: str) -> LanguageSpec:

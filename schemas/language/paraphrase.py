@@ -79,7 +79,8 @@ def _known_words(code: str) -> _KnownWords:
 
 
 def _last_word(before: str) -> str:
-    return (_WORD.findall(before.lower()) or [""])[-1]
+    found: list[str] = _WORD.findall(before.lower())
+    return found[-1] if found else ""
 
 
 def _content(source: Grammar) -> set[str]:

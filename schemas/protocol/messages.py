@@ -173,6 +173,15 @@ class LeaseProgress(Model):
     """Number of steps simulated in this attempt."""
 
 
+class HostMemory(Model):
+    """Memory of a worker's host."""
+
+    used_bytes: Bytes
+    """Memory in use by all processes, bytes."""
+    total_bytes: Bytes
+    """Memory of the host, bytes."""
+
+
 class Beat(Model):
     """Heartbeat for all leases of a host."""
 
@@ -184,6 +193,8 @@ class Beat(Model):
     """Leases whose bundle waits in the spool."""
     via: RouterId | None = None
     """Zenoh id of the router that the worker is connected to; a gateway with that id pulls its bundles."""
+    memory: HostMemory | None = None
+    """Memory of the host; null if the system does not report it."""
 
 
 class BeatReply(Model):

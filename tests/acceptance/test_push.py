@@ -109,7 +109,7 @@ def test_push_without_a_token_explains_how_to_get_one(push, hub, dataset):
     assert hub.requests == []
 
 
-@pytest.mark.parametrize(("token", "repository"), [("hf_wrong" + "x" * 20, REPOSITORY), (TOKEN, "somebody-else/data")])
+@pytest.mark.parametrize(("token", "repository"), [("hf_wrong" + "x" * 20, REPOSITORY), (TOKEN, "another-user/data")])
 def test_a_refused_token_is_explained_and_never_shown(push, hub, dataset, token, repository):
     done = push(dataset, repository, "--endpoint", hub.url, token=token)
     assert done.returncode == 1

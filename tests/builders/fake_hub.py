@@ -109,7 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _create(self, wanted: dict[str, Any]) -> None:
         name = f"{wanted['organization']}/{wanted['name']}"
-        if wanted["organization"] == "somebody-else":
+        if wanted["organization"] == "another-user":
             return self._answer(403, {"error": "You don't have the rights"})
         url = {"url": f"{self.fake.url}/datasets/{name}"}
         if name in self.fake.repositories:

@@ -138,10 +138,8 @@ class Desk:
         with self.open() as connection:
             return outcomes.announce(connection, report, self.now, TTL_S).accepted
 
-    def fail(self, lease: Lease, reason: FailReason, sid: str | None = None) -> bool:
-        report = Fail(
-            sid=sid or self.holder_of(lease), lease=lease, reason=reason, detail="measured", steps=7, seconds=1.5
-        )
+    def fail(self, lease: Lease, reason: FailReason, sid: str | None = None, detail: str = "measured") -> bool:
+        report = Fail(sid=sid or self.holder_of(lease), lease=lease, reason=reason, detail=detail, steps=7, seconds=1.5)
         with self.open() as connection:
             return outcomes.fail(
                 connection,

@@ -20,6 +20,7 @@ from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import BenchSample, enlarge
+from factory.bench.serve import bench_serve
 from factory.bench.synthetic import make_synthetic
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import find_package
@@ -29,6 +30,7 @@ from schemas.job import Job
 from schemas.scene import encode_scene
 from schemas.terms import Recording
 from tests.builders.bundle import job_for, parts_for
+from tests.builders.dataset import make_dataset
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
 from workers.render.choose import open_renderer
@@ -177,3 +179,12 @@ def test_a_generated_dataset_is_whole_and_is_measured(tmp_path: Path, recordings
     assert found.gigabytes > 0
     assert min(found.reader.episodes_per_s, found.ledger.status_s, found.checkpoint.rewrite_s) > 0
     assert 0 < found.reader.opened.start_mib <= found.reader.memory.peak_mib
+
+
+def test_the_web_page_of_a_dataset_is_measured(tmp_path):
+    make_dataset(tmp_path / "data", 3)
+    report = bench_serve(tmp_path / "data", repeats=2, tabs=3, seconds=0.2)
+    assert report.episodes == 3
+    assert all(cost.wall_ms.runs == 2 for cost in (report.first_page, report.first_frame, *report.table_page.values()))
+    assert report.frames_per_s > 0
+    assert report.first_page.wall_ms.low > 0

@@ -228,7 +228,7 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
     with WireWorker(hub.endpoints, hub.run, "boss", files) as greedy:
         assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token=secrets.token_hex(16)), ClaimReply) is None
     with pytest.raises(TransientError, match=r"hosts\.txt"):
-        ask_progress(hub.endpoints, "somebody", files)
+        ask_progress(hub.endpoints, "stranger", files)
     with pytest.raises(WorldError, match="another coordinator"):  # no coordinator is reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
 

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import hashlib
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
+from coordinator.options import CoordinatorOptions
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
+from schemas.terms import FailReason
 from tests.builders.browser import axe_violations, chromium, overflow_px, why_no_chromium
 from tests.builders.dataset import make_dataset
+from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.web import WebClient, web_page
+from tests.builders.wire_worker import WireWorker, bundle_for
 
 REASON = why_no_chromium()
 pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
-_PATHS = ("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/office", "/operations/retry", "/episodes/ep_9")
+_PATHS = (
+    *("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/office", "/scenes/office/3d?episode=ep_000001"),
+    *("/statistics", "/evaluations", "/operations/retry", "/episodes/ep_9"),
+)
 _SHOWN = """
 async kind => {
   const image = document.querySelector(`img[data-kind=${kind}]`);
@@ -76,11 +87,13 @@ def tab(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "scheme"), [(360, "dark"), (1400, "light")])
+@pytest.mark.parametrize(("width", "scheme"), [(360, "dark"), (1400, "light"), (3840, "dark")])
 def test_axe_finds_no_violation_and_no_page_is_wider_than_its_window(browser, client, width, scheme):
     with tab(browser, client, width, scheme) as page:
         for path in _PATHS:
             page.goto(client.url + path)
+            if path == "/statistics":
+                page.wait_for_selector("section.figures", timeout=300_000)
             assert overflow_px(page) <= 0, path
             assert axe_violations(page) == [], path
 
@@ -104,7 +117,7 @@ def test_the_pointer_names_the_object_and_a_note_is_stored(browser, client, data
     with tab(browser, client) as page:
         page.goto(f"{client.url}/episodes/ep_000001")
         page.hover("img[data-kind=ids]")
-        page.wait_for_function("document.getElementById('object').textContent.length > 2")
+        page.wait_for_selector("#object:not(:empty)")
         page.check("input[name=flagged]")
         page.fill("textarea[name=note]", "seen in a browser")
         with page.expect_navigation():
@@ -123,3 +136,90 @@ def test_pages_are_readable_without_javascript(browser, client):
         assert page.locator("img[data-kind=rgb]").get_attribute("alt") == "colour at step 11"
         page.click("nav >> text=Farm")
         assert "Archived episodes" in page.locator("main").inner_text()
+
+
+def test_the_keyboard_reaches_content_rows_and_the_player(browser, client):
+    with tab(browser, client) as page:
+        page.goto(f"{client.url}/episodes")
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.textContent") == "Skip to content"
+        page.keyboard.press("Enter")
+        assert page.url.endswith("#main")
+        page.focus("th a")
+        with page.expect_navigation():
+            page.keyboard.press("Enter")
+        assert "order=desc" in page.url
+        page.goto(f"{client.url}/episodes/ep_000001")
+        page.focus("#time")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_selector('#player[data-t="1"]')
+        page.focus("#play")
+        page.keyboard.press("Space")
+        page.wait_for_selector('#player:not([data-t="1"])')
+
+
+def test_the_3d_view_draws_the_scene_and_turns_with_the_keyboard(browser, client):
+    with tab(browser, client, width=400) as page:
+        page.goto(f"{client.url}/scenes/office/3d?episode=ep_000001")
+        page.wait_for_selector("#scene3d[data-drawn]")
+        first = page.locator("#scene3d").screenshot()
+        assert len(Image.open(io.BytesIO(first)).convert("RGB").getcolors(1 << 20)) > 20
+        page.focus("#scene3d")
+        drawn = page.locator("#scene3d").get_attribute("data-drawn")
+        page.keyboard.press("ArrowLeft")
+        page.wait_for_selector(f'#scene3d:not([data-drawn="{drawn}"])')
+        assert page.locator("#scene3d").screenshot() != first
+        page.focus("#time")
+        page.keyboard.press("End")
+        page.wait_for_selector('#scene3d[data-step="11"]')
+
+
+@pytest.mark.parametrize("script", [True, False])
+def test_without_webgl_or_javascript_the_3d_page_refers_to_the_map(browser, client, script):
+    with tab(browser, client, script=script) as page:
+        page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+        page.goto(f"{client.url}/scenes/office/3d")
+        if script:
+            page.wait_for_selector("#message:has-text('does not provide WebGL')")
+        assert "WebGL" in page.locator("#message").inner_text()
+        page.click("text=map of office")
+        assert page.locator("svg.map").is_visible()
+
+
+def confirm(page: Any, url: str, action: str) -> None:
+    """Opens an operation from the farm page, confirms it and returns to the farm page."""
+    page.click(f"#operations >> text={action}")
+    for box in page.locator("form input[type=checkbox]").all():
+        box.check()
+    with page.expect_navigation():
+        page.click("form button")
+    assert f"{action}: " in page.locator("[role=status]").inner_text()
+    page.goto(url)
+
+
+@pytest.mark.slow
+def test_a_run_is_watched_until_it_ends_with_a_retried_episode_and_drained_workers(browser, tmp_path):
+    settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=5.0)
+    options = CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
+    plan = room_plan(2, draws=1, attempts_per_draw=1)
+    with (
+        Coordinator(tmp_path / "out", plan, room_catalog(tmp_path), options) as coordinator,
+        web_page(tmp_path / "out", administer=coordinator.administer) as client,
+        WireWorker(coordinator.endpoints, coordinator.run) as worker,
+        tab(browser, client) as page,
+    ):
+        done = page.locator("#live .meter label")
+        assert done.inner_text() == "0 of 2 episodes archived"
+        _, lease = worker.job()
+        assert worker.fail(lease, FailReason.TIMEOUT)
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+        page.wait_for_selector("#live :text-is('1 of 2 episodes archived')")  # without loading the page again
+        confirm(page, client.url, "retry")
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+        page.wait_for_selector("#live :text-is('2 of 2 episodes archived')")
+        assert page.locator(".tiles").inner_text().count("finished") == 1
+        confirm(page, client.url, "drain")
+        assert worker.beat().drain
+        assert page.locator("#live table").last.inner_text().splitlines()[1].split()[1] == "drain"

@@ -18,7 +18,7 @@ from schemas.dataset.meta import read_dataset_meta
 
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 
-PLAN = ("demo", "--scene", "office", "--episodes", "16", "--record", "states", "--gate", "skip")
+PLAN = ("demo", "--scene", "office", "--episodes", "28", "--record", "states", "--gate", "skip")
 HURTS = {"crash", "hang", "invalid"}
 
 
@@ -103,10 +103,3 @@ def test_killed_actors_workers_and_nodes_change_no_episode_and_count_as_no_crash
     local = tmp_path / "local"
     subprocess.run(factory("run", *PLAN, "--out", local, "--workers", "2"), check=True)
     assert digest_of(out) == digest_of(local)
-
-
-def test_an_address_without_a_cluster_is_a_usage_error(tmp_path: Path) -> None:
-    command = factory("run", *PLAN, "--out", tmp_path, "--engine", "ray", "--address", "127.0.0.1:1")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "no Ray cluster answers at 127.0.0.1:1" in done.stderr

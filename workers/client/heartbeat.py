@@ -13,6 +13,7 @@ import structlog
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, RunKind
 from workers.client.host import Host
+from workers.client.memory import read_memory
 from workers.client.spool import Spooled
 
 _HURRIED_S = 0.25
@@ -76,7 +77,8 @@ class Heartbeat:
     def _beat_part(self, live: tuple[LeaseProgress, ...], spooled: tuple[Spooled, ...]) -> bool:
         """Sends one heartbeat with part of the leases; returns whether the coordinator answered."""
         host = self._host
-        beat = Beat(sid=host.sid, live=live, spool=tuple(entry.lease for entry in spooled), via=host.link.via)
+        spool = tuple(entry.lease for entry in spooled)
+        beat = Beat(sid=host.sid, live=live, spool=spool, via=host.link.via, memory=read_memory())
         reply = host.link.ask(Verb.BEAT, beat, BeatReply, host.phase.ask_timeout_s)
         if reply is None:
             return False

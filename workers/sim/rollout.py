@@ -74,7 +74,8 @@ def drive(
         timer("control")
         on_step(loop.steps)
         if reason is not None:
-            end = f"{reason} after {loop.steps} steps, {view.distance_m:.2f} m from {target.target_id}"
+            place = f"at ({view.pose.x:.2f}, {view.pose.y:.2f}) m, {view.distance_m:.2f} m from {target.target_id}"
+            end = f"{reason} after {loop.steps} steps {place}"
             return Drive(reason, loop.arrays(), loop.contact_steps, visible, is_visible, end)
         loop.advance()
         timer("physics")

@@ -35,6 +35,12 @@ def layout_categories(plan: Plan, scene: ScenePlan) -> dict[Cell, Counter[str]]:
     return found
 
 
+def planned_categories(plan: Plan) -> Counter[str]:
+    """Returns the number of episodes of each category in the layouts of a plan; empty for a plan that is balanced over
+    instances, whose categories depend on the objects of the layouts."""
+    return sum((quota for part in plan.parts for quota in layout_categories(plan, part).values()), Counter())
+
+
 @lru_cache(maxsize=8)
 def _sequence(seed: tuple[int, ...], categories: int, episodes: int) -> NDArray[np.int16]:
     """Returns the index of the category of each place of a family."""

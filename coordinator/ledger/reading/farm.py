@@ -10,14 +10,16 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Table, func, select
+from sqlalchemy import ColumnElement, Integer, cast, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.host_memory import read_memory
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
 from coordinator.ledger.tables import attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts
+from schemas.protocol.messages import HostMemory
 
 _RECENT_ATTEMPTS = 20_000
 _EVENTS = 60
@@ -95,26 +97,28 @@ class FarmReading:
     """Whether no job may be leased until an operator resumes the run."""
     requests: tuple[RecordedRequest, ...]
     """Newest admin requests, newest first."""
+    memory: dict[str, HostMemory]
+    """Memory by name of the host."""
 
 
 def read_farm(connection: Connection, now: datetime) -> FarmReading:
     """Returns the state of the farm of an open ledger."""
-    recent = connection.execute(_newest(attempts, _RECENT_ATTEMPTS, attempts.c.id)).all()
     return FarmReading(
         cells=_cells(connection),
         running=_running(connection),
         versions={row.sid: row.version for row in connection.execute(select(workers.c.sid, workers.c.version))},
-        frames_per_s=_rates(recent, now.timestamp()),
+        frames_per_s=_rates(connection, now.timestamp()),
         events=_events(connection),
-        history=_history(recent),
+        history=_history(connection),
         paused=is_paused(connection),
         requests=read_requests(connection)[::-1],
+        memory=read_memory(connection),
     )
 
 
-def _newest(table: Table, count: int, key: ColumnElement[Any]) -> Any:
-    columns = (table.c.sid, table.c.outcome, table.c.steps, table.c.at)
-    return select(*columns).where(key > select(func.max(key)).scalar_subquery() - count).order_by(table.c.at)
+def _recent() -> ColumnElement[bool]:
+    """Returns the condition of the newest attempts."""
+    return attempts.c.id > select(func.max(attempts.c.id)).scalar_subquery() - _RECENT_ATTEMPTS
 
 
 def _cells(connection: Connection) -> dict[tuple[str, str, str], dict[str, int]]:
@@ -143,22 +147,24 @@ def _events(connection: Connection) -> tuple[FarmEvent, ...]:
     )
 
 
-def _rates(recent: list[Any] | Any, now: float) -> dict[str, float]:
-    steps: Counter[str] = Counter()
-    for row in recent:
-        if now - row.at <= _RATE_S:
-            steps[row.sid] += row.steps
-    return {sid: count / _RATE_S for sid, count in steps.items()}
+def _rates(connection: Connection, now: float) -> dict[str, float]:
+    steps = func.sum(attempts.c.steps).label("steps")
+    query = select(attempts.c.sid, steps).where(_recent(), attempts.c.at >= now - _RATE_S).group_by(attempts.c.sid)
+    return {row.sid: row.steps / _RATE_S for row in connection.execute(query)}
 
 
-def _history(recent: list[Any] | Any) -> tuple[Interval, ...]:
-    if not recent:
+def _history(connection: Connection) -> tuple[Interval, ...]:
+    query = select(func.min(attempts.c.at), func.max(attempts.c.at)).where(_recent())
+    first, last = connection.execute(query).one()
+    if first is None:
         return ()
-    first, last = recent[0].at, recent[-1].at
     width = max((last - first) / _INTERVALS, _LEAST_INTERVAL_S)
+    place = _whole((attempts.c.at - first) / width, connection).label("place")
+    number = func.count().label("attempts")
+    counted = select(place, attempts.c.outcome, number).where(_recent()).group_by(place, attempts.c.outcome)
     counts = [Counter[str]() for _ in range(int((last - first) / width) + 1)]
-    for row in recent:
-        counts[int((row.at - first) / width)][row.outcome] += 1
+    for row in connection.execute(counted):
+        counts[min(int(row.place), len(counts) - 1)][row.outcome] += row.attempts
     return tuple(
         Interval(
             datetime.fromtimestamp(first + place * width, UTC),
@@ -168,3 +174,8 @@ def _history(recent: list[Any] | Any) -> tuple[Interval, ...]:
         )
         for place, count in enumerate(counts)
     )
+
+
+def _whole(value: ColumnElement[Any], connection: Connection) -> ColumnElement[Any]:
+    """Returns a number from 0 without its fraction; a cast rounds in PostgreSQL and truncates in SQLite."""
+    return cast(value, Integer) if connection.dialect.name == "sqlite" else func.floor(value)

@@ -1,4 +1,4 @@
-"""`factory jobs`: lists and shows jobs with their attempts; retries and cancels jobs; releases barred hosts."""
+"""`factory jobs`: lists, shows, retries and cancels jobs; releases barred hosts; pauses and resumes the run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from schemas.terms import Split, Tier
 
 @click.group("jobs", cls=CommandGroup)
 def command() -> None:
-    """List, show, retry and cancel jobs; release barred hosts."""
+    """List, show, retry and cancel jobs; release barred hosts; pause and resume the run."""
 
 
 @command.command("list")
@@ -175,6 +175,34 @@ def release(
         for host, reason in reply.refused_hosts.items():
             click.echo(f"  {host}: {reason}", err=True)
     return 1 if reply.refused_hosts else 0
+
+
+@command.command("pause")
+@site_argument
+@ledger_option
+@tls_option
+@json_option
+def pause(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+    """Lease no further job until the run is resumed.
+
+    Running jobs continue. The pause survives a restart of the coordinator.
+    """
+    _switch(site, AdminAction.PAUSE, ledger, tls, as_json)
+
+
+@command.command("resume")
+@site_argument
+@ledger_option
+@tls_option
+@json_option
+def resume(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+    """Lease jobs of a paused run again."""
+    _switch(site, AdminAction.RESUME, ledger, tls, as_json)
+
+
+def _switch(site: Site, action: AdminAction, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+    reply = _ask(site, AdminRequest(action=action), ledger, tls)
+    print_result(reply, as_json, lambda _: print_text(f"{action}d {site}"))
 
 
 def _administer(

@@ -35,11 +35,25 @@ _DEFAULT = "127.0.0.1:8080"
     help="File whose first line is the token that every request requires. Default: a random token, which only changes "
     "require.",
 )
+@click.option(
+    "--eval",
+    "evaluations",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    multiple=True,
+    help="Output directory of `factory eval` to show; repeatable. Default: none.",
+)
 @tls_option
 @ledger_option
 @verbose_option
 def command(
-    site: Site, http: str, http_token: Path | None, tls: Path | None, ledger: str | None, verbose: bool
+    site: Site,
+    http: str,
+    http_token: Path | None,
+    evaluations: tuple[Path, ...],
+    tls: Path | None,
+    ledger: str | None,
+    verbose: bool,
 ) -> None:
     """Serve the web page of a dataset and its run.
 
@@ -51,9 +65,12 @@ def command(
         require_package(package, "`factory serve`")
     if not (is_dataset(site.home) or (site.place / EPISODES).is_dir()):
         raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
+    from factory.eval.results.store import read_manifest
     from factory.web.start import serve  # its packages are an extra
 
+    for folder in evaluations:
+        read_manifest(folder)  # raises before the server starts
     token = read_token(http_token) if http_token is not None else None
-    with serve(site, http, token, tls, ledger) as url, stop_on_signals() as (stop, _):
+    with serve(site, http, token, tls, ledger, evaluations=evaluations) as url, stop_on_signals() as (stop, _):
         click.echo(f"web page of {site}: {url}")
         stop.wait()

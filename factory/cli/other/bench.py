@@ -43,6 +43,7 @@ from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import PLACE
 from factory.cli.other.bench_dataset import dataset
 from factory.cli.other.bench_delivery import delivery
+from factory.cli.other.bench_serve import serve
 from factory.cli.other.bench_sessions import sessions
 from factory.cli.other.bench_tables import (
     show_collect,
@@ -292,6 +293,7 @@ def coordinator(
 
 
 command.add_command(dataset)
+command.add_command(serve)
 command.add_command(delivery)
 command.add_command(sessions)
 

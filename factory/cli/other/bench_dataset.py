@@ -24,8 +24,15 @@ from workers.sim.scene_renderer import SceneRenderer
 @click.command("dataset")
 @count_option("--episodes", 20_000, "Number of episodes; each needs 16 kB of disk, and 3 kB for ledger and tables.")
 @count_option("--reads", 2000, "Number of random episodes to read.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="New directory in which the dataset is kept. Default: the dataset is deleted.",
+)
 @json_option
-def dataset(episodes: int, reads: int, as_json: bool) -> None:
+def dataset(episodes: int, reads: int, out: Path | None, as_json: bool) -> None:
     """Measure a large dataset of states.
 
     Generates a dataset from a few simulated episodes, then measures opening, filtering, random access, verification,
@@ -41,6 +48,7 @@ def dataset(episodes: int, reads: int, as_json: bool) -> None:
             samples = make_sample(folder / "sample", sample_plan, catalog, stage, lambda: bar.advance(task))
         task = bar.add_task("bench dataset", total=episodes)
         start_s = time.perf_counter()
-        make_synthetic(folder / "data", plan, catalog, samples, lambda count: bar.advance(task, count))
-        report = bench_dataset(folder / "data", reads, time.perf_counter() - start_s)
+        data = folder / "data" if out is None else out
+        make_synthetic(data, plan, catalog, samples, lambda count: bar.advance(task, count))
+        report = bench_dataset(data, reads, time.perf_counter() - start_s)
     print_result(report, as_json, show_dataset)

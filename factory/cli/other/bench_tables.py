@@ -17,7 +17,23 @@ from factory.bench.model import (
     Spread,
     StageCost,
 )
+from factory.bench.serve import RequestCost, ServeBench
 from factory.cli.common.output import print_table
+
+
+def show_serve(report: ServeBench) -> None:
+    """Prints the times of pages and frames, and the cost of open tabs."""
+    _say_machine(report.machine)
+    pages: dict[str, RequestCost] = {"/": report.first_page, **report.table_page, "first frame": report.first_frame}
+    rows = [
+        (path, *(round(value, 1) for value in (cost.first_ms, cost.wall_ms.median)), _range(cost.wall_ms), cost.cpu_ms)
+        for path, cost in pages.items()
+    ]
+    columns = ("request", "first, ms", "median, ms", "range", "CPU, ms")
+    print_table(f"Web page of {report.episodes} episodes", columns, rows)
+    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time a frame")
+    share, idle = 100 * report.tabs_core_share, 100 * report.idle_core_share
+    click.echo(f"{report.tabs} open tabs for {report.tabs_s:.0f} s: {share:.2f} % of a core, {idle:.2f} % without tabs")
 
 
 def show_rollout(report: RolloutBench) -> None:

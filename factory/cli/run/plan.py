@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shlex
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
+from coordinator.expansion.balance.layout_categories import planned_categories
 from coordinator.expansion.cells import cells
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
@@ -46,7 +48,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Files named in the
     plan must exist. Categories, templates, ambiguity and the share of far starts around a corner need scenes that
-    are built and support the plan.
+    are built and support the plan; the categories of layouts are known before they are built, except with
+    balance = "instances".
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
@@ -55,12 +58,13 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     families = [scene for scene in plan.scenes if scene.layouts is not None]
     mistakes = None if unknown else find_impossible(_without_families(plan), found)
     content = summarise(plan, found) if mistakes == [] and not families else None
+    in_layouts = dict(planned_categories(plan).most_common())
     mistakes = find_unsayable(_without_families(plan), found) if mistakes == [] else mistakes
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
         told |= {"content": None if content is None else _content_data(content) | {"far_corner_shares": corners}}
-        print_json(told | {"mistakes": mistakes, "not_built": unknown})
+        print_json(told | {"categories_in_layouts": in_layouts, "mistakes": mistakes, "not_built": unknown})
         return
     facts = f"{plan.episodes} episodes of {plan.record}, seed {plan.seed}, expert {plan.expert}, run {plan.run}"
     print_text(f"plan {plan.name}: {facts}" + ("" if plan.rig is None else f", {plan.view.describe()}"))
@@ -72,6 +76,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     _print_cells(plan)
     if content is not None:
         _print_content(plan, content)
+    if families:
+        _print_layout_categories(in_layouts)
     if corners:
         listed = ", ".join(f"{name} {share:.0%}" for name, share in corners.items())
         print_text(f"far starts without a free straight line to the target, expected: {listed}")
@@ -191,6 +197,18 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
         f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
         f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
     )
+
+
+def _print_layout_categories(episodes: Mapping[str, int]) -> None:
+    if not episodes:
+        print_text(
+            'categories of the layouts: drawn evenly over their objects, because balance = "instances"; '
+            'balance = "categories" gives each category the same number of episodes'
+        )
+        return
+    total = sum(episodes.values())
+    rows = [(name, count, 100 * count / total) for name, count in episodes.items()]
+    print_table("categories of the layouts", ("category", "episodes", "share %"), rows)
 
 
 def _print_language(language: LanguageSpec, content: PlanSummary) -> None:

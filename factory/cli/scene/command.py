@@ -102,10 +102,21 @@ def build(
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder in which model:// and package:// names are searched; repeatable. Searched after these: the scene's "
-    "folder, and its folder models.",
+    help="Folder in which model:// and package:// names and relative paths are searched; repeatable. Searched after "
+    "these: the scene's folder, and its folder models.",
+)
+@click.option(
+    "--skip-missing",
+    is_flag=True,
+    help="Import a world without its missing models and meshes. Default: an error that names them.",
 )
 @click.option("--allow-outside", is_flag=True, help="Also read files outside of the scene's folder.")
+@click.option(
+    "--floor",
+    type=click.FloatRange(-1000.0, 1000.0),
+    metavar="M",
+    help="Height of a flat floor to add to a scene without one, metres. Default: none.",
+)
 @click.option(
     "--ceiling",
     type=click.FloatRange(1.0, 100.0),
@@ -123,7 +134,9 @@ def import_(
     unit: Unit | None,
     up: UpAxis | None,
     models: tuple[Path, ...],
+    skip_missing: bool,
     allow_outside: bool,
+    floor: float | None,
     ceiling: float | None,
     rules: Path | None,
     targets: Path | None,
@@ -141,7 +154,7 @@ def import_(
     configure_logs(verbose)
     called = name or file.stem.lower()
     book, chosen = load_edits(rules, targets, called)
-    limits = StageLimits(max_triangles, allow_outside, ceiling, unit, up, models, max_file_mb)
+    limits = StageLimits(max_triangles, allow_outside, ceiling, unit, up, models, max_file_mb, floor, skip_missing)
     with stderr.status(f"importing {file}"):
         path = import_scene(file, called, cache or scene_cache(), book, chosen, limits)
     facts = describe_package(path)
@@ -149,6 +162,9 @@ def import_(
     used: dict[str, object] = {key: str(edit.resolve()) for key, edit in made_with.items() if edit is not None}
     searched = tuple(str(folder.resolve()) for folder in models)
     options = {"allow_outside": allow_outside, "ceiling_m": ceiling, "unit": unit, "up": up, "models": searched}
+    options["skip_missing"] = skip_missing
+    if floor is not None:
+        used["floor_m"] = floor
     used |= {key: value for key, value in options.items() if value}
     steps = next_steps(path, file, cache is None, used)
     if as_json:

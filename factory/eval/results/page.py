@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from factory.eval.models.result import EpisodeResult
+from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
@@ -46,7 +47,7 @@ class FailureExample:
 
 
 @dataclass(frozen=True)
-class _Cell:
+class MeasureCell:
     """Table cell: a value, its interval and, for a rate, both in per cent for the bar."""
 
     value: str
@@ -56,13 +57,13 @@ class _Cell:
 
 
 @dataclass(frozen=True)
-class _Table:
+class MeasureTable:
     """Table of several policies, grouped."""
 
     anchor: str
     title: str
     head: Sequence[str]
-    groups: Sequence[tuple[str, Sequence[Sequence[_Cell]]]]
+    groups: Sequence[tuple[str, Sequence[Sequence[MeasureCell]]]]
     """Group names with their rows; the first cell of a row is its name."""
     note: str = ""
 
@@ -96,7 +97,7 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
         },
         faults=[line for policy in policies for line in fault_lines(policy)],
         ends=[(policy.policy, describe_ends(policy)) for policy in policies],
-        tables=list(_tables(policies)),
+        tables=list(tables_of(policies)),
         films=[(policy.policy, _failed(policy), [_film(failure) for failure in shown]) for policy, shown in films],
     )
 
@@ -116,38 +117,60 @@ def _failed(policy: PolicyScores) -> int:
     return policy.overall.n - policy.overall.success.count
 
 
-def _main_cells(score: Score) -> Sequence[_Cell]:
+def _main_cells(score: Score) -> Sequence[MeasureCell]:
     return (
         _share(score.success),
         _estimate(score.spl),
         _estimate(score.ne_m),
         _share(score.collision),
-        _Cell(str(score.n)),
+        MeasureCell(str(score.n)),
     )
 
 
-def _tables(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
-    whole = [[_Cell(policy.policy), *_cells(policy.overall)] for policy in policies]
-    yield _Table("all", "All episodes", ("policy", *_HEAD), [("", whole)])
+def main_table(policies: Sequence[PolicyScores]) -> MeasureTable:
+    """Returns the main metrics of all policies."""
+    rows = [[MeasureCell(policy.policy), *_main_cells(policy.overall)] for policy in policies]
+    return MeasureTable("overview", "Main metrics", ("policy", *_MAIN_HEAD), [("", rows)])
+
+
+def comparison_table(found: PairedComparison) -> MeasureTable:
+    """Returns the success rates of a paired comparison and the mean differences, second policy minus first."""
+    rates = [(f"SR of {found.first}, %", found.first_success), (f"SR of {found.second}, %", found.second_success)]
+    means = [("success", found.success_difference), *found.differences.items()]
+    return MeasureTable(
+        "comparison",
+        f"{found.second} minus {found.first}",
+        ("measure", "value"),
+        [
+            ("rate", [[MeasureCell(name), _share(rate)] for name, rate in rates]),
+            ("mean difference", [[MeasureCell(name), _estimate(value, 3)] for name, value in means]),
+        ],
+    )
+
+
+def tables_of(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
+    """Yields the measures of all policies: overall, by group, and with other instructions."""
+    whole = [[MeasureCell(policy.policy), *_cells(policy.overall)] for policy in policies]
+    yield MeasureTable("all", "All episodes", ("policy", *_HEAD), [("", whole)])
     for by, title in GROUPS.items():
-        groups: dict[str, list[Sequence[_Cell]]] = {}
+        groups: dict[str, list[Sequence[MeasureCell]]] = {}
         for name, policy, score in side_by_side(policies, by):
-            groups.setdefault(name, []).append([_Cell(policy.policy), *_cells(score)])
+            groups.setdefault(name, []).append([MeasureCell(policy.policy), *_cells(score)])
         if groups:
-            yield _Table(by, title, (by, "policy", *_HEAD), list(groups.items()))
+            yield MeasureTable(by, title, (by, "policy", *_HEAD), list(groups.items()))
     yield from _ablations(policies)
 
 
-def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
-    groups: dict[str, list[Sequence[_Cell]]] = {}
+def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
+    groups: dict[str, list[Sequence[MeasureCell]]] = {}
     for policy, *cells in ablation_rows(policies, _share, _estimate):
         groups.setdefault(str(policy), []).append(
-            [cell if isinstance(cell, _Cell) else _Cell(str(cell)) for cell in cells]
+            [cell if isinstance(cell, MeasureCell) else MeasureCell(str(cell)) for cell in cells]
         )
     if groups:
         names = ", ".join(policies_without_instruction(policies))
         note = f"Difference 0 by construction, as these policies do not use the instruction: {names}." if names else ""
-        yield _Table("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
+        yield MeasureTable("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 
 
 def _film(failure: FailureExample) -> dict[str, object]:
@@ -161,9 +184,9 @@ def _film(failure: FailureExample) -> dict[str, object]:
     }
 
 
-def _cells(score: Score) -> Sequence[_Cell]:
+def _cells(score: Score) -> Sequence[MeasureCell]:
     return (
-        _Cell(str(score.n)),
+        MeasureCell(str(score.n)),
         _share(score.success),
         _share(score.any_instance),
         _estimate(score.spl),
@@ -183,16 +206,16 @@ def _cells(score: Score) -> Sequence[_Cell]:
     )
 
 
-def _share(share: Share) -> _Cell:
+def _share(share: Share) -> MeasureCell:
     if share.share is None or share.low is None or share.high is None:
-        return _Cell(_DASH)
+        return MeasureCell(_DASH)
     low, value, high = 100 * share.low, 100 * share.share, 100 * share.high
-    return _Cell(f"{value:.1f}", f"{low:.0f} to {high:.0f}", (low, value, high))
+    return MeasureCell(f"{value:.1f}", f"{low:.0f} to {high:.0f}", (low, value, high))
 
 
-def _estimate(value: IntervalEstimate, digits: int = 2) -> _Cell:
+def _estimate(value: IntervalEstimate, digits: int = 2) -> MeasureCell:
     if value.mean is None:
-        return _Cell(_DASH)
+        return MeasureCell(_DASH)
     if value.low is None or value.high is None:
-        return _Cell(f"{value.mean:.{digits}f}")
-    return _Cell(f"{value.mean:.{digits}f}", f"{value.low:.{digits}f} to {value.high:.{digits}f}")
+        return MeasureCell(f"{value.mean:.{digits}f}")
+    return MeasureCell(f"{value.mean:.{digits}f}", f"{value.low:.{digits}f} to {value.high:.{digits}f}")

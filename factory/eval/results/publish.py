@@ -22,7 +22,8 @@ from schemas.view import ViewSettings
 from workers.sim.scene_renderer import SceneRenderer
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
-_VIDEOS = "videos"
+VIDEOS = "videos"
+"""Folder of the films in the folder of a policy; a film is `SPEC.mp4`, its last picture `SPEC.jpg`."""
 
 ProgressCallback = Callable[[int, int], None]
 """Called with the number of finished videos and the total."""
@@ -66,7 +67,7 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallb
     found: dict[str, list[FailureExample]] = {name: [] for name in chosen}
     with SceneRenderer(campaign.setup.renderer) as stage:
         for name, rows in chosen.items():
-            folder = store.folder(name) / _VIDEOS
+            folder = store.folder(name) / VIDEOS
             folder.mkdir(exist_ok=True)
             for row in rows:
                 film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"

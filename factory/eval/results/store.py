@@ -171,7 +171,7 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
     """
     folder = path
     if (path / _MANIFEST).exists():
-        folders = sorted(entry.parent for entry in (path / _POLICIES).glob(f"*/{_LOG}"))
+        folders = folders_in(path)
         if len(folders) != 1:
             there = ", ".join(str(entry) for entry in folders) or "none"
             raise UsageError(f"{path} contains {len(folders)} policies; give the folder of one of them: {there}")
@@ -186,6 +186,11 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
     if not results:
         raise UsageError(f"{path} contains no finished episode")
     return results[0].policy, results
+
+
+def folders_in(root: Path) -> list[Path]:
+    """Returns the folders of the policies of an evaluation directory that have results, sorted."""
+    return sorted(entry.parent for entry in (root / _POLICIES).glob(f"*/{_LOG}"))
 
 
 def folder_name(policy: str) -> str:

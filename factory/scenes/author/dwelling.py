@@ -41,7 +41,7 @@ class BuildingLook:
         trim: trim of all walls.
         leaf: material of the door leaves.
         ceiling: plain, beams, boards or panels.
-        view: variant of the windows.
+        views: variants of the windows to the south and west, and to the north and east.
         height: height of the rooms, metres.
     """
 
@@ -49,7 +49,7 @@ class BuildingLook:
     trim: Trim
     leaf: SurfaceMaterial
     ceiling: str = "plain"
-    view: int = 0
+    views: tuple[int, int] = (0, 0)
     height: float = 2.6
 
 
@@ -243,8 +243,8 @@ def _round_lamp(x: float, y: float, top: float) -> list[PropPiece]:
 
 def _hang_windows(plan: FloorPlan, room: BuiltRoom, building: BuildingLook) -> None:
     look = building.looks[room.kind]
-    model = plan.props.model("SM_WindowHome", building.view)
     for side in room.outer:
+        model = plan.props.model("SM_WindowHome", building.views[side in "NE"])
         length = room.area.width if side in "NS" else room.area.depth
         count = min(look.windows, int(length // 2.6))
         for index in range(count):
@@ -261,7 +261,3 @@ def rug(plan: FloorPlan, area: Rectangle, name: str) -> None:
     cover = SurfaceMaterial(name, "#a08a70", name, roughness=0.95)
     low, high = (area.x0, area.y0, 0.0), (area.x1, area.y1, 0.003)
     plan.build("SM_Rug", PropPiece(cover, open_block(low, high, "T", fitted=True)))
-
-
-WHITE_TRIM = Trim(skirting=painted("White", 0.45))
-WOOD_TRIM = Trim(skirting=wood("Walnut"))

@@ -9,12 +9,18 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from itertools import accumulate
 
-from factory.scenes.author.dwelling import BuiltRoom
-from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, wall_pose
+from factory.scenes.author.dwelling import BuiltRoom, rug
+from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle, wall_pose
 from factory.scenes.author.props.catalogue import PropModel
 from factory.scenes.author.style import Palette
 
 _WALL_ROW_DEPTH_M = 0.66
+_THING_M = 0.34
+"""Width that a small thing on furniture has, metres."""
+_VARIANTS = 32_760
+"""Common multiple of the numbers of variants, so that each variant is equally probable."""
+_FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
+"""Number of variants in one building, because each has a texture."""
 _DOOR_M = 2.0
 """Distance along a wall from the centre of an opening within which nothing hangs, metres."""
 
@@ -25,6 +31,8 @@ class Furnisher:
     def __init__(self, plan: FloorPlan, room: BuiltRoom, palette: Palette) -> None:
         self.plan, self.room, self.area, self.palette = plan, room, room.area, palette
         self.rng = plan.rng
+        self.to_hang: list[str] = []
+        """Things that `hang_all` hangs, after all furniture has its place."""
 
     def length(self, side: str) -> float:
         """Returns the length of a wall, metres."""
@@ -36,8 +44,11 @@ class Furnisher:
         return "".join(sorted(order, key=lambda side: side in self.room.doors))
 
     def model(self, name: str, variant: int | None = None) -> PropModel:
-        """Returns a model; a random variant if none is given."""
-        return self.plan.props.model(name, self.plan.pick(12) if variant is None else variant)
+        """Returns a model; a random variant if none is given, one of few in the building for names in `_FEW`."""
+        if variant is None:
+            few = _FEW.get(name)
+            variant = self.plan.pick(_VARIANTS) if few is None else self.palette.art + self.plan.pick(few)
+        return self.plan.props.model(name, variant)
 
     def wall_piece(
         self,
@@ -64,6 +75,26 @@ class Furnisher:
         c, s = math.cos(below.yaw), math.sin(below.yaw)
         self.plan.add(self.model(name, variant), below.x + c * along, below.y + s * along, below.yaw, height)
 
+    def dress(
+        self, piece: PropPlacement | None, names: Sequence[str], most: int = 2, top_m: float | None = None
+    ) -> None:
+        """Places up to `most` different small things side by side on furniture; its height is used without `top_m`."""
+        if piece is None:
+            return
+        low, high = (float(bound[0]) for bound in (piece.model.low, piece.model.high))
+        slots = int((high - low - 0.1) / _THING_M)
+        chosen = [names[k] for k in self.rng.permutation(len(names))[: min(most, slots)]]
+        for slot, name in zip(self.rng.permutation(slots), chosen, strict=False):
+            along = (low + high) / 2 + (float(slot) - (slots - 1) / 2) * _THING_M
+            self.on_top(name, None, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
+
+    def carpet(self, centre: tuple[float, float], width: float, depth: float, design: int = 0) -> None:
+        """Lays a rug if the room has the floor; `design` is its number in the palette."""
+        (x, y), rugs = centre, self.palette.rugs
+        area = Rectangle(x - width / 2, y - depth / 2, x + width / 2, y + depth / 2)
+        if self.area.contains(area):
+            rug(self.plan, area, rugs[design % len(rugs)])
+
     def beside(
         self, name: str, variant: int | None, of: PropPlacement, along: float, gap: float
     ) -> PropPlacement | None:
@@ -88,10 +119,14 @@ class Furnisher:
         for name in names:
             self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance)
 
-    def hang(self, name: str, count: int = 1, variant: int | None = None) -> None:
-        """Hangs things on free parts of the walls, away from the openings."""
-        for _ in range(count):
-            model = self.model(name, variant)
+    def hang(self, name: str, count: int = 1) -> None:
+        """Notes things for `hang_all`."""
+        self.to_hang += [name] * count
+
+    def hang_all(self) -> None:
+        """Hangs the noted things on free parts of the walls, away from the openings."""
+        for name in self.to_hang:
+            model = self.model(name)
             for side in self.sides() * 3:
                 x, y, yaw = wall_pose(model, self.area, side, float(self.rng.uniform(0.1, 0.9)), 0.0)
                 at = x if side in "NS" else y

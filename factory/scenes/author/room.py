@@ -35,6 +35,8 @@ class Trim(NamedTuple):
     dado_top_m: float = 0.80
     skirting: SurfaceMaterial = SKIRTING
     has_sockets: bool = True
+    frame: SurfaceMaterial = DOOR_FRAME
+    """Material of the door frames."""
 
 
 PLAIN = Trim()
@@ -130,7 +132,8 @@ def wall(
         left, right = door.centre - door.width / 2, door.centre + door.width / 2
         pieces += _solid(strip, (start, left), (0.0, height), faces, trims)
         pieces += _solid(strip, (left, right), (door.height, height), faces, (None, None))
-        pieces += _door_frame(strip, left, right, door.height)
+        frame = next((trim.frame for trim in trims if trim is not None), DOOR_FRAME)
+        pieces += _door_frame(strip, left, right, door.height, frame)
         pieces += _switches(strip, right, trims)
         zone = (left - 0.1, right + 0.1)
         plan.keep_clear(strip.zone(zone, (-half - DOOR_CLEARANCE_M, half + DOOR_CLEARANCE_M)))
@@ -188,7 +191,7 @@ def _switches(strip: _Strip, right: float, trims: Trims) -> list[PropPiece]:
     return pieces
 
 
-def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list[PropPiece]:
+def _door_frame(strip: _Strip, left: float, right: float, height: float, material: SurfaceMaterial) -> list[PropPiece]:
     """Returns the architraves around an opening; they do not reduce its clear width."""
     half = WALL_THICKNESS_M / 2 + 0.02
     parts = [
@@ -196,7 +199,7 @@ def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list
         strip.box((right - 0.002, right + 0.08), (-half, half), (0.0, height + 0.08)),
         strip.box((left, right), (-half, half), (height - 0.002, height + 0.08)),
     ]
-    return [PropPiece(DOOR_FRAME, part) for part in parts]
+    return [PropPiece(material, part) for part in parts]
 
 
 def floor(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:

@@ -1,31 +1,47 @@
-"""Palettes of homes, shops and schools: floors, wall paints, wallpapers, ceilings, window views, furniture looks.
+"""Palettes of homes, shops and schools: floors, walls, dados, doors, ceilings, window views, rugs, furniture looks.
 
 Draws a style from a random generator. Does not build anything.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
 
 from numpy.random import Generator
 
 from factory.scenes.author.materials import SurfaceMaterial, painted, tinted, wood
+from factory.scenes.author.props.wall import OUTLOOKS
 from factory.scenes.author.room import Trim
+from factory.scenes.author.textures.rugs import RUGS
 
-_BOARD_TINTS = {"Honey": "#c4925a", "Nut": "#8a6040", "Sand": "#d8bd94", "Grey": "#a39c92", "Smoke": "#6d5e52"}
-_PILE_TINTS = {"Oat": "#c9bca4", "Slate": "#7f8892", "Moss": "#7f8a6c", "Plum": "#83707f", "Ink": "#5a6780"}
-_STONE_TINTS = {"Chalk": "#dcd8ce", "Clay": "#b9805c", "Graphite": "#75787c", "Fog": "#b7bcbf", "Sage": "#a9b5a2"}
+Choice = TypeVar("Choice")
+
+_BOARD_TINTS = {"Honey": "#c4925a", "Nut": "#8a6040", "Sand": "#d8bd94", "Grey": "#a39c92", "Smoke": "#6d5e52",
+                "Cherry": "#9c5a3c", "White": "#cfc6b8"}  # fmt: skip
+_PILE_TINTS = {"Oat": "#c9bca4", "Slate": "#7f8892", "Moss": "#7f8a6c", "Plum": "#83707f", "Ink": "#5a6780",
+               "Rust": "#a5684c", "Teal": "#5f8686", "Mocha": "#7a675a"}  # fmt: skip
+_STONE_TINTS = {"Chalk": "#dcd8ce", "Clay": "#b9805c", "Graphite": "#75787c", "Fog": "#b7bcbf", "Sage": "#a9b5a2",
+                "Sand": "#cdb98f", "Night": "#4b5666", "Rose": "#c9a59a"}  # fmt: skip
 _PAINT_TINTS = {
     "Chalk": "#e4e0d6", "Linen": "#dccfb4", "Sky": "#a9c1cf", "Sage": "#a8b79b", "Rose": "#d3aea0", "Butter": "#e2cf98",
     "Lilac": "#b9aec6", "Ocean": "#6f93a6", "Olive": "#8d9372", "Terracotta": "#bd8468",
-    "Stone": "#b9b4aa", "Mint": "#b2cdbf",
+    "Stone": "#b9b4aa", "Mint": "#b2cdbf", "Peach": "#e6bd9c", "Mustard": "#c9a24e", "Denim": "#5f7896",
+    "Brick": "#a2604c", "Plum": "#8d6c86", "Forest": "#5f7a63", "Ash": "#cfcfcb", "Cocoa": "#8f7766",
 }  # fmt: skip
 CEILINGS = ("plain", "plain", "beams", "boards", "panels")
-RUGS = ("RugRed", "RugBlue", "RugCream", "RugGreen", "RugGrey")
-
-_WALLPAPERS = ("Plaster", "Plaster", "Plaster", "WallpaperStripes", "WallpaperDamask")
-PLAIN_WALLS = ("Plaster", "Plaster", "Plaster", "Bricks")
+_PLANKS = ("Boards", "Boards", "Herringbone", "BasketParquet", "WideBoards")
+_STONES = ("SquareTiles", "ChequerTiles", "Terrazzo", "SmallTiles", "Hexagons", "Marble")
+_PILES = ("Pile", "LoopPile")
+_WET_WALLS = ("SmallTiles", "SubwayTiles", "Hexagons")
+_WALLPAPERS = (
+    "Plaster", "Plaster", "Plaster", "WallpaperStripes", "WallpaperDamask", "WallpaperTrellis", "WallpaperDots",
+    "WallpaperLeaves",
+)  # fmt: skip
+PLAIN_WALLS = ("Plaster", "Plaster", "Plaster", "Bricks", "BlockWork", "Panelling")
 """Textures of the walls of a shop or a school."""
+_WALL_TILE_M = {"Bricks": 1.2, "BlockWork": 1.6, "Panelling": 1.0}
+"""Length of one repeat of a texture of walls, metres; 0.8 m for the others."""
 
 
 class Palette(NamedTuple):
@@ -41,47 +57,66 @@ class Palette(NamedTuple):
     trim: Trim
     leaf: SurfaceMaterial
     ceiling: str
-    view: int
-    """Variant of the windows."""
+    views: tuple[int, int]
+    """Variants of the windows to the south and west, and to the north and east."""
     curtain: int
     wood: int
     """Variant of the wooden furniture."""
     cover: int
     """Variant of the upholstery."""
-    rug: str
+    rugs: tuple[str, ...]
+    """Textures of the rugs."""
+    art: int
+    """First variant of the pictures and of the tapestry."""
 
 
 def draw_palette(rng: Generator, walls: tuple[str, ...] = _WALLPAPERS) -> Palette:
     """Draws a style: each part of it independently of the others; `walls` are the textures of the walls."""
-    plank = ("Boards", "Boards", "Herringbone")[int(rng.integers(3))]
-    stone = ("SquareTiles", "ChequerTiles", "Terrazzo", "SmallTiles")[int(rng.integers(4))]
     names = list(_PAINT_TINTS)
     paints = [_paint(rng, walls, names[k]) for k in rng.permutation(len(names))[:6]]
+    frame = int(rng.integers(2)) * len(OUTLOOKS)
     return Palette(
-        boards=_pick(rng, plank, "Floor", _BOARD_TINTS, 1.6, 0.5),
-        stone=_pick(rng, stone, "Stone", _STONE_TINTS, 1.4, 0.35),
-        pile=_pick(rng, "Pile", "Pile", _PILE_TINTS, 1.5, 0.95),
+        boards=_pick(rng, _one(rng, _PLANKS), "Floor", _BOARD_TINTS, 1.6, 0.5),
+        stone=_pick(rng, _one(rng, _STONES), "Stone", _STONE_TINTS, 1.4, 0.35),
+        pile=_pick(rng, _one(rng, _PILES), "Pile", _PILE_TINTS, 1.5, 0.95),
         paints=tuple(paints),
-        tiles=_pick(rng, "SmallTiles", "WallTile", {**_STONE_TINTS, "Aqua": "#9fc2c4"}, 1.0, 0.3),
-        trim=Trim(skirting=(painted("White", 0.45), wood("Walnut"), wood("Oak"))[int(rng.integers(3))]),
-        leaf=(painted("White", 0.45), wood("Oak"), wood("Walnut"), painted("LightGrey", 0.5))[int(rng.integers(4))],
-        ceiling=CEILINGS[int(rng.integers(len(CEILINGS)))],
-        view=int(rng.integers(12)),
+        tiles=_pick(rng, _one(rng, _WET_WALLS), "WallTile", {**_STONE_TINTS, "Aqua": "#9fc2c4"}, 1.0, 0.3),
+        trim=_trim(rng),
+        leaf=_one(rng, (painted("White", 0.45), wood("Oak"), wood("Walnut"), painted("LightGrey", 0.5))),
+        ceiling=_one(rng, CEILINGS),
+        views=(frame + int(rng.integers(len(OUTLOOKS))), frame + int(rng.integers(len(OUTLOOKS)))),
         curtain=int(rng.integers(6)),
         wood=int(rng.integers(12)),
         cover=int(rng.integers(12)),
-        rug=RUGS[int(rng.integers(len(RUGS)))],
+        rugs=tuple(list(RUGS)[k] for k in rng.permutation(len(RUGS))[:3]),
+        art=int(rng.integers(84)),
     )
+
+
+def _one(rng: Generator, choices: Sequence[Choice]) -> Choice:
+    return choices[int(rng.integers(len(choices)))]
+
+
+def _trim(rng: Generator) -> Trim:
+    """Draws the skirting, the door frames, and in two of five buildings a dado of wood or paint."""
+    skirting = _one(rng, (painted("White", 0.45), wood("Walnut"), wood("Oak")))
+    frame = _one(rng, (wood("Oak"), painted("White", 0.45), wood("Walnut"), wood("Pale"), painted("LightGrey", 0.5)))
+    if rng.random() > 0.4:
+        return Trim(skirting=skirting, frame=frame)
+    tint = _one(rng, ("#e6e2d8", "#8a6040", "#c4925a", "#7f8c7a", "#6f8296"))
+    texture = _one(rng, ("Panelling", "Plaster"))
+    dado = tinted(texture, f"Dado{texture}{tint[1:]}", tint, 1.0, 0.6)
+    return Trim(skirting=skirting, frame=frame, dado=dado, dado_top_m=float(rng.choice((0.9, 1.05, 1.2))))
 
 
 def _pick(
     rng: Generator, texture: str, prefix: str, tints: dict[str, str], tile_m: float, roughness: float
 ) -> SurfaceMaterial:
-    name = list(tints)[int(rng.integers(len(tints)))]
+    name = _one(rng, list(tints))
     return tinted(texture, f"{prefix}{texture}{name}", tints[name], tile_m, roughness)
 
 
 def _paint(rng: Generator, walls: tuple[str, ...], name: str) -> SurfaceMaterial:
     """Returns a wall in a colour, with one of the textures."""
-    texture = walls[int(rng.integers(len(walls)))]
-    return tinted(texture, f"Wall{texture}{name}", _PAINT_TINTS[name], 0.8 if texture != "Bricks" else 1.2, 0.9)
+    texture = _one(rng, walls)
+    return tinted(texture, f"Wall{texture}{name}", _PAINT_TINTS[name], _WALL_TILE_M.get(texture, 0.8), 0.9)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from factory.scenes.compile.geometry import Geometry, lay_out_geometry
 from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours
 from factory.scenes.compile.objects import assign_objects, number_objects
-from factory.scenes.compile.overhead import is_open, with_ceiling
+from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
 from factory.scenes.compile.shade import target_colour, triangle_areas
 from factory.scenes.compile.textures import TextureBook, load_textures
 from factory.scenes.formats import extract_scene
@@ -132,7 +132,8 @@ def compile_extraction(
     """
     rules = rules or builtin_rules()
     notes = list(extraction.notes)
-    parts = with_ceiling(_without_outliers(file, extraction, notes), extraction.ceiling_m)
+    parts = with_floor(_without_outliers(file, extraction, notes), extraction.floor_m)
+    parts = with_ceiling(parts, extraction.ceiling_m)
     shown = _show(file, extraction, parts, (rules, chosen), notes)
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
@@ -266,7 +267,7 @@ def _why_no_target(file: str, shown: _Shown, terrain: Terrain, notes: list[str])
     found = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
     return (
         f"{file} has no reachable target: found {found}, {_area(terrain)} m2 of connected floor; "
-        f"the robot needs 0.72 m wide passages ({notes[-1]})"
+        f"the robot needs 0.72 m wide passages; --floor M adds a floor to a file without one ({notes[-1]})"
     )
 
 

@@ -1,4 +1,4 @@
-"""Adds a ceiling to an open stage, and finds out whether the sky is visible from the floor. Pure."""
+"""Adds a ceiling or a floor to a scene without one, and finds whether the sky is visible from the floor. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from schemas.support import portable
 from schemas.support.numpy_types import Floats, Singles
 from workers.geometry.rays import Caster
 
-_PATH = "/AddedCeiling"
+_CEILING_PATH = "/AddedCeiling"
+_FLOOR_PATH = "/AddedFloor"
 _PAINT = Surface(colour=(0.72, 0.72, 0.70))
 _EYE_M = 0.35
 _REACH_M = 200.0
@@ -39,10 +40,28 @@ def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, .
     if height_m is None:
         return tuple(parts)
     shown = np.concatenate([part.triangles for part in parts if not part.is_collider])
-    z = find_floor_height(shown) + height_m
+    return (*parts, _plane(_CEILING_PATH, shown, find_floor_height(shown) + height_m, is_seen_from_below=True))
+
+
+def with_floor(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
+    """Returns the parts with a flat floor below their extent, or the same parts for `None`.
+
+    Args:
+        parts: parts of the scene; parts without a collider are visible.
+        height_m: height of the floor in the scene, metres.
+    """
+    if height_m is None:
+        return tuple(parts)
+    shown = np.concatenate([part.triangles for part in parts if not part.is_collider])
+    return (*parts, _plane(_FLOOR_PATH, shown, height_m, is_seen_from_below=False))
+
+
+def _plane(path: str, shown: Floats, z: float, is_seen_from_below: bool) -> Part:
+    """Returns a rectangle over the extent of triangles."""
     (x0, y0), (x1, y1) = shown[..., :2].min(axis=(0, 1)), shown[..., :2].max(axis=(0, 1))
     corners = np.array([(x0, y0, z), (x0, y1, z), (x1, y1, z), (x1, y0, z)])
-    return (*parts, Part(_PATH, corners[[[0, 1, 2], [0, 2, 3]]], None, None, _PAINT))
+    order = [[0, 1, 2], [0, 2, 3]] if is_seen_from_below else [[0, 2, 1], [0, 3, 2]]
+    return Part(path, corners[order], None, None, _PAINT)
 
 
 def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> bool:

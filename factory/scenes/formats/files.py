@@ -43,10 +43,12 @@ class SceneFiles:
         """Returns the content of a file.
 
         Raises:
+            ValueError: the file is missing, and `skip_missing` is set.
             WorldError: the file is missing, outside of the folders or too large.
         """
         if not self.is_usable(path, self.root.name):
             self.require_all()
+            raise ValueError(f"{path.name} is missing")
         limit = self.scene.limits.max_file_mb * 1_000_000
         size = path.stat().st_size
         if size > limit:
@@ -61,11 +63,9 @@ class SceneFiles:
     def is_usable(self, path: Path, user: str) -> bool:
         """Returns whether a file exists inside the folders; otherwise `require_all` raises an error that names it."""
         if path != self.root and not self.readable.encloses(str(path)):
-            self.add_fault(
-                "outside of the scene's folder; move them below it, or allow them with --allow-outside", path, user
-            )
+            self.add_fault(_OUTSIDE, path, user)
         elif not path.is_file():
-            self.add_fault("missing", path, user)
+            self.add_fault("missing beside the file that names them and in the folders of --model-dir DIR", path, user)
         else:
             return True
         return False
@@ -75,19 +75,25 @@ class SceneFiles:
         seen = self._seen(reference) if isinstance(reference, Path) else reference
         self._faults.setdefault(reason, {}).setdefault(seen, user)
 
-    def require_all(self) -> None:
-        """Checks that all references can be used.
+    def require_all(self, may_skip: bool = True) -> None:
+        """Checks that all references can be used; with `skip_missing` and `may_skip`, notes those to missing files.
 
         Raises:
             WorldError: some cannot; the message names all.
         """
+        for reason in self._faults.keys() - {_OUTSIDE} if may_skip and self.scene.limits.skip_missing else ():
+            lost = self._faults.pop(reason)
+            self.scene.notes += [f"{user}: {name} is missing, skipped" for name, user in lost.items()]
         if self._faults:
             listed = {
                 reason: ", ".join(f"{name} (of {user})" for name, user in names.items())
                 for reason, names in self._faults.items()
             }
             lines = "; ".join(f"{reason}: {names}" for reason, names in listed.items())
-            raise WorldError(f"{self.root.name} refers to files that cannot be read; {lines}")
+            remedy = (
+                "" if not may_skip or self._faults.keys() == {_OUTSIDE} else "; import without them with --skip-missing"
+            )
+            raise WorldError(f"{self.root.name} refers to files that cannot be read; {lines}{remedy}")
 
     def textured(self, surface: Surface, folder: Path, reference: str, user: str) -> Surface:
         """Returns a surface with a texture, or without it and with a note if the file is outside of the folders.

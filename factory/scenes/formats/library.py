@@ -57,16 +57,16 @@ class Library:
         return (*self.files.scene.limits.models, own, own / "models")
 
     def find(self, uri: str, folder: Path) -> Path:
-        """Returns the path of a URI, which may not exist.
+        """Returns the path of a URI, which may not exist; a relative path is also searched in `folders`, as in Gazebo.
 
         Args:
             uri: relative path, or `file://`, `model://` or `package://` URI.
             folder: folder of the file that contains the reference.
         """
-        if not uri.startswith(_NAMED):
-            return place_of(folder, uri)
-        places = [place_of(folder, uri.partition("://")[2].strip("/")) for folder in self.folders]
-        return next((place for place in places if place.exists()), places[-1])
+        is_named = uri.startswith(_NAMED)
+        path = uri.partition("://")[2].strip("/") if is_named else uri
+        places = [place_of(each, path) for each in (*(() if is_named else (folder,)), *self.folders)]
+        return next((place for place in places if place.exists()), places[-1 if is_named else 0])
 
     def locate(self, uri: str, folder: Path, user: str) -> Path | None:
         """Returns the file or folder of a URI, or records that it is missing and returns `None`; see `find`.

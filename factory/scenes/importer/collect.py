@@ -107,6 +107,7 @@ class Collector:
         """
         ceiling_m = self.limits.ceiling_m
         added = [] if ceiling_m is None else [f"ceiling {ceiling_m}"]
+        added += [] if self.limits.floor_m is None else [f"floor {self.limits.floor_m}"]
         return Extraction(
             parts=tuple(self.parts),
             metres_per_unit=metres_per_unit,
@@ -117,6 +118,7 @@ class Collector:
             sha256=_digest_of(sorted(digests.values()) + added),
             files_sha256=_digest_of(sorted(f"{place} {digest}" for place, digest in digests.items()) + added),
             notes=tuple(dict.fromkeys(self.notes)),
+            floor_m=self.limits.floor_m,
             ceiling_m=ceiling_m,
             images=images,
         )

@@ -73,6 +73,8 @@ class Extraction:
     files_sha256: str
     """SHA-256 of the layers and textures with their paths relative to the root layer; swapped files change it."""
     notes: tuple[str, ...]
+    floor_m: float | None = None
+    """Height of a floor to add, metres."""
     ceiling_m: float | None = None
     """Height above the floor of a ceiling to add, metres."""
     images: Mapping[str, bytes] = field(default_factory=dict)

@@ -43,7 +43,7 @@ def find_floor_height(triangles: Floats) -> float:
         raise WorldError(
             f"the stage has no floor: the largest level surface has {largest:.2f} m2, a floor needs {_MIN_AREA_M2} m2; "
             "check its up axis and unit (upAxis and metersPerUnit of a stage, --up and --unit of other files), and "
-            "that the floor is visible and faces up"
+            "that the floor is visible and faces up; add a floor to a file without one with --floor M"
         )
     lowest = levels[per_level >= _MIN_SHARE * largest].min()
     chosen = (bins == lowest) & (areas > 0)

@@ -1,7 +1,8 @@
-"""Downloads of one episode: its bundle, a film and an MCAP file, made by the exporters in a temporary folder."""
+"""Downloads of one episode: bundle, film, MCAP, LeRobot and Rerun, made by the exporters in a temporary folder."""
 
 from __future__ import annotations
 
+import io
 import shutil
 import tempfile
 import threading
@@ -16,7 +17,9 @@ from starlette.responses import FileResponse, Response
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode
-from factory.dataset.packages import find_package_file
+from factory.dataset.packages import ScenePackage, find_package_file
+from factory.export.execution.run import ExportOrder, run_export
+from factory.export.lerobot.v30 import LeRobotExporter
 from factory.export.mcap.exporter import McapExporter, McapOptions
 from factory.visualize.film import draw_film, film_rate, write_mp4
 from factory.web.context import context_of
@@ -26,6 +29,8 @@ from schemas.scene import decode_scene
 _AT_ONCE = 1
 """Number of downloads that are made at a time; further ones wait."""
 _WAIT_S = 60.0
+_RERUN_STRIDE = 2
+"""Every second frame is part of a Rerun recording, as in `factory view`."""
 _making = threading.BoundedSemaphore(_AT_ONCE)
 
 
@@ -71,7 +76,25 @@ def _make_mcap(episode: Episode, folder: Path) -> Path:
     return folder / "episodes" / f"{episode.episode_id}.mcap"
 
 
+def _make_rerun(episode: Episode, folder: Path) -> Path:
+    from factory.visualize.rerun import view_episode  # the package is an extra
+
+    job = episode.meta.job
+    package = ScenePackage(episode.path.parents[1], job.scene, job.scene_sha256)
+    path = folder / f"{episode.episode_id}.rrd"
+    view_episode(episode, decode_scene(io.BytesIO(package.read())), path, _RERUN_STRIDE)
+    return path
+
+
+def _make_lerobot(episode: Episode, folder: Path) -> Path:
+    name = f"{episode.episode_id}_lerobot"
+    root = episode.path.parents[1]
+    order = ExportOrder(root, folder / name, "lerobot", LeRobotExporter.options(), episodes=(episode.episode_id,))
+    run_export(order)
+    return Path(shutil.make_archive(str(folder / name), "zip", folder, name))
+
+
 DOWNLOADS: MappingProxyType[str, Callable[[Episode, Path], Path]] = MappingProxyType(
-    {"mp4": _make_film, "mcap": _make_mcap, "zip": _copy_bundle}
+    {"mp4": _make_film, "mcap": _make_mcap, "lerobot": _make_lerobot, "rerun": _make_rerun, "zip": _copy_bundle}
 )
 """Function that makes a file in a folder, by kind."""

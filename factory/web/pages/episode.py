@@ -15,7 +15,7 @@ from starlette.routing import Route
 from factory.dataset.episode import Episode
 from factory.dataset.marks import MOST_NOTE_CHARS, Mark
 from factory.visualize.panels import show_ids
-from factory.web.charts import draw_lines
+from factory.web.charts import WIDTH, draw_lines
 from factory.web.context import WebContext, context_of, page
 from factory.web.forms import read_form
 from factory.web.pages.downloads import DOWNLOADS, download
@@ -23,6 +23,7 @@ from factory.web.pages.find import find_episode
 from factory.web.pages.frame import show_frame, show_mask
 from factory.web.table import EpisodeTable
 from schemas.measure import Goal
+from schemas.terms import Recording
 
 _RIM_M = 1.5
 _LEAST_SPAN_M = 6.0
@@ -64,6 +65,22 @@ class TrackView:
         return f"{self.box[0]} {self.box[1]} {self.box[2]} {self.box[2]}"
 
 
+@dataclass(frozen=True)
+class StepView:
+    """Sub-instruction on the timeline."""
+
+    number: int
+    text: str
+    first: int
+    """First step of the episode that it describes."""
+    last: int
+    """Last step of the episode that it describes."""
+    x: float
+    """Left edge on the timeline, units of its view box."""
+    width: float
+    """Width on the timeline, units of its view box."""
+
+
 def show(request: Request) -> Response:
     """Answers with the page; `?t=STEP` selects the shown step, for browsers without JavaScript."""
     context = context_of(request)
@@ -83,6 +100,8 @@ def show(request: Request) -> Response:
         track=_track(episode, t),
         plots=_plots(episode, hz),
         facts=_facts(episode),
+        steps=_steps(episode, last),
+        rendered=episode.meta.job.record is not Recording.FRAMES,
         mark=context.marks.read().get(summary.episode_id, Mark()),
         neighbours=_neighbours(context, summary.index),
         downloads=DOWNLOADS,
@@ -165,6 +184,21 @@ def _plots(episode: Episode, hz: int) -> list[tuple[str, str]]:
         ("token of w", "token", tokens[:, 1]),
     )
     return [(title, draw_lines(title, unit, values, end_s)) for title, unit, values in series]
+
+
+def _steps(episode: Episode, last: int) -> list[StepView]:
+    """Returns the sub-instructions of the episode; empty if its dataset has no routes."""
+    return [
+        StepView(
+            step.number,
+            step.text,
+            step.start,
+            min(step.end, last + 1) - 1,
+            WIDTH * step.start / (last + 1),
+            WIDTH * (min(step.end, last + 1) - step.start) / (last + 1),
+        )
+        for step in episode.steps
+    ]
 
 
 def _facts(episode: Episode) -> list[tuple[str, str]]:

@@ -21,8 +21,12 @@ from factory.web.live import LiveFeed
 from factory.web.workspace import Farm, Workspace
 from schemas.errors import FactoryError
 from schemas.job import episode_id
+from schemas.protocol.messages import HostMemory
 from schemas.protocol.status import Progress, WorkerStatus
+from schemas.terms import family_of
 
+_MAPS = 8
+"""Largest number of scenes whose failures are drawn."""
 _STATES = ("archived", "submitted", "leased", "pending", "failed", "cancelled")
 
 
@@ -53,6 +57,8 @@ class WorkerRow:
     version: str
     state: str
     last_beat: str
+    memory: str
+    """Used and total memory of its host."""
 
 
 def routes(workspace: Workspace) -> list[Route]:
@@ -64,15 +70,26 @@ def routes(workspace: Workspace) -> list[Route]:
 def show(request: Request) -> Response:
     """Answers with the page."""
     workspace = context_of(request).workspace
-    return page(request, "farm", "Farm", fragment=draw_fragment(workspace))
+    farm = _read(workspace)
+    failed = list(farm.failed.items())[:_MAPS] if isinstance(farm, Farm) else []
+    return page(request, "farm", "Farm", fragment=_draw(workspace, farm), failed_scenes=failed)
 
 
 def draw_fragment(workspace: Workspace) -> str:
     """Returns the part of the page that changes, as HTML."""
+    return _draw(workspace, _read(workspace))
+
+
+def _read(workspace: Workspace) -> Farm | FactoryError:
     try:
-        farm = workspace.farm()
+        return workspace.farm()
     except FactoryError as error:
-        return render("web/no_farm.html", trouble=str(error), tables=_tables(workspace), disk=_disk(workspace))
+        return error
+
+
+def _draw(workspace: Workspace, farm: Farm | FactoryError) -> str:
+    if isinstance(farm, FactoryError):
+        return render("web/no_farm.html", trouble=str(farm), tables=_tables(workspace), disk=_disk(workspace))
     progress, reading = farm.progress, farm.reading
     done = progress.jobs.get("archived", 0)
     return render(
@@ -87,7 +104,11 @@ def draw_fragment(workspace: Workspace) -> str:
         failures=progress.failures,
         chart=_chart(reading),
         events=[(say_time(event.at, farm.at), episode_id(event.index), event) for event in reading.events],
+        failed_scenes=list(farm.failed.items())[:_MAPS],
+        scenes=_scenes(workspace, farm),
+        gateways=progress.by_gateway,
         disk=_disk(workspace),
+        ledger=f"format {farm.info.format}, {workspace.ledger_health()}",
         paused=reading.paused,
         requests=[(say_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
     )
@@ -127,7 +148,12 @@ def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:
         version=farm.reading.versions.get(worker.sid, "") or "–",
         state=_state_of(worker, farm.progress),
         last_beat=say_time(worker.last_beat, farm.at),
+        memory=_memory(farm.reading.memory.get(worker.host)),
     )
+
+
+def _memory(memory: HostMemory | None) -> str:
+    return "–" if memory is None else f"{say_bytes(memory.used_bytes)} of {say_bytes(memory.total_bytes)}"
 
 
 def _state_of(worker: WorkerStatus, progress: Progress) -> str:
@@ -157,6 +183,16 @@ def _tables(workspace: Workspace) -> list[tuple[str, str, int]]:
         return []
     counts = Counter(zip(scenes, splits, strict=True))
     return [(scene, split, count) for (scene, split), count in sorted(counts.items())]
+
+
+def _scenes(workspace: Workspace, farm: Farm) -> list[tuple[str, int, int]]:
+    """Returns each family or scene of the plan with its number of scenes and of stored packages."""
+    stored = workspace.packaged_scenes()
+    planned, built = Counter[str](), Counter[str]()
+    for part in farm.info.plan.parts:
+        planned[family_of(part.name)] += 1
+        built[family_of(part.name)] += part.name in stored
+    return [(family, count, built[family]) for family, count in planned.items()]
 
 
 def _disk(workspace: Workspace) -> str:

@@ -5,20 +5,25 @@ from __future__ import annotations
 import math
 from collections import Counter
 
+import pyarrow as pa
+import pyarrow.compute as pc
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from coordinator.ledger.reading.failures import FailedPlace
 from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.web.context import WebContext, context_of, page, svg_image
-from factory.web.floors import Floor
-from factory.web.table import TableQuery
+from factory.web.floors import Floor, FloorMark
+from factory.web.table import TableQuery, page_number
 from schemas.errors import FactoryError
 from schemas.support.suggest import did_you_mean
+from schemas.terms import family_of
 
 _VIEWS = 6
+_PAGE_SCENES = 24
 
 
 def routes() -> list[Route]:
@@ -27,16 +32,23 @@ def routes() -> list[Route]:
         Route("/scenes", show_all),
         Route("/scenes/{name}", show),
         Route("/scenes/{name}/floor.svg", draw_floor),
+        Route("/scenes/{name}/failures.svg", draw_failures),
     ]
 
 
 def show_all(request: Request) -> Response:
-    """Answers with the list of scenes."""
-    context = context_of(request)
+    """Answers with one page of the list of scenes; `?family=NAME` selects the layouts of a family."""
+    context, query = context_of(request), request.query_params
     meta = context.workspace.meta()
+    family, number = query.get("family", ""), page_number(query)
+    names = [name for name in (meta.scenes if meta else {}) if family in ("", name, family_of(name))]
+    last = max(0, (len(names) - 1) // _PAGE_SCENES)
     counts = _episode_counts(context)
-    scenes = [(name, counts.get(name, 0)) for name in (meta.scenes if meta else {})]
-    return page(request, "scenes", "Scenes", scenes=scenes)
+    shown = names[number * _PAGE_SCENES : (number + 1) * _PAGE_SCENES]
+    scenes = [(name, counts.get(name, 0)) for name in shown]
+    return page(
+        request, "scenes", "Scenes", scenes=scenes, total=len(names), number=number, last=last, family=family[:80]
+    )
 
 
 def show(request: Request) -> Response:
@@ -45,7 +57,19 @@ def show(request: Request) -> Response:
     floor = context.floors.of(package_named(context, name))
     by_target, views = _of_scene(context, name)
     targets = [(target, by_target.get(target.target_id, 0)) for target in floor.info.targets]
-    return page(request, "scene", name, name=name, floor=floor, targets=targets, views=views, dot=_dot(floor))
+    failures = _placed(context, name, floor)
+    return page(
+        request,
+        "scene",
+        name,
+        name=name,
+        floor=floor,
+        targets=targets,
+        views=views,
+        dot=_dot(floor),
+        failures=failures,
+        reasons=Counter(failure.reason for failure, _ in failures),
+    )
 
 
 def draw_floor(request: Request) -> Response:
@@ -53,6 +77,25 @@ def draw_floor(request: Request) -> Response:
     context = context_of(request)
     floor = context.floors.of(package_named(context, request.path_params["name"]))
     return svg_image(floor.image(_view_box(request.query_params.get("view", ""))))
+
+
+def draw_failures(request: Request) -> Response:
+    """Answers with the floor plan and the locations of failed attempts."""
+    context, name = context_of(request), request.path_params["name"]
+    floor = context.floors.of(package_named(context, name))
+    return svg_image(floor.image(marks=[mark for _, mark in _placed(context, name, floor)]))
+
+
+def _placed(context: WebContext, name: str, floor: Floor) -> list[tuple[FailedPlace, FloorMark]]:
+    """Returns the newest failed attempts whose location, or whose target's location, is known."""
+    targets = {target.target_id: target.centroid_m for target in floor.info.targets}
+    found = []
+    for failure in context.workspace.failures(name):
+        xy_m = failure.xy_m or targets.get(failure.target_id)
+        if xy_m is not None:
+            mark = FloorMark(failure.reason, (float(xy_m[0]), float(xy_m[1])), failure.xy_m is not None)
+            found.append((failure, mark))
+    return found
 
 
 def _view_box(text: str) -> str:
@@ -83,23 +126,30 @@ def package_named(context: WebContext, name: str) -> ScenePackage:
     return ScenePackage(context.workspace.root, name, scenes[name])
 
 
-def _episode_counts(context: WebContext) -> Counter[str]:
+def _episode_counts(context: WebContext) -> dict[str, int]:
     try:
-        return Counter(context.workspace.dataset().column("scene").to_pylist())
+        return _counts(context.workspace.dataset().column("scene"))
     except FactoryError:
-        return Counter()
+        return {}
 
 
-def _of_scene(context: WebContext, name: str) -> tuple[Counter[str], list[str]]:
+def _counts(column: pa.Array) -> dict[str, int]:
+    """Returns the number of rows by value, without a Python object for each row."""
+    found = pc.value_counts(column)
+    names = found.field("values").cast(pa.string()).to_pylist()
+    return dict(zip(names, found.field("counts").to_pylist(), strict=True))
+
+
+def _of_scene(context: WebContext, name: str) -> tuple[dict[str, int], list[str]]:
     """Returns the number of episodes by target, and some episodes whose first frames show the scene."""
     try:
         dataset: Dataset = context.workspace.dataset()
     except FactoryError:
-        return Counter(), []
+        return {}, []
     found = context.tables.of(dataset).select(TableQuery({"scene": name}))
-    targets = dataset.column("target_id").take(found).to_pylist()
+    targets = _counts(dataset.column("target_id").take(pa.array(found)))
     step = max(1, len(found) // _VIEWS)
-    return Counter(targets), dataset.column("episode_id").take(found[::step][:_VIEWS]).to_pylist()
+    return targets, dataset.column("episode_id").take(pa.array(found[::step][:_VIEWS])).to_pylist()
 
 
 def _dot(floor: Floor) -> float:

@@ -4,6 +4,7 @@ const images = [...player.querySelectorAll("img[data-kind]")];
 const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];
 const stride = Math.max(1, Math.ceil(hz / 30));
 const AHEAD = 12;
+const SMALL_PX = 320;
 const robot = document.getElementById("robot");
 const poses = robot.dataset.poses.split(" ").map((text) => text.split(",").map(Number));
 const time = document.getElementById("time");
@@ -13,7 +14,11 @@ const loaded = new Map();
 let shown = Number(player.dataset.t);
 let playing = false;
 
-const source = (t, kind) => `${player.dataset.frames}${t}.png?kind=${kind}${playing && kind !== "rgb" ? "&small=1" : ""}`;
+// while it plays: small images, but stored colour frames as they are, and rendered ones if the window shows them large
+function source(t, kind) {
+  const isLarge = kind === "rgb" && (!player.dataset.rendered || images[0].clientWidth * devicePixelRatio > SMALL_PX * 1.25);
+  return `${player.dataset.frames}${t}.png?kind=${kind}${playing && !isLarge ? "&small=1" : ""}`;
+}
 
 function load(t) {
   if (!loaded.has(t)) {
@@ -55,6 +60,12 @@ function mark(t) {
     cursor.setAttribute("x1", at);
     cursor.setAttribute("x2", at);
   }
+  const now = document.getElementById("now");
+  if (now) for (const end of ["x1", "x2"]) now.setAttribute(end, (600 * t) / (last + 1));
+  for (const step of document.querySelectorAll(".steps li")) {
+    const holds = Number(step.dataset.first) <= t && t <= Number(step.dataset.last);
+    holds ? step.setAttribute("aria-current", "step") : step.removeAttribute("aria-current");
+  }
   time.value = t;
   clock.value = `step ${t} of ${last}, ${(t / hz).toFixed(2)} s`;
   player.dataset.t = t;
@@ -88,6 +99,11 @@ function toggle() {
 play.addEventListener("click", toggle);
 document.getElementById("step").addEventListener("click", () => show(Math.min(last, shown + 1)));
 time.addEventListener("input", () => show(Number(time.value)));
+for (const link of document.querySelectorAll(".steps a"))
+  link.addEventListener("click", (event) => {
+    event.preventDefault();
+    show(Number(link.closest("li").dataset.first));
+  });
 document.querySelector(".player").hidden = false;
 document.getElementById("steps").hidden = true;
 mark(shown);

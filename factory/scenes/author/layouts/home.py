@@ -38,7 +38,7 @@ def lay_out_home(plan: FloorPlan) -> None:
         palette.trim,
         palette.leaf,
         palette.ceiling,
-        palette.view,
+        palette.views,
         float(plan.rng.choice((2.5, 2.6, 2.75, 2.9))),
     )
     furnish_home(plan, build_rooms(plan, division, building), palette)

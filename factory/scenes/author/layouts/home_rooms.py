@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from factory.scenes.author.dwelling import BuiltRoom, rug
+from factory.scenes.author.dwelling import BuiltRoom
 from factory.scenes.author.furnisher import Furnisher, complete
-from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle
+from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement
 from factory.scenes.author.style import Palette
 
 _EVERYWHERE = {
@@ -25,8 +25,19 @@ _EVERYWHERE = {
     "SM_Ottoman": 2,
     "SM_TrashCan_A": 2,
     "SM_Basket": 2,
+    "SM_Mirror": 2,
+    "SM_Suitcase": 2,
 }
 """Pieces that every home has, with their least numbers."""
+
+
+_ON_BOARDS = (
+    "SM_BookRow", "SM_BookPile", "SM_Bouquet", "SM_Candles", "SM_Portrait", "SM_FruitBowl", "SM_Tray", "SM_Globe",
+)  # fmt: skip
+_ON_TABLES = ("SM_Crockery", "SM_FruitBowl", "SM_Bouquet", "SM_Candles", "SM_Tray", "SM_Papers")
+_ON_DRESSERS = ("SM_Portrait", "SM_BookPile", "SM_Flasks", "SM_Bouquet", "SM_Candles")
+_ON_WORKTOPS = ("SM_Kettle", "SM_Crockery", "SM_Tray", "SM_FruitBowl")
+"""Small things on low cabinets, tables, chests of drawers and kitchen units."""
 
 
 def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) -> None:
@@ -52,15 +63,20 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) 
             furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
     dry = ("living", "dining", "bedroom", "study", "hall")
     complete(plan, own, {"SM_NightStand": 1}, ("bedroom",))
+    complete(plan, own, {"SM_BathTub": 1, "SM_Toilet": 1}, ("bath",))
+    complete(plan, own, {"SM_Refrigerator": 1}, ("kitchen", "dining", "hall"))
     complete(plan, own, {"SM_WashingMachine": 1}, ("laundry", "bath", "kitchen", "hall"))
     complete(plan, own, _EVERYWHERE, dry)
+    for furnisher in own:
+        furnisher.hang_all()
 
 
 def _living(own: Furnisher) -> None:
     """A sofa opposite a television; arm chairs, a low table on a rug, shelves, perhaps a fireplace and a piano."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
-    for side in own.sides():
-        media = own.wall_piece("SM_TvUnit", look, side, 0.3, 0.02)
+    sides = own.sides()
+    for side, clearance in [(side, clearance) for clearance in (0.3, 0.05) for side in sides]:
+        media = own.wall_piece("SM_TvUnit", look, side, clearance, 0.02)
         if media is not None:
             own.on_top("SM_TelevisionFlat", plan.pick(3), media, float(media.model.high[2]))
             _seats(own, side, media)
@@ -75,9 +91,10 @@ def _living(own: Furnisher) -> None:
     own.corner("SM_LampFloor")
     own.corner("SM_Plant_A")
     own.corner("SM_Plant_A")
-    own.wall_piece("SM_Sideboard", look + 1, clearance=0.3)
+    own.dress(own.wall_piece("SM_Sideboard", look + 1, clearance=0.3), _ON_BOARDS, 3)
     own.small(("SM_Vase", "SM_Basket", "SM_ClockTall", "SM_ToyPile")[plan.pick(2) :: 2])
-    own.hang("SM_PictureFrame", 3)
+    own.hang(("SM_Tapestry", "SM_WallLedge")[plan.pick(2)])
+    own.hang("SM_PictureFrame", 4)
 
 
 def _seats(own: Furnisher, side: str, media: PropPlacement) -> None:
@@ -89,10 +106,7 @@ def _seats(own: Furnisher, side: str, media: PropPlacement) -> None:
     middle = (media.x + into[0] * (reach - 1.15), media.y + into[1] * (reach - 1.15))
     if plan.place(plan.props.model("SM_Sofa_A", cover), x, y, media.yaw + math.pi, own.area, 0.1) is None:
         own.wall_piece("SM_Sofa_A", cover, clearance=0.3)
-    half = (1.25, 0.85) if side in "NS" else (0.85, 1.25)
-    carpet = Rectangle(middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1])
-    if own.area.contains(carpet):
-        rug(plan, carpet, own.palette.rug)
+    own.carpet(middle, *((2.5, 1.7) if side in "NS" else (1.7, 2.5)))
     along = (math.cos(media.yaw), math.sin(media.yaw))
     plan.place(plan.props.model("SM_TableCoffee_D", own.palette.wood), *middle, media.yaw, own.area, 0.1)
     for turn in (1.0, -1.0) if rng.random() < 0.5 else (-1.0, 1.0):
@@ -109,11 +123,11 @@ def _dining(own: Furnisher) -> None:
     """A table with chairs, a sideboard, a plant and pictures."""
     _dining_group(own, along_wall=False)
     board = own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.5)
-    if board is not None and own.rng.random() < 0.5:
-        own.on_top("SM_LampSmall", own.plan.pick(4), board, float(board.model.high[2]), -0.35)
+    own.dress(board, ("SM_LampSmall", *_ON_BOARDS), 3)
     own.corner("SM_Plant_A")
     own.small(("SM_ClockTall", "SM_Vase") if own.rng.random() < 0.5 else ("SM_Vase",))
-    own.hang("SM_PictureFrame", 2)
+    own.hang("SM_WallLedge")
+    own.hang("SM_PictureFrame", 3)
 
 
 def _dining_group(own: Furnisher, along_wall: bool) -> None:
@@ -131,6 +145,9 @@ def _dining_group(own: Furnisher, along_wall: bool) -> None:
         found = plan.place(table, x, y, yaw, own.area, 0.75)
         if found is not None:
             _chairs(own, found, kind, look)
+            own.dress(found, _ON_TABLES, 3)
+            if not along_wall:
+                own.carpet((x, y), *((2.6, 1.8) if yaw == 0.0 else (1.8, 2.6)), 1)
             return
 
 
@@ -166,7 +183,9 @@ def _kitchen(own: Furnisher) -> None:
         for turn in (0.4, 3.5) if table is not None else ():
             x, y = own.area.centre[0] + 0.55 * math.cos(turn), own.area.centre[1] + 0.55 * math.sin(turn)
             plan.place(own.model("SM_ChairWood_D", look), x, y, turn - math.pi / 2, own.area, 0.0, True)
+        own.dress(table, _ON_TABLES, 1, 0.74)
     own.small(("SM_TrashCan_A", "SM_Basket"), 0.3)
+    own.hang("SM_WallLedge")
     own.hang("SM_PictureFrame")
 
 
@@ -181,8 +200,11 @@ def _units(own: Furnisher, sides: str, look: int) -> str | None:
     side, units, start = found
     tops = ["SM_Microwave", "SM_CoffeeMachine"]
     for unit in units:
-        if unit.model.name.startswith(("SM_KitchenUnit", "SM_Dishwasher")) and tops:
-            own.on_top(tops.pop(0), None, unit, 0.90)
+        if unit.model.name.startswith(("SM_KitchenUnit", "SM_Dishwasher")):
+            if tops:
+                own.on_top(tops.pop(0), None, unit, 0.90)
+            else:
+                own.dress(unit, _ON_WORKTOPS, 1, 0.90)
     length = sum(float(unit.model.high[0] - unit.model.low[0]) for unit in units)
     for index in range(int(length // 0.6)):
         middle = start + (index + 0.5) * length / (length // 0.6)
@@ -206,11 +228,15 @@ def _bedroom(own: Furnisher) -> None:
                 own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
     if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
         own.wall_piece("SM_Wardrobe", look, clearance=0.1)
-    own.wall_piece("SM_Dresser", look, clearance=0.45)
+        own.carpet(
+            (found.x, found.y), *((2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)), plan.pick(9) + 2
+        )
+    own.dress(own.wall_piece("SM_Dresser", look, clearance=0.45), _ON_DRESSERS, 2)
     extra = ("SM_ChairLounge_G", "SM_Ottoman", "SM_Bench", "SM_ShelfBook_B")[plan.pick(4)]
     own.wall_piece(extra, own.palette.cover, clearance=0.45)
     own.small((("SM_Suitcase", "SM_Basket"), ("SM_Backpack", "SM_Basket"), ("SM_Mirror", "SM_Fan"))[plan.pick(3)], 0.3)
-    own.hang("SM_PictureFrame")
+    own.hang(("SM_Tapestry", "SM_WallLedge", "SM_PictureFrame")[plan.pick(3)])
+    own.hang("SM_PictureFrame", 2)
 
 
 def _bath(own: Furnisher) -> None:
@@ -220,7 +246,9 @@ def _bath(own: Furnisher) -> None:
     own.wall_piece("SM_WashBasin", plan.pick(3), clearance=0.15, gap=0.0)
     own.wall_piece("SM_Toilet", plan.pick(3), clearance=0.2, gap=0.0)
     own.small(("SM_Basket", "SM_TrashCan_A"), 0.15)
+    own.carpet(own.area.centre, 0.9, 0.6, plan.pick(12))
     own.hang("SM_TowelRail")
+    own.hang("SM_WallLedge")
 
 
 def _study(own: Furnisher) -> None:
@@ -232,10 +260,12 @@ def _study(own: Furnisher) -> None:
         own.on_top("SM_LampSmall", plan.pick(4), desk, 0.745, 0.5)
         own.before("SM_ChairOffice_A", None, desk, 0.5)
     for number in range(2):
-        own.wall_piece("SM_ShelfBook_B", look + number, clearance=0.3)
+        own.dress(own.wall_piece("SM_ShelfBook_B", look + number, clearance=0.3), ("SM_Globe", "SM_BookPile"), 1)
     own.wall_piece("SM_ChairLounge_G", own.palette.cover, clearance=0.4)
     own.small(("SM_TrashCan_A", "SM_Plant_A"), 0.4)
-    own.hang("SM_PictureFrame")
+    own.carpet(own.area.centre, 1.6, 1.2, 2)
+    own.hang("SM_WallLedge")
+    own.hang("SM_PictureFrame", 2)
 
 
 def _laundry(own: Furnisher) -> None:
@@ -243,6 +273,7 @@ def _laundry(own: Furnisher) -> None:
     plan = own.plan
     first = own.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
     if first is not None:
+        own.dress(first, ("SM_Flasks",), 1)
         own.beside("SM_WashingMachine", plan.pick(3), first, 0.62, 0.02)
     own.wall_piece("SM_Wardrobe", own.palette.wood + 1, clearance=0.3)
     own.small(("SM_Basket", "SM_Basket", "SM_Fan"), 0.25)
@@ -255,4 +286,7 @@ def _hall(own: Furnisher) -> None:
     if min(own.area.width, own.area.depth) > 1.9:
         own.small(("SM_Mirror",), 0.5)
     own.corner("SM_Plant_A")
-    own.hang("SM_PictureFrame", 2)
+    length = 0.8 * max(own.area.width, own.area.depth)
+    own.carpet(own.area.centre, *((length, 0.8) if own.area.width > own.area.depth else (0.8, length)), plan.pick(12))
+    own.hang("SM_CoatHooks")
+    own.hang("SM_PictureFrame", 3)

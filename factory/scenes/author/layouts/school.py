@@ -19,9 +19,10 @@ _IN_HALL = {
 }  # fmt: skip
 _IN_ROOMS = {
     "SM_Sofa_A": 1, "SM_Piano": 1, "SM_Whiteboard_A": 2, "SM_Copier": 1, "SM_ComputerCase": 2, "SM_ShelfBook_B": 2,
-    "SM_Plant_A": 2, "SM_TrashCan_A": 3, "SM_Backpack": 3,
+    "SM_Plant_A": 2, "SM_TrashCan_A": 3, "SM_Backpack": 3, "SM_LampFloor": 2,
 }  # fmt: skip
 """Pieces that every school has, with their least numbers."""
+_ON_CABINETS = ("SM_BookRow", "SM_Globe", "SM_Papers", "SM_BookPile", "SM_Bouquet")
 _OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
 
 
@@ -35,7 +36,7 @@ def lay_out_school(plan: FloorPlan) -> None:
     plan.texture_seed = 0
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
     building = BuildingLook(
-        _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.8, 3.3))
+        _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.8, 3.3))
     )
     rooms = build_rooms(plan, _divide(plan), building)
     kinds = {
@@ -46,6 +47,8 @@ def lay_out_school(plan: FloorPlan) -> None:
         kinds[each.room.kind](each)
     complete(plan, own, _IN_HALL, ("hall", "library"))
     complete(plan, own, _IN_ROOMS, ("class", "library", "computing", "staff"))
+    for each in own:
+        each.hang_all()
 
 
 def _divide(plan: FloorPlan) -> Division:
@@ -88,14 +91,17 @@ def _class(own: Furnisher) -> None:
     if desk is not None:
         own.before("SM_ChairOffice_A", None, desk, -0.6)
         own.on_top("SM_Laptop", None, desk, 0.76)
+        own.on_top(("SM_Globe", "SM_Papers", "SM_BookPile")[plan.pick(3)], None, desk, 0.76, 0.45)
     if board is None:
         own.wall_piece("SM_Whiteboard_A", clearance=0.2)
     _desks(own, front, depth)
     own.wall_piece("SM_ShelfBook_B", own.palette.wood, clearance=0.3)
-    own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3)
+    own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), _ON_CABINETS, 3)
     own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Backpack"), 0.4)
-    own.hang("SM_WallMap", 2)
     own.hang("SM_ClockWall")
+    own.hang("SM_PinBoard", 1 + plan.pick(2))
+    own.hang("SM_WallMap", 2)
+    own.hang("SM_CardFrieze")
 
 
 def _desks(own: Furnisher, front: str, depth: float) -> None:
@@ -113,6 +119,8 @@ def _desks(own: Furnisher, front: str, depth: float) -> None:
             desk = plan.place(own.model("SM_TablePupil_F", look), x, y, yaw, own.area, 0.3)
             if desk is None:
                 continue
+            if rng.random() < 0.35:
+                own.on_top(("SM_Papers", "SM_BookPile")[plan.pick(2)], None, desk, 0.72, 0.3)
             for shift in (-0.3, 0.3):
                 if rng.random() < 0.88:
                     seat = (
@@ -134,6 +142,8 @@ def _library(own: Furnisher) -> None:
             x, y = table.x + shift, table.y + side * 0.55
             own.plan.place(own.model("SM_ChairWood_D", own.palette.wood), x, y, yaw, own.area, 0.0, True)
         own.on_top("SM_Laptop", None, table, 0.75, 0.5)
+        own.on_top("SM_Monitor_A", None, table, 0.75, -0.45)
+    own.carpet((own.area.x0 + 0.3 * own.area.width, own.area.y0 + 0.3 * own.area.depth), 2.2, 2.2)
     for _ in range(2):
         own.wall_piece("SM_ChairLounge_G", own.palette.cover, clearance=0.4)
     own.corner("SM_LampFloor")
@@ -163,9 +173,18 @@ def _staff(own: Furnisher) -> None:
     for turn in (0.4, 2.5, 4.6) if table is not None else ():
         x, y = own.area.centre[0] + 0.6 * math.cos(turn), own.area.centre[1] + 0.6 * math.sin(turn)
         own.plan.place(own.model("SM_ChairWood_D", own.palette.wood), x, y, turn - math.pi / 2, own.area, 0.0, True)
+    own.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
+    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.05)
+    if desk is not None:
+        own.on_top("SM_Monitor_A", None, desk, 0.745)
+        own.on_top(("SM_Papers", "SM_BookPile")[own.plan.pick(2)], None, desk, 0.745, 0.42)
+        own.before("SM_ChairOffice_A", None, desk, 0.5)
     own.wall_piece("SM_Locker", clearance=0.2)
     own.small(("SM_Copier", "SM_WaterDispenser", "SM_TrashCan_A", "SM_Plant_A"), 0.35)
-    own.hang("SM_PictureFrame")
+    own.carpet(own.area.centre, 2.2, 1.8, 1)
+    own.hang("SM_CoatHooks")
+    own.hang("SM_WallLedge")
+    own.hang("SM_PictureFrame", 3)
 
 
 def _wash(own: Furnisher) -> None:
@@ -196,4 +215,6 @@ def _hall(own: Furnisher) -> None:
         0.45,
     )
     own.hang("SM_ClockWall")
+    own.hang("SM_PinBoard", 2)
+    own.hang("SM_CoatHooks", 2)
     own.hang("SM_WallMap", 2)

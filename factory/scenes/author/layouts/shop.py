@@ -22,7 +22,14 @@ _ON_SALE = {
     "SM_CounterCheckout": 1, "SM_FreezerUpright": 1, "SM_VendingMachine": 1, "SM_ShelfShop_C": 1, "SM_ClothesRail": 1,
     "SM_Mannequin": 1, "SM_TableRound_C": 1, "SM_ChairWaiting_E": 2, "SM_Plant_A": 1, "SM_TrashCan_A": 1,
 }  # fmt: skip
-_STORED = {"SM_CartonSingle": 2, "SM_StepLadder": 1, "SM_Cart": 1, "SM_Basket": 1, "SM_Locker": 1}
+_STORED = {
+    "SM_CartonSingle": 2,
+    "SM_CratePlastic_A": 2,
+    "SM_StepLadder": 1,
+    "SM_Cart": 1,
+    "SM_Basket": 1,
+    "SM_Locker": 1,
+}
 """Pieces that every shop has, whatever it sells, with their least numbers."""
 _AISLE_M = (1.5, 2.1)
 
@@ -38,7 +45,7 @@ def lay_out_shop(plan: FloorPlan) -> None:
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
     building = BuildingLook(
-        _looks(palette), palette.trim, palette.leaf, ceiling, palette.view, float(plan.rng.uniform(2.9, 3.4))
+        _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.9, 3.4))
     )
     rooms = build_rooms(plan, _divide(plan), building)
     own = [Furnisher(plan, room, palette) for room in rooms]
@@ -48,6 +55,8 @@ def lay_out_shop(plan: FloorPlan) -> None:
         )
     complete(plan, own, _ON_SALE, ("sales", "annex"))
     complete(plan, own, _STORED, ("store", "sales"))
+    for each in own:
+        each.hang_all()
 
 
 def _divide(plan: FloorPlan) -> Division:
@@ -98,9 +107,24 @@ def _sales(own: Furnisher, trade: str) -> None:
         own.small(("SM_Mirror", "SM_Mirror", "SM_Bench"), 0.5)
     for _ in range(2):
         own.wall_piece("SM_ShelfShop_C", own.palette.wood, clearance=0.05)
-    own.hang("SM_OfferPlate", 3)
+    own.hang("SM_OfferPlate", 5)
+    own.hang("SM_PictureFrame", 2)
     own.hang("SM_ClockWall")
+    _decorate(own)
     plan.top_up("SM_FireExtinguisher_02", 2, [own.area], "NESW")
+
+
+def _decorate(own: Furnisher) -> None:
+    """Hangs lines with pennants below the ceiling in half of the shops, and lays a mat."""
+    if own.rng.random() < 0.5:
+        look, yaw = own.plan.pick(6), 0.0 if own.area.width > own.area.depth else math.pi / 2
+        for share in (0.25, 0.5, 0.75):
+            x = own.area.x0 + (share if yaw else 0.5) * own.area.width
+            y = own.area.y0 + (0.5 if yaw else share) * own.area.depth
+            own.plan.add(own.model("SM_Pennants", look), x, y, yaw)
+    side = next(iter(own.room.doors), "S")
+    along = own.room.doors[side][0] - (own.area.x0 if side in "NS" else own.area.y0) if own.room.doors else 2.0
+    own.carpet(own.at_wall(side, along, 0.7), 1.2, 1.2)
 
 
 def _rows(own: Furnisher, trade: str) -> None:
@@ -137,6 +161,8 @@ def _annex(own: Furnisher, trade: str) -> None:
             x, y = own.area.centre[0] + 0.6 * math.cos(turn), own.area.centre[1] + 0.6 * math.sin(turn)
             chair = own.model("SM_ChairWaiting_E", own.palette.cover)
             own.plan.place(chair, x, y, turn - math.pi / 2, own.area, 0.0, True)
+        own.dress(table, ("SM_Crockery", "SM_Bouquet", "SM_Tray"), 1, 0.74)
+        own.carpet(own.area.centre, 2.4, 2.4, 1)
         counter = own.wall_piece("SM_CounterIsland", clearance=0.6)
         if counter is not None:
             own.on_top("SM_CoffeeMachine", None, counter, 0.92, 0.3)
@@ -147,6 +173,7 @@ def _annex(own: Furnisher, trade: str) -> None:
     own.corner("SM_Plant_A")
     own.small(("SM_TrashCan_A", "SM_Mannequin"), 0.5)
     own.hang("SM_OfferPlate", 2)
+    own.hang("SM_PictureFrame", 3)
 
 
 def _store(own: Furnisher, _trade: str) -> None:
@@ -165,9 +192,12 @@ def _office(own: Furnisher, _trade: str) -> None:
     if desk is not None:
         own.on_top("SM_Monitor_A", None, desk, 0.745)
         own.before("SM_ChairOffice_A", None, desk, 0.5)
-    own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3)
+        own.on_top(("SM_Papers", "SM_Portrait")[own.plan.pick(2)], None, desk, 0.745, 0.42)
+    own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), ("SM_Papers", "SM_BookRow", "SM_Kettle"))
     own.small(("SM_Copier", "SM_WaterDispenser", "SM_Plant_A", "SM_TrashCan_A"), 0.4)
-    own.hang("SM_PictureFrame")
+    own.hang("SM_CoatHooks")
+    own.hang("SM_WallLedge")
+    own.hang("SM_PictureFrame", 2)
 
 
 def _wash(own: Furnisher, _trade: str) -> None:

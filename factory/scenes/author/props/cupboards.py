@@ -16,7 +16,9 @@ WHITE = painted("White", 0.45)
 STEEL = painted("Steel", 0.35, 1.0)
 BLACK = painted("Black", 0.5)
 GREY = painted("LightGrey", 0.5)
-SPINES = SurfaceMaterial("BookSpines", "#5a4a44", "BookSpines")
+SPINES = tuple(
+    SurfaceMaterial(name, "#5a4a44", name) for name in ("BookSpines", "SpinesPale", "SpinesLeather", "SpinesBright")
+)
 FRONT_M = 0.018
 
 
@@ -118,11 +120,9 @@ def nightstand(variant: int, rng: Generator) -> list[PropPiece]:
     return [*carcass(model), PropPiece(painted(("Orange", "SkyBlue", "Red")[int(rng.integers(3))]), thing)]
 
 
-def dresser(variant: int, rng: Generator) -> list[PropPiece]:
-    """A chest of drawers, with a bowl."""
-    model = DRESSERS[variant % len(DRESSERS)]
-    x, top = float(rng.uniform(-0.25, 0.25)), model.size[2]
-    return [*carcass(model), PropPiece(WHITE, cylinder(0.06, top, top + 0.07, (x, 0.0), 12, top=0.11))]
+def dresser(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A chest of drawers."""
+    return carcass(DRESSERS[variant % len(DRESSERS)])
 
 
 def wardrobe(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -130,12 +130,9 @@ def wardrobe(variant: int, _rng: Generator) -> list[PropPiece]:
     return carcass(WARDROBES[variant % len(WARDROBES)])
 
 
-def sideboard(variant: int, rng: Generator) -> list[PropPiece]:
-    """A low cabinet with books on it."""
-    model = SIDEBOARDS[variant % len(SIDEBOARDS)]
-    x, top = float(rng.uniform(-0.4, 0.2)), model.size[2]
-    books = fitted_block((x, -0.08, top), (x + 0.26, 0.12, top + 0.22))
-    return [*carcass(model), PropPiece(SPINES, books)]
+def sideboard(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A low cabinet."""
+    return carcass(SIDEBOARDS[variant % len(SIDEBOARDS)])
 
 
 def media_bench(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -148,8 +145,17 @@ def locker(variant: int, _rng: Generator) -> list[PropPiece]:
     return carcass(LOCKERS[variant % len(LOCKERS)])
 
 
+def _ornament(kind: int, x: float, z: float, room: float) -> PropPiece:
+    """A pot, a box, a bowl or a jar in a gap between books."""
+    high = min(room, (0.13, 0.18, 0.07, 0.16)[kind])
+    if kind == 1:
+        return PropPiece(painted("Beige", 0.8), block((x - 0.09, -0.10, z), (x + 0.09, 0.10, z + high)))
+    paint = ("Terracotta", "Beige", "SkyBlue", "Teal")[kind]
+    return PropPiece(painted(paint, 0.5), cylinder(0.05, z, z + high, (x, 0.0), 8, top=(0.06, 0.05, 0.09, 0.03)[kind]))
+
+
 def bookcase(variant: int, rng: Generator) -> list[PropPiece]:
-    """An open case with rows of books, a few gaps and a plant pot."""
+    """An open case with rows of books of one kind; baskets or pots in the gaps."""
     finish = (wood("Oak"), WHITE, wood("Walnut"), wood("Ebony"))[variant % 4]
     half, height, rows = ((0.45, 1.9, 5), (0.60, 1.5, 4), (0.40, 2.0, 6), (0.50, 1.2, 3))[variant % 4]
     step = (height - 0.08) / rows
@@ -162,8 +168,7 @@ def bookcase(variant: int, rng: Generator) -> list[PropPiece]:
         if row < rows:
             gap = float(rng.uniform(0.0, 0.6)) * half
             books = fitted_block((-half + 0.04, -0.11, z), (half - 0.04 - gap, 0.12, z + 0.72 * step))
-            pieces.append(PropPiece(SPINES, books))
+            pieces.append(PropPiece(SPINES[variant // 3 % 4], books))
             if gap > 0.2:
-                pot = cylinder(0.05, z, z + 0.13, (half - 0.13, 0.0), 8)
-                pieces.append(PropPiece(painted("Terracotta", 0.8), pot))
+                pieces.append(_ornament((variant + row) % 4, half - 0.13, z, 0.72 * step))
     return [*(PropPiece(finish, mesh) for mesh in boards), *pieces]

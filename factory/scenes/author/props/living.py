@@ -31,7 +31,10 @@ BRASS = SurfaceMaterial("Brass", "#b08d4a", roughness=0.35, metallic=1.0)
 STEEL = painted("Steel", 0.35, 1.0)
 SHADE = glowing("LampCloth", "#fbf5ea", glow=0.8)
 WOODS = (wood("Oak"), wood("Walnut"), WHITE, wood("Cherry"))
-SCREENS = tuple(glowing(name, "#6aa3dc", name, 0.85) for name in ("ScreenDesktop", "PictureLake", "ViewSea"))
+SCREENS = tuple(
+    glowing(name, "#6aa3dc", name, 0.85)
+    for name in ("ScreenMatch", "PictureLake", "ViewSea", "ScreenNews", "ViewWoods", "ViewTowers")
+)
 
 
 def floor_lamp(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -73,7 +76,7 @@ def television(variant: int, _rng: Generator) -> list[PropPiece]:
     necks = [block((x - 0.012, -0.012, 0.012), (x + 0.012, 0.012, low + 0.03)) for x in (-0.3, 0.3)]
     return [
         PropPiece(BLACK, case),
-        PropPiece(SCREENS[variant % 3], screen),
+        PropPiece(SCREENS[variant % 6], screen),
         *(PropPiece(STEEL, mesh) for mesh in (*feet, *necks)),
     ]
 
@@ -239,8 +242,8 @@ def mirror(variant: int, _rng: Generator) -> list[PropPiece]:
     ]
 
 
-def dining_table(variant: int, rng: Generator) -> list[PropPiece]:
-    """A dining table for four to six on four legs, with a fruit bowl."""
+def dining_table(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A dining table for four to six on four legs."""
     finish = WOODS[variant % 4]
     half_x, half_y = ((0.80, 0.45), (0.90, 0.45), (0.60, 0.40), (0.70, 0.42))[variant % 4]
     top = cushion((-half_x, -half_y, 0.72), (half_x, half_y, 0.755), 0.008)
@@ -249,17 +252,7 @@ def dining_table(variant: int, rng: Generator) -> list[PropPiece]:
         for x in (-half_x + 0.07, half_x - 0.07)
         for y in (-half_y + 0.07, half_y - 0.07)
     ]
-    bowl = lathe([(0.06, 0.755), (0.15, 0.82), (0.13, 0.82), (0.05, 0.765)], sides=14)
-    fruit = painted(("Red", "Green", "Orange")[int(rng.integers(3))], 0.4)
-    pile = [
-        lathe([(0.01, 0.78), (0.04, 0.80), (0.04, 0.83), (0.01, 0.86)], (x, y), 8)
-        for x, y in ((0.04, 0.0), (-0.05, 0.03), (0.0, -0.06))
-    ]
-    return [
-        *(PropPiece(finish, mesh) for mesh in (top, *legs)),
-        PropPiece(WHITE, bowl),
-        *(PropPiece(fruit, m) for m in pile),
-    ]
+    return [PropPiece(finish, mesh) for mesh in (top, *legs)]
 
 
 def toy_pile(variant: int, rng: Generator) -> list[PropPiece]:

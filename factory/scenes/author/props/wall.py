@@ -101,22 +101,35 @@ def roller_door(_variant: int, _rng: Generator) -> list[PropPiece]:
     ]
 
 
+PICTURES = (
+    ("PictureAbstract", 0.40, 0.40), ("PictureStillLife", 0.30, 0.38), ("PictureLake", 0.55, 0.38),
+    ("PosterHills", 0.50, 0.40), ("PosterCity", 0.34, 0.46), ("PosterArcs", 0.40, 0.40),
+    ("PicturePortrait", 0.28, 0.36), ("PictureBoats", 0.50, 0.36), ("PictureBotany", 0.26, 0.38),
+    ("PictureBands", 0.36, 0.52), ("PictureCircles", 0.42, 0.42), ("PictureBirches", 0.48, 0.48),
+    ("PictureCat", 0.24, 0.30), ("PosterType", 0.34, 0.46),
+)  # fmt: skip
+"""Texture, half width and half height of each painting, metres."""
+OUTLOOKS = (
+    "ViewGarden", "ViewSuburb", "ViewHills", "ViewSea", "ViewStreet", "WindowView", "ViewWoods", "ViewSnow",
+    "ViewTowers", "ViewPark", "ViewDesert", "ViewHarbour", "ViewVillage",
+)  # fmt: skip
+"""Textures of the views from windows."""
+
+
 def framed_picture(variant: int, _rng: Generator) -> list[PropPiece]:
     """A painting at eye height; the wall plane is y = 0."""
-    names = ("PictureAbstract", "PictureStillLife", "PictureLake", "PosterHills", "PosterCity", "PosterArcs")
-    name = names[variant % 6]
+    name, wide, tall = PICTURES[variant % len(PICTURES)]
     frame = (BLACK, wood("Oak"), WHITE)[variant % 3]
-    half = (0.40, 0.30, 0.50)[variant % 3]
-    low, high = 1.50 - half, 1.50 + half
-    border = block((-half - 0.03, -0.03, low - 0.03), (half + 0.03, 0.0, high + 0.03))
-    art = quad([(-half, -0.0315, low), (half, -0.0315, low), (half, -0.0315, high), (-half, -0.0315, high)])
+    low, high = 1.50 - tall, 1.50 + tall
+    border = block((-wide - 0.03, -0.03, low - 0.03), (wide + 0.03, 0.0, high + 0.03))
+    art = quad([(-wide, -0.0315, low), (wide, -0.0315, low), (wide, -0.0315, high), (-wide, -0.0315, high)])
     return [PropPiece(frame, border), PropPiece(SurfaceMaterial(name, "#dcd2c0", name, roughness=0.5), art)]
 
 
 def home_window(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A casement window with one of five views, 1.6 m wide, white or wooden."""
-    name = ("ViewGarden", "ViewSuburb", "ViewHills", "ViewSea", "ViewStreet", "WindowView")[variant % 6]
-    view, frame = glowing(name, "#cfe2f2", name, 0.9), (WHITE, wood("Pale"))[variant // 6 % 2]
+    """A casement window with one of the views, 1.6 m wide, white or wooden."""
+    name = OUTLOOKS[variant % len(OUTLOOKS)]
+    view, frame = glowing(name, "#cfe2f2", name, 0.9), (WHITE, wood("Pale"))[variant // len(OUTLOOKS) % 2]
     half, low, high = 0.8, 0.9, 2.15
     bars = [block((x - 0.03, -0.06, low), (x + 0.03, 0.0, high)) for x in (-half, 0.0, half)]
     bars += [block((-half - 0.03, -0.061, z - 0.03), (half + 0.03, 0.0, z + 0.03)) for z in (low, high)]

@@ -43,7 +43,7 @@ def require_files(path: Path, files: SceneFiles) -> None:
                 place = place_of(path.parent, str(Path(folder) / name))
                 if files.is_usable(place, f"{element.tag} {element.get('name', '')}".strip()):
                     files.read(place)
-    files.require_all()
+    files.require_all(may_skip=False)
 
 
 def _collect(path: Path, folder: Path, files: SceneFiles, found: list[Element], above: tuple[Path, ...]) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from pydantic import ValidationError
 
+from coordinator.expansion.balance.layout_categories import planned_categories
 from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import expand, expand_layout, redraw, to_job
 from coordinator.expansion.file import parse_plan, shrink
@@ -79,6 +80,13 @@ def test_categories_of_a_family_are_even_over_all_layouts() -> None:
         names = plan.scenes[0].categories[is_held_out]
         assert set(counts) == set(names)
         assert max(counts.values()) - min(counts.values()) <= 1
+
+
+def test_the_categories_of_layouts_are_known_from_the_plan_as_they_are_drawn() -> None:
+    plan = family_plan()
+    drawn = Counter(job.episode.category for job in expand(plan, make_catalog(plan)) if job.episode.scene != "office")
+    assert planned_categories(plan) == drawn
+    assert not planned_categories(family_plan(balance="instances"))
 
 
 def test_a_layout_without_a_category_of_its_quota_is_refused_only_if_the_quota_is_exact() -> None:

@@ -59,6 +59,16 @@ def test_a_layout_that_no_seed_provides_names_the_reasons(tmp_path: Path) -> Non
     assert "seed 43: no reachable 'chair'" in error.value.findings[-1]
 
 
+def test_a_category_that_a_family_never_has_is_refused_before_a_layout_is_built(tmp_path: Path) -> None:
+    data = PLAN.model_dump(mode="json")
+    data["scenes"][0] |= {"name": "home", "seen": ["bed", "whiteboard"], "held_out": ["vase"]}
+    with pytest.raises(InvalidPlan, match="names categories that its families do not have") as error:
+        collect_scenes(Plan.model_validate(data), tmp_path / "data", tmp_path / "cache")
+    (finding,) = error.value.findings
+    assert finding.startswith("scenes[0] home: no layout has whiteboard; remove them")
+    assert not (tmp_path / "cache").exists()
+
+
 def test_a_dataset_keeps_the_layouts_that_it_has(tmp_path: Path) -> None:
     scenes = tmp_path / "data" / "scenes"
     scenes.mkdir(parents=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from factory.scenes.build import import_scene
 from factory.scenes.formats import extract_scene
 from factory.scenes.limits import StageLimits
 from schemas.errors import UsageError, WorldError
+from schemas.scene import decode_scene
 from tests.builders.formats import (
     LAUGHS,
     ROOM,
@@ -129,6 +131,43 @@ def test_all_missing_models_are_named_with_the_searched_folders(tmp_path: Path) 
     for words in (*uris, str(tmp_path / "more"), str(tmp_path / "models"), "--model-dir DIR", "on the network"):
         assert words in str(caught.value)
     assert not (tmp_path / "cache").exists()
+
+
+def test_a_world_is_read_without_its_missing_models_and_meshes_on_request(tmp_path: Path) -> None:
+    gone = "<mesh><uri>file://models/lamp/lamp.dae</uri></mesh>"
+    model = f"<model name='m'><link name='l'><visual name='v'><geometry>{gone}</geometry></visual></link></model>"
+    path = write(tmp_path / "house.sdf", sdf_room(include("model://sofa") + model))
+    with pytest.raises(WorldError, match=r"model://sofa.*import without them with --skip-missing"):
+        extract_scene(path)
+    extraction = extract_scene(path, StageLimits(skip_missing=True))
+    assert len(extraction.parts) == len(extract_scene(write_room(tmp_path, ".sdf")).parts)
+    lost = [note for note in extraction.notes if note.endswith("is missing, skipped")]
+    assert len(lost) == 2
+    assert any("model://sofa" in note for note in lost)
+    assert any("models/lamp/lamp.dae" in note for note in lost)
+
+
+def test_a_robot_file_without_a_floor_names_the_option_that_adds_one(tmp_path: Path) -> None:
+    rest = re.sub(r'<link name="Floor".*?</link>|<joint name="to_Floor".*?</joint>', "", urdf_room(), flags=re.DOTALL)
+    path = write(tmp_path / "room.urdf", rest)
+    with pytest.raises(WorldError, match=r"--floor M"):
+        import_scene(path, "room", tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()
+    with import_scene(path, "room", tmp_path / "cache", limits=StageLimits(floor_m=0.0)).open("rb") as file:
+        scene = decode_scene(file)
+    assert scene.info.floor_height_m == pytest.approx(0.0, abs=1e-6)
+    assert [target.category for target in scene.info.targets] == ["chair"]
+
+
+def test_a_relative_uri_is_searched_in_the_folders_of_models(tmp_path: Path) -> None:
+    mesh = "<mesh><uri>file://models/lamp/lamp.obj</uri></mesh>"
+    model = f"<model name='m'><link name='l'><visual name='v'><geometry>{mesh}</geometry></visual></link></model>"
+    (tmp_path / "models" / "lamp").mkdir(parents=True)
+    (tmp_path / "worlds").mkdir()
+    write(tmp_path / "models" / "lamp" / "lamp.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    path = write(tmp_path / "worlds" / "w.sdf", sdf_room(model))
+    found = extract_scene(path, StageLimits(models=(tmp_path,)))
+    assert any("/m/l/v" in part.path for part in found.parts)
 
 
 @pytest.mark.parametrize("uri", ["../secret.obj", "file:///etc/hostname", "model://../secret.obj"])

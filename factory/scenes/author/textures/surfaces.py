@@ -11,10 +11,13 @@ from types import MappingProxyType
 import numpy as np
 from numpy.random import Generator
 
-from factory.scenes.author.artwork import ARTWORK
-from factory.scenes.author.decor import DECOR
-from factory.scenes.author.noise import TEXTURE_SIZE, Pixels, clouds, grid, shade
-from factory.scenes.author.views import VIEWS
+from factory.scenes.author.textures.artwork import ARTWORK
+from factory.scenes.author.textures.decor import DECOR
+from factory.scenes.author.textures.landscapes import LANDSCAPES
+from factory.scenes.author.textures.noise import TEXTURE_SIZE, Pixels, clouds, grid, shade
+from factory.scenes.author.textures.paintings import PAINTINGS
+from factory.scenes.author.textures.rugs import RUGS
+from factory.scenes.author.textures.views import VIEWS
 from schemas.support.numpy_types import Floats
 
 
@@ -246,6 +249,9 @@ TEXTURES: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
         "CartonWhite": _carton_white,
         **ARTWORK,
         **DECOR,
+        **RUGS,
+        **LANDSCAPES,
+        **PAINTINGS,
         **VIEWS,
     }
 )

@@ -1,4 +1,4 @@
-"""Recipes of textures for homes, shops and schools: floors, wallpaper and cloth near white for tints, and rugs.
+"""Recipes of textures for homes, shops and schools: floors, walls, wood and cloth, near white for tints.
 
 Each recipe draws a seamless sRGB image of 512 px. Does not read or write files.
 """
@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.random import Generator
 
-from factory.scenes.author.noise import TEXTURE_SIZE, Pixels, clouds, grid, shade
+from factory.scenes.author.textures.noise import TEXTURE_SIZE, Pixels, clouds, grid, shade
 from schemas.support.numpy_types import Floats
 
 Recipe = Callable[[Generator], Pixels]
@@ -115,32 +115,95 @@ def _cloth(rng: Generator, rows: Floats, columns: Floats) -> Floats:
     return np.asarray(0.9 + 0.07 * threads + 0.015 * clouds(rng, 0.9) + 0.02 * clouds(rng, 1.5))
 
 
-def _rug(field: str, border: str, accent: str, kind: int) -> Recipe:
-    """Returns the recipe of a whole rug with a border: medallion, stripes or lozenges."""
-
-    def draw(rng: Generator) -> Pixels:
-        rows, columns = grid()
-        x, y = np.abs(columns - 255.5), np.abs(rows - 255.5)
-        pixels = np.broadcast_to(_rgb(field), (TEXTURE_SIZE, TEXTURE_SIZE, 3)).copy()
-        if kind == 0:
-            ring = np.hypot(x, y)
-            mark = (ring < 70) | ((ring > 110) & (ring < 126)) | ((x % 64 < 14) & (y % 64 < 14) & (ring > 150))
-        elif kind == 1:
-            mark = (rows // 36 % 3 == 0) | (rows // 12 % 9 == 5)
-        else:
-            mark = (x + y) % 96 < 18
-        pixels[mark] = _rgb(accent)
-        edge = np.maximum(x, y)
-        pixels[edge > 216] = _rgb(border)
-        pixels[(edge > 228) & (edge < 236)] = _rgb(accent)
-        tone = 0.95 + 0.05 * clouds(rng, 0.3)
-        return np.clip(pixels * tone[..., None], 0, 255).astype(np.uint8)
-
-    return draw
+def _basket_parquet(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Parquet of squares of four blocks, alternately along both axes."""
+    is_across = (rows // 128 + columns // 128) % 2 > 0
+    block = np.where(is_across, rows // 32, columns // 32).astype(int)
+    square = (rows // 128 * 4 + columns // 128).astype(int)
+    tone = 0.84 + 0.12 * (rng.random((16, 16))[square, block % 16] - 0.5) + 0.02 * clouds(rng, 0.8)
+    joint = np.where(is_across, rows % 32 < 1.5, columns % 32 < 1.5)
+    tone[joint | (rows % 128 < 1.5) | (columns % 128 < 1.5)] *= 0.68
+    return np.asarray(tone)
 
 
-def _rgb(colour: str) -> Floats:
-    return np.array([int(colour[start : start + 2], 16) for start in (1, 3, 5)], np.float64)
+def _wide_boards(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Floor boards of half the usual number, without cross joints."""
+    board = (rows // 128).astype(int)
+    tone: Floats = 0.86 + 0.12 * (rng.random(4)[board] - 0.5) + 0.05 * clouds(rng, 1.3, stretch=10.0)
+    tone[(rows % 128 < 2.5) | ((columns + 256 * (board % 2)) % 512 < 2)] *= 0.6
+    return tone
+
+
+def _hexagons(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Six-sided tiles in rows of eight."""
+    pitch, step = 64.0, TEXTURE_SIZE / 10
+    distances = []
+    for shift, start in ((0.0, 0.0), (pitch / 2, step)):
+        across = np.abs((columns - shift) % pitch - pitch / 2)
+        down = np.abs((rows - start) % (2 * step) - step)
+        distances += [np.hypot(across, down), np.hypot(pitch - across, down)]
+    first, second = np.partition(np.stack(distances), 1, axis=0)[:2]
+    return np.where(second - first < 4.5, 0.72, 0.93) + 0.015 * clouds(rng, 1.6)
+
+
+def _marble(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Large polished slabs with veins."""
+    vein = np.exp(-np.abs(clouds(rng, 1.5)) / 0.06) + 0.6 * np.exp(-np.abs(clouds(rng, 1.7)) / 0.04)
+    tone = 0.94 + 0.02 * clouds(rng, 1.8) - 0.16 * vein
+    tone[(rows % 256 < 2) | (columns % 256 < 2)] *= 0.75
+    return np.asarray(tone)
+
+
+def _loop_pile(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Carpet in narrow ribs."""
+    ribs = 0.05 * np.sin(columns * np.pi / 8) + 0.02 * np.sin(rows * np.pi / 4)
+    return np.asarray(0.87 + ribs + 0.03 * clouds(rng, 0.3))
+
+
+def _subway(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Glazed wall tiles, twice as wide as high, in a running bond."""
+    course = (rows // 64).astype(int)
+    shifted = columns + 64 * (course % 2)
+    tone: Floats = 0.95 + 0.03 * (rng.random((8, 4))[course, (shifted % TEXTURE_SIZE // 128).astype(int)] - 0.5)
+    tone[(rows % 64 < 4) | (shifted % 128 < 4)] = 0.78
+    return tone
+
+
+def _trellis(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Wallpaper with a lattice of crossing lines."""
+    lines = (np.abs((columns + rows) % 64 - 32) < 2.5) | (np.abs((columns - rows) % 64 - 32) < 2.5)
+    return np.where(lines, 0.88, 0.975) + 0.008 * clouds(rng, 0.8)
+
+
+def _spots(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Wallpaper with dots in alternating rows."""
+    shifted = columns + 32 * (rows // 64 % 2)
+    dot = np.hypot(shifted % 64 - 32, rows % 64 - 32) < 9
+    return np.where(dot, 0.86, 0.975) + 0.008 * clouds(rng, 0.8)
+
+
+def _leaves(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Wallpaper with climbing stems and leaves."""
+    u, v = columns * 2 * np.pi / 128, rows * 2 * np.pi / 256
+    stem = np.abs(np.sin(u / 2 + 0.7 * np.sin(v))) < 0.07
+    leaf = np.sin(2 * u + 1.4 * np.sin(v)) * np.sin(6 * v + np.cos(u)) > 0.62
+    return np.where(stem, 0.84, np.where(leaf, 0.88, 0.975)) + 0.008 * clouds(rng, 0.8)
+
+
+def _panelling(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Upright tongue-and-groove boards."""
+    board = (columns // 64).astype(int)
+    tone: Floats = 0.9 + 0.05 * (rng.random(8)[board] - 0.5) + 0.02 * clouds(rng, 1.3, stretch=14.0).T
+    tone[columns % 64 < 3] *= 0.7
+    tone[(columns % 64 >= 3) & (columns % 64 < 6) & (rows >= 0)] *= 1.05
+    return tone
+
+
+def _blocks(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Painted concrete blocks with flush joints."""
+    course = (rows // 128).astype(int)
+    joint = (rows % 128 < 3) | ((columns + 128 * (course % 2)) % 256 < 3)
+    return np.asarray(0.93 + 0.02 * clouds(rng, 0.6) + 0.01 * clouds(rng, 1.6) - 0.12 * joint)
 
 
 DECOR: Mapping[str, Recipe] = MappingProxyType(
@@ -157,11 +220,17 @@ DECOR: Mapping[str, Recipe] = MappingProxyType(
         "WallpaperDamask": _near_white(_damask),
         "Grain": _near_white(_grain),
         "Cloth": _near_white(_cloth),
-        "RugRed": _rug("#8c2f2c", "#5a1f24", "#d8b98a", 0),
-        "RugBlue": _rug("#3a5a86", "#24395a", "#d9d4c4", 1),
-        "RugCream": _rug("#d8cdb6", "#b09a78", "#7d6a50", 2),
-        "RugGreen": _rug("#5d7355", "#39492f", "#d2c58f", 0),
-        "RugGrey": _rug("#8e9092", "#5c5f63", "#d6d6d2", 1),
+        "BasketParquet": _near_white(_basket_parquet),
+        "WideBoards": _near_white(_wide_boards),
+        "Hexagons": _near_white(_hexagons),
+        "Marble": _near_white(_marble),
+        "LoopPile": _near_white(_loop_pile),
+        "SubwayTiles": _near_white(_subway),
+        "WallpaperTrellis": _near_white(_trellis),
+        "WallpaperDots": _near_white(_spots),
+        "WallpaperLeaves": _near_white(_leaves),
+        "Panelling": _near_white(_panelling),
+        "BlockWork": _near_white(_blocks),
     }
 )
-"""Name -> recipe; the names before the rugs are near white."""
+"""Name -> recipe of a texture near white, for tints."""

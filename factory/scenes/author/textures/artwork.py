@@ -194,16 +194,20 @@ def _scribbles(rng: Generator) -> Pixels:
     return np.asarray(image)
 
 
-def _spines(rng: Generator) -> Pixels:
-    image, draw = _canvas("#2a2522")
-    colours = ("#8c2f2f", "#2f4f8c", "#d8c9a3", "#3f6f4a", "#c27b2c", "#5b3f73", "#e4e2dc", "#30343a")
-    x = 0
-    while x < SIZE:
-        width, top = _between(rng, 24, 52), _between(rng, 0, 90)
-        draw.rectangle((x, top, x + width - 3, SIZE), fill=colours[_between(rng, 0, 8)])
-        draw.rectangle((x + 5, top + 60, x + width - 8, top + 76), fill="#e8dcc0")
-        x += width
-    return np.asarray(image)
+def _spines(*colours: str) -> Callable[[Generator], Pixels]:
+    """Returns the recipe of a row of books with backs of eight colours."""
+
+    def draw_spines(rng: Generator) -> Pixels:
+        image, draw = _canvas("#2a2522")
+        x = 0
+        while x < SIZE:
+            width, top = _between(rng, 24, 52), _between(rng, 0, 90)
+            draw.rectangle((x, top, x + width - 3, SIZE), fill=colours[_between(rng, 0, 8)])
+            draw.rectangle((x + 5, top + 60, x + width - 8, top + 76), fill="#e8dcc0")
+            x += width
+        return np.asarray(image)
+
+    return draw_spines
 
 
 def _window(rng: Generator) -> Pixels:
@@ -274,7 +278,12 @@ ARTWORK: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
         "SignWard": _sign("WARD", "#2a6fb0", 140),
         "SignAisle": _sign("AISLE", "#234a86", 130),
         "Scribbles": _scribbles,
-        "BookSpines": _spines,
+        "BookSpines": _spines("#8c2f2f", "#2f4f8c", "#d8c9a3", "#3f6f4a", "#c27b2c", "#5b3f73", "#e4e2dc", "#30343a"),
+        "SpinesPale": _spines("#d8c9a3", "#b7c4c9", "#e4d8c8", "#c9a98a", "#a9b59a", "#e4e2dc", "#c98f7a", "#8fa3b0"),
+        "SpinesLeather": _spines(
+            "#5a3322", "#6b3f2a", "#43281e", "#7a4a2e", "#39302c", "#5a2626", "#2f3a33", "#6a5238"
+        ),
+        "SpinesBright": _spines("#d1402f", "#2f7ad1", "#e3b52c", "#3fa35a", "#e3782c", "#8a4fb0", "#f0eee6", "#2fa3a8"),
         "WindowView": _window,
         "Hazard": _hazard,
         "Keys": _keys,

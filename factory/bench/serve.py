@@ -1,0 +1,200 @@
+"""Benchmarks the web page of a dataset: times of pages and frames, rate of playback, and the cost of open tabs.
+
+The server is another process with the interpreter of this one; CPU times are those of the server.
+"""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from factory.bench.machine import describe_machine
+from factory.bench.model import Machine, Spread
+from factory.dataset.reader import Dataset
+from schemas.base import Model
+from schemas.errors import WorldError
+from schemas.storage.place import Place
+from schemas.support.child import child_environment, python_module
+from schemas.terms import Recording
+
+_SEED = 24
+_TICK_S = 1 / os.sysconf("SC_CLK_TCK")
+_IN_FLIGHT = 12
+"""Number of frames that the player of the page requests ahead."""
+_TABLES = (
+    "/episodes",
+    "/episodes?page=1",
+    "/episodes?sort=num_steps&order=desc",
+    "/episodes?split=val_id&sort=final_ne_m",
+    "/episodes?q=chair",
+    "/episodes?q=chair&page=3",
+)
+
+
+class RequestCost(Model):
+    """Cost of one kind of request."""
+
+    first_ms: float
+    """Wall time of the first request, milliseconds."""
+    wall_ms: Spread
+    """Wall time of the other requests, milliseconds."""
+    cpu_ms: float
+    """Mean CPU time of the server for one of the other requests, milliseconds."""
+
+
+class ServeBench(Model):
+    """Measurements of the web page of a dataset."""
+
+    machine: Machine
+    episodes: int
+    first_page: RequestCost
+    table_page: dict[str, RequestCost]
+    """Cost by the path of the table page."""
+    first_frame: RequestCost
+    """Cost of the first colour frame of an episode that was not open."""
+    frames_per_s: float
+    """Rate at which the server supplies frames of an episode; a frame is colour, depth and ids as the player asks."""
+    frame_cpu_ms: float
+    """CPU time of the server for one such frame, milliseconds."""
+    tabs: int
+    tabs_s: float
+    """Time for which the tabs were open, seconds."""
+    tabs_core_share: float
+    """CPU time of the server per second while the tabs were open."""
+    idle_core_share: float
+    """The same before the tabs were opened."""
+
+
+def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBench:
+    """Starts the server of a dataset and measures it.
+
+    Args:
+        root: dataset, which may be running.
+        repeats: number of timed requests of each page.
+        tabs: number of open farm pages.
+        seconds: time for which they are open, seconds; also of the idle server.
+
+    Raises:
+        WorldError: the server does not start.
+    """
+    dataset = Dataset(root)
+    with _server(root) as (host, pid):
+        first = _cost(host, pid, ["/"] * (repeats + 1))
+        tables = {path: _cost(host, pid, [path] * (repeats + 1)) for path in _TABLES}
+        names = _draw(dataset, repeats + 1)
+        frames = _cost(host, pid, [f"/episodes/{name}/frames/0.png" for name in names])
+        rate, cpu_ms = _play(host, pid, dataset, names[0])
+        idle = _share(pid, seconds)
+        with ExitStack() as stack:
+            for _ in range(tabs):
+                _open_tab(host, stack)
+            busy = _share(pid, seconds)
+    return ServeBench(
+        machine=describe_machine(),
+        episodes=len(dataset),
+        first_page=first,
+        table_page=tables,
+        first_frame=frames,
+        frames_per_s=rate,
+        frame_cpu_ms=cpu_ms,
+        tabs=tabs,
+        tabs_s=seconds,
+        tabs_core_share=busy,
+        idle_core_share=idle,
+    )
+
+
+@contextmanager
+def _server(root: Place) -> Iterator[tuple[str, int]]:
+    """Yields address and process id of a server."""
+    command = python_module("factory", "serve", str(root), "--http", "127.0.0.1:0")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=child_environment(os.environ)) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        try:
+            if "http://" not in line:
+                raise WorldError(f"`factory serve {root}` did not start; see its message above")
+            yield line.partition("http://")[2].partition("/")[0], process.pid
+        finally:
+            process.terminate()
+
+
+def _cost(host: str, pid: int, paths: Sequence[str]) -> RequestCost:
+    first = _ask(host, paths[0])
+    begin_cpu_s = _cpu_s(pid)
+    others = [_ask(host, path) for path in paths[1:]]
+    cpu_ms = 1000 * (_cpu_s(pid) - begin_cpu_s) / len(others)
+    return RequestCost(first_ms=first, wall_ms=Spread.of(others), cpu_ms=cpu_ms)
+
+
+def _ask(host: str, path: str) -> float:
+    """Returns the wall time of a request, milliseconds."""
+    begin_s = time.perf_counter()
+    connection = http.client.HTTPConnection(host, timeout=600)
+    connection.request("GET", path, headers={"Accept": "*/*"})
+    reply = connection.getresponse()
+    body = reply.read()
+    connection.close()
+    if reply.status != 200:
+        raise WorldError(f"{path}: the server answered {reply.status}: {body[:200].decode(errors='replace')}")
+    return 1000 * (time.perf_counter() - begin_s)
+
+
+def _draw(dataset: Dataset, count: int) -> list[str]:
+    rng = np.random.default_rng(_SEED)
+    positions = rng.choice(len(dataset), size=min(count, len(dataset)), replace=False)
+    names: list[str] = dataset.column("episode_id").take(positions).to_pylist()
+    return names
+
+
+def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, float]:
+    """Requests the frames of an episode as the player does; returns frames per second and CPU milliseconds a frame."""
+    steps = range(1, len(dataset[name]), 2)
+    is_stored = dataset.meta.plan.record is Recording.FRAMES
+    queries = ("kind=rgb" if is_stored else "kind=rgb&small=1", "kind=depth&small=1", "kind=ids&small=1")
+
+    def frame(t: int) -> None:
+        for query in queries:
+            _ask(host, f"/episodes/{name}/frames/{t}.png?{query}")
+
+    begin_s, begin_cpu_s = time.perf_counter(), _cpu_s(pid)
+    with ThreadPoolExecutor(_IN_FLIGHT) as pool:
+        list(pool.map(frame, steps))
+    wall_s = time.perf_counter() - begin_s
+    return len(steps) / wall_s, 1000 * (_cpu_s(pid) - begin_cpu_s) / len(steps)
+
+
+def _open_tab(host: str, stack: ExitStack) -> None:
+    name, _, port = host.rpartition(":")
+    tab = stack.enter_context(socket.create_connection((name, int(port)), timeout=60))
+    tab.sendall(b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n")
+
+
+def _share(pid: int, seconds: float) -> float:
+    begin_s, begin_cpu_s = time.perf_counter(), _cpu_s(pid)
+    time.sleep(seconds)
+    return (_cpu_s(pid) - begin_cpu_s) / (time.perf_counter() - begin_s)
+
+
+def _cpu_s(pid: int) -> float:
+    """Returns the CPU time of a process and of its children, seconds."""
+    total = 0.0
+    for place in (pid, *_children(pid)):
+        fields = Path(f"/proc/{place}/stat").read_text().rpartition(")")[2].split()
+        total += (int(fields[11]) + int(fields[12])) * _TICK_S
+    return total
+
+
+def _children(pid: int) -> Sequence[int]:
+    return [
+        int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()
+    ]

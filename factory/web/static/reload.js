@@ -1,0 +1,2 @@
+// Loads the page again after two seconds.
+setTimeout(() => location.reload(), 2000);

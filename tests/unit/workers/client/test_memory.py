@@ -1,0 +1,24 @@
+"""Memory of a host: the values of the system, and no value if the system does not report them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from schemas.protocol.messages import HostMemory
+from workers.client.memory import read_memory
+
+
+def test_used_memory_excludes_what_programs_can_get(tmp_path: Path) -> None:
+    (tmp_path / "meminfo").write_text(
+        "MemTotal:   1000 kB\nMemFree:  100 kB\nMemAvailable:   400 kB\nHugePages_Total: 0\n"
+    )
+    assert read_memory(tmp_path / "meminfo") == HostMemory(used_bytes=600 * 1024, total_bytes=1000 * 1024)
+
+
+@pytest.mark.parametrize("text", ["", "MemTotal: many kB\n", "MemTotal:\n", "MemTotal: 5 kB\n", "\xff"])
+def test_a_system_that_reports_no_memory_has_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "meminfo").write_text(text, encoding="latin-1")
+    assert read_memory(tmp_path / "meminfo") is None
+    assert read_memory(tmp_path / "missing") is None
