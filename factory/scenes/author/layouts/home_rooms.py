@@ -221,6 +221,9 @@ def _bedroom(own: Furnisher) -> None:
     tries = (own.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
     found = next((bed for bed in tries if bed is not None), None)
     if found is not None:
+        own.carpet(
+            (found.x, found.y), *((2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)), plan.pick(9) + 2
+        )
         half = float(found.model.high[0])
         for turn in (-1.0, 1.0):
             stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)

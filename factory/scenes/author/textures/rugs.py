@@ -31,7 +31,7 @@ class _Rug(NamedTuple):
 
 def _medallion(x: Floats, y: Floats) -> Mask:
     ring = np.hypot(x, y)
-    return (ring < 70) | ((ring > 110) & (ring < 126)) | ((x % 64 < 14) & (y % 64 < 14) & (ring > 150))
+    return np.asarray((ring < 70) | ((ring > 110) & (ring < 126)) | ((x % 64 < 14) & (y % 64 < 14) & (ring > 150)))
 
 
 def _stripes(_x: Floats, y: Floats) -> Mask:
@@ -60,7 +60,7 @@ def _dots(x: Floats, y: Floats) -> Mask:
 
 def _stars(x: Floats, y: Floats) -> Mask:
     u, v = np.abs(x % 108 - 54), np.abs(y % 108 - 54)
-    return (np.maximum(u, v) < 26) | (u + v < 38)
+    return np.asarray((np.maximum(u, v) < 26) | (u + v < 38))
 
 
 _RUGS = {
