@@ -13,10 +13,11 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from coordinator.ledger.engine import open_writer
+
 from coordinator.expansion.catalog import read_entry
 from coordinator.expansion.draw import expand_layout
 from coordinator.ledger.builds import number_of_layout, open_builds
-from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.repair import adopt_package
