@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 from coordinator.archive.staging import Staging
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
 from coordinator.ledger.requests import execute

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import Row, bindparam, case, or_, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.database.prepared import PreparedStatement
 from coordinator.ledger.states import OPEN_STATES, Event, JobState
 from coordinator.ledger.tables import IS_EPISODE, events, jobs
 from coordinator.ledger.transitions import (

@@ -14,7 +14,7 @@ from typing import Any
 from sqlalchemy import Row, bindparam, delete, func, insert, inspect, or_, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.database.prepared import PreparedStatement
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, hosts, jobs, workers
 from coordinator.ledger.transitions import JobRow, is_in

@@ -21,7 +21,7 @@ from sqlalchemy.engine import Connection
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.builds import built_layouts, insert_builds, unbuilt_layouts
-from coordinator.ledger.engine import sqlite_url
+from coordinator.ledger.database.engine import sqlite_url
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import BUILD, LEDGER_FORMAT, METADATA, PLANNED, PLANNED_EPISODES, info, jobs
 from coordinator.ledger.tallies import install_tallies

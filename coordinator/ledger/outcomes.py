@@ -17,8 +17,8 @@ from coordinator.expansion.draw import PlannedJob
 from coordinator.ledger import hosts
 from coordinator.ledger.builds import budget_of_builds, insert_next_seed
 from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.database.prepared import PreparedStatement
 from coordinator.ledger.opening import insert_planned, planned_digest, planned_of, write_info
-from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import (
     BUILD,

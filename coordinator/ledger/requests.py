@@ -13,8 +13,8 @@ from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger import hosts, operator
+from coordinator.ledger.database.prepared import PreparedStatement
 from coordinator.ledger.opening import write_info
-from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.tables import info
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 

@@ -7,11 +7,11 @@ from contextlib import ExitStack, contextmanager
 from datetime import datetime
 
 from coordinator.ledger import claims
-from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer
+from coordinator.ledger.database.seal import write_seal
+from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.reading.reader import Connection, translate_damage
-from coordinator.ledger.seal import write_seal
-from coordinator.ledger.writer import Writer
 from schemas.errors import WorldError
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing

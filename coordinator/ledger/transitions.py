@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import Boolean, ColumnElement, bindparam, insert, or_, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.database.prepared import PreparedStatement
 from coordinator.ledger.states import Event, JobState, sources, target
 from coordinator.ledger.tables import attempts, events, jobs
 from schemas.protocol.messages import Lease

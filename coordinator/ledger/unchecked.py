@@ -11,7 +11,7 @@ from datetime import datetime
 from sqlalchemy import bindparam, delete, insert, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.database.prepared import PreparedStatement
 from coordinator.ledger.tables import hosts, unchecked_episodes
 
 _ADD = PreparedStatement(insert(unchecked_episodes))

@@ -17,7 +17,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from coordinator.ledger import claims, hosts
-from coordinator.ledger.writer import Writer
+from coordinator.ledger.database.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve

@@ -18,7 +18,7 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.given_up import end_given_up
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.repair import record_failures, record_whole

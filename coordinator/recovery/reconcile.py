@@ -22,13 +22,13 @@ from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
-from coordinator.ledger.engine import is_server, shown_url, sqlite_files
+from coordinator.ledger.database.engine import is_server, shown_url, sqlite_files
+from coordinator.ledger.database.seal import is_sealed
 from coordinator.ledger.gateway_episodes import record_at_core, recorded_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.repair import current_job, record_whole
-from coordinator.ledger.seal import is_sealed
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import restore_failures, validated_files

@@ -19,7 +19,7 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
-from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import holds_run, open_run, read_info
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble

@@ -9,7 +9,7 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
 from typing import Protocol
 
-from coordinator.ledger.writer import Writer
+from coordinator.ledger.database.writer import Writer
 from coordinator.meters import Meter, Meters
 from schemas.errors import FactoryError
 from schemas.protocol.status import Progress

@@ -85,9 +85,9 @@ class Checkpoints:
     def _present_scenes(self) -> dict[str, str]:
         """Returns the digests of the packages in the order of the plan, after assigning instances of new ones."""
         parts = [part for part in self._plan.parts if part.name in self._catalog]
-        for part in parts if self._shared is not None else ():
+        for part in parts:
             entry = self._catalog[part.name]
-            if part.name not in self._sides:
+            if self._shared is not None and part.name not in self._sides:
                 self._sides[part.name] = sides = scene_cells(self._plan, part, entry).sides
                 if sides:
                     self._shared[part.name] = shared_categories(sides, entry)

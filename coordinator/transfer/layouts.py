@@ -19,7 +19,7 @@ from coordinator.expansion.draw import expand_layout
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
 from coordinator.ledger import outcomes
-from coordinator.ledger.writer import Writer
+from coordinator.ledger.database.writer import Writer
 from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.errors import InvalidBundle

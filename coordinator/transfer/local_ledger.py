@@ -11,7 +11,7 @@ from datetime import datetime
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger import claims, outcomes, unchecked
-from coordinator.ledger.writer import Writer
+from coordinator.ledger.database.writer import Writer
 from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.protocol.pulls import Pull
 from schemas.dataset.rows import BundleReceipt

@@ -17,10 +17,10 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
+from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.reading.progress import read_progress
-from coordinator.ledger.writer import Writer
 from coordinator.validation.validator import Validator
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread

@@ -17,7 +17,7 @@ import numpy as np
 
 from coordinator.archive.opening import open_archive
 from coordinator.ledger import outcomes
-from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.progress import read_progress

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.settings import CoordinatorSettings
 from factory.bench.coordinator_process import CoordinatorReady, serve_archive

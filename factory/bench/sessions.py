@@ -19,9 +19,9 @@ from itertools import count
 from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
+from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.opening import ledger_url_of, open_run
-from coordinator.ledger.writer import Writer
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from factory.bench.coordinator import archiving
 from factory.bench.delivery_model import SessionsBench, VerbLoad

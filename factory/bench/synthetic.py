@@ -21,7 +21,7 @@ import xxhash
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand
-from coordinator.ledger.engine import checkpoint_log, open_writer
+from coordinator.ledger.database.engine import checkpoint_log, open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.reading.reader import Connection
 from coordinator.ledger.tables import episodes

@@ -253,7 +253,7 @@ def _part_file(output: Output, number: int) -> Path:
 
 def _other_tables(tasks: Sequence[PartTask], spec: LanguageSpec) -> dict[str, pa.Table]:
     """Returns the tables of steps and of questions by their file name, if the language file has them."""
-    keys = {STEPS_FILE: ("index", "number", "step")} if TextKind.ROUTE in spec.kinds else {}
+    keys: dict[str, tuple[str, ...]] = {STEPS_FILE: ("index", "number", "step")} if TextKind.ROUTE in spec.kinds else {}
     keys |= {QUESTIONS_FILE: ("index", "number")} if spec.questions else {}
     return {
         name: pa.concat_tables([pq.read_table(task.beside(name)) for task in tasks]).sort_by(

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from coordinator.archive.staging import is_held
-from coordinator.ledger.engine import has_writer
+from coordinator.ledger.database.engine import has_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.reader import Connection, open_ledger

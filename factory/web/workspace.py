@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.archive.staging import is_held
-from coordinator.ledger.engine import sqlite_files
+from coordinator.ledger.database.engine import sqlite_files
 from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
 from coordinator.ledger.reading.failures import FailedPlace, count_failures, read_failures
 from coordinator.ledger.reading.farm import FarmReading, read_farm

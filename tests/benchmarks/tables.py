@@ -15,7 +15,7 @@ from pathlib import Path
 from sqlalchemy import create_engine, insert
 
 from coordinator.archive.opening import open_archive
-from coordinator.ledger.engine import sqlite_url
+from coordinator.ledger.database.engine import sqlite_url
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import METADATA, episodes, events, jobs
 from coordinator.tables.checkpoint import Checkpoints

@@ -18,7 +18,7 @@ from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.draw import redraw
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.tables import jobs
 from schemas.dataset.rows import EpisodeSummary, summary_of

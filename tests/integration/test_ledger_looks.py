@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy.engine import Engine
 
 from coordinator.archive.staging import Staging
-from coordinator.ledger.engine import open_writer, sqlite_url
+from coordinator.ledger.database.engine import open_writer, sqlite_url
 from coordinator.ledger.hosts import note_alive
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.reader import open_ledger

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from coordinator.expansion.catalog import read_entry
-from coordinator.ledger.engine import open_writer, sqlite_url
+from coordinator.ledger.database.engine import open_writer, sqlite_url
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.options import CoordinatorOptions

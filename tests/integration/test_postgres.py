@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 
-from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.options import CoordinatorOptions

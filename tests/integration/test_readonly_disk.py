@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import open_run, read_info
 from coordinator.ledger.reading.reader import open_ledger
 from schemas.errors import WorldError

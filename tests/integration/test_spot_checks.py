@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select
 from structlog.testing import capture_logs
 
-from coordinator.ledger.engine import open_reader
+from coordinator.ledger.database.engine import open_reader
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.tables import unchecked_episodes
 from coordinator.options import CoordinatorOptions

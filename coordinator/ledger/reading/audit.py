@@ -15,7 +15,7 @@ from sqlalchemy.exc import DatabaseError, SQLAlchemyError
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw
-from coordinator.ledger.engine import open_reader, sqlite_files
+from coordinator.ledger.database.engine import open_reader, sqlite_files
 from coordinator.ledger.opening import planned_digest, planned_of, read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, Event, JobState

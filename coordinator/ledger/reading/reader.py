@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DatabaseError
 
-from coordinator.ledger.engine import open_reader, shown_url
+from coordinator.ledger.database.engine import open_reader, shown_url
 from coordinator.ledger.reading.audit import ledger_trouble
 from schemas.errors import FactoryError, WorldError
 

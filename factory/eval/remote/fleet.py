@@ -15,7 +15,7 @@ from pathlib import Path
 from coordinator.clock import utc_now
 from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import operator
-from coordinator.ledger.engine import open_writer
+from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.reader import open_ledger

@@ -88,7 +88,7 @@ class PoseReplay:
         points = np.array(near[:: max(1, len(near) // 12)])[:, None, None]
         ways = np.exp(1j * np.pi * np.arange(2 * _DIRECTIONS) / _DIRECTIONS)[:, None]
         rays = points + ways * np.arange(0.0, _MOST_M, _RAY_M)  # (points, directions, steps)
-        hit = self.graph.sight_grid.at(np.stack((rays.real, rays.imag), axis=-1)) >= 1
+        hit = np.asarray(self.graph.sight_grid.at(np.stack((rays.real, rays.imag), axis=-1))) >= 1
         free = np.where(hit.any(axis=-1), hit.argmax(axis=-1) * _RAY_M, _MOST_M)
         return float((free[:, :_DIRECTIONS] + free[:, _DIRECTIONS:]).min())
 

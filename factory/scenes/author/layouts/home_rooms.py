@@ -230,6 +230,8 @@ def _bedroom(own: Furnisher) -> None:
             stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
             if stand is not None and rng.random() < 0.7:
                 own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
+        size = (2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)
+        own.carpet((found.x, found.y), *size, plan.pick(9) + 2)
     if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
         own.wall_piece("SM_Wardrobe", look, clearance=0.1)
     own.dress(own.wall_piece("SM_Dresser", look, clearance=0.45), _ON_DRESSERS, 2)

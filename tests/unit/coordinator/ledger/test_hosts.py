@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import func, inspect, select
 
 from coordinator.ledger import hosts
-from coordinator.ledger.engine import open_reader
+from coordinator.ledger.database.engine import open_reader
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.tables import hosts as hosts_table

@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from coordinator.ledger import claims, hosts, operator, outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import open_run, read_info
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.records import (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.ledger.engine import open_writer, sqlite_url
+from coordinator.ledger.database.engine import open_writer, sqlite_url
 from schemas.errors import WorldError
 from schemas.storage.mounts import mount_of
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.ledger.engine import sqlite_url
+from coordinator.ledger.database.engine import sqlite_url
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, list_jobs

@@ -8,12 +8,12 @@ import pytest
 from sqlalchemy import Connection, Engine, bindparam, insert, select, text, update
 from sqlalchemy.exc import IntegrityError, ProgrammingError
 
-from coordinator.ledger.engine import open_reader, open_writer
-from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.database.engine import open_reader, open_writer
+from coordinator.ledger.database.prepared import PreparedStatement
+from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import METADATA, events, jobs, workers
 from coordinator.ledger.transitions import JOB
-from coordinator.ledger.writer import Writer
 
 HIRE = PreparedStatement(insert(workers))
 SLOTS = PreparedStatement(select(workers.c.slots, workers.c.host).where(workers.c.sid == bindparam("by")))

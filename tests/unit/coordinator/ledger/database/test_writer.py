@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Connection, Engine, insert, select
 
-from coordinator.ledger.engine import open_writer, sqlite_url
+from coordinator.ledger.database.engine import open_writer, sqlite_url
+from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.tables import METADATA, info
-from coordinator.ledger.writer import Writer
 from schemas.errors import TransientError
 
 

@@ -9,8 +9,8 @@ from contextlib import closing, suppress
 import pytest
 
 from coordinator.archive.opening import open_archive
+from coordinator.ledger.database.seal import is_sealed, write_seal
 from coordinator.ledger.run_ledger import RunLedger
-from coordinator.ledger.seal import is_sealed, write_seal
 from coordinator.recovery.reconcile import replace_unusable_ledger
 from schemas.errors import WorldError
 from tests.builders.archived import ArchivedRun

@@ -18,7 +18,7 @@ from sqlalchemy import Engine
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DatabaseError, OperationalError, SQLAlchemyError
 
-from coordinator.ledger.engine import checkpoint_log
+from coordinator.ledger.database.engine import checkpoint_log
 from schemas.errors import TransientError, WorldError
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error

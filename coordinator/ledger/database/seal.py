@@ -12,7 +12,7 @@ from pathlib import Path
 
 import xxhash
 
-from coordinator.ledger.engine import sqlite_files
+from coordinator.ledger.database.engine import sqlite_files
 
 _SUFFIX = ".digest"
 _PIECE_BYTES = 1 << 20

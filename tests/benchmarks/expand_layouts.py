@@ -1,0 +1,68 @@
+"""Measures the CPU time of inserting the episodes of many layouts into a ledger: `PACKAGE [LAYOUTS]`.
+
+PACKAGE is the package of a home, which is used for every layout; the first LAYOUTS of 10,000 are inserted, by default
+all. Builds nothing.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from coordinator.ledger.engine import open_writer
+
+from coordinator.expansion.catalog import read_entry
+from coordinator.expansion.draw import expand_layout
+from coordinator.ledger.builds import number_of_layout, open_builds
+from coordinator.ledger.opening import open_run
+from coordinator.ledger.reading.progress import read_progress
+from coordinator.ledger.repair import adopt_package
+from schemas.plan import Plan
+
+_LAYOUTS, _EPISODES = 10_000, 1_000_000
+
+
+def main() -> None:
+    """Prints the CPU time of opening, inserting and reading, and the largest memory."""
+    entry, layouts = read_entry(Path(sys.argv[1])), int(sys.argv[2]) if len(sys.argv) > 2 else _LAYOUTS
+    plan = Plan.model_validate(
+        {
+            "name": "million",
+            "scenes": [{"name": "home", "layouts": _LAYOUTS, "episodes": _EPISODES}],
+            "splits": {"train_id": 0.6, "test_id": 0.1, "test_unseen_scene": 0.2, "test_unseen_scene_ood_obj": 0.1},
+            "balance": "categories",
+            "expert": "planner",
+            "record": "states",
+            "task": {"success": "surface"},
+        }
+    )
+    now = datetime.now(UTC)
+    with tempfile.TemporaryDirectory() as folder:
+        engine = open_writer(f"sqlite:///{folder}/ledger.db")
+        open_run(engine, plan, {}, 15.0, now)
+        _say("opened")
+        with engine.begin() as connection:
+            builds = open_builds(connection)[:layouts]
+        for build in builds:
+            planned = tuple(expand_layout(plan, number_of_layout(plan, build), plan.spans[build.scene][0], entry))
+            with engine.begin() as connection:
+                adopt_package(connection, build, entry.sha256, entry.size, planned, now)
+        _say(f"{len(builds)} layouts inserted")
+        with engine.connect() as connection:
+            progress = read_progress(connection, now)
+        _say(f"progress read, {progress.planned} episodes")
+        engine.dispose()
+
+
+def _say(what: str) -> None:
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    sys.stdout.write(f"{time.process_time():.2f} s CPU, {memory} MiB: {what}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
