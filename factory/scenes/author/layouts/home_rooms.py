@@ -14,12 +14,12 @@ from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement
 from factory.scenes.author.style import Palette
 
 _EVERYWHERE = {
-    "SM_ChairWood_D": 1,
-    "SM_Plant_A": 2,
     "SM_Sofa_A": 1,
     "SM_Wardrobe": 1,
     "SM_Dresser": 1,
     "SM_Sideboard": 1,
+    "SM_ChairWood_D": 1,
+    "SM_Plant_A": 2,
     "SM_ShelfBook_B": 2,
     "SM_LampFloor": 1,
     "SM_Vase": 2,
