@@ -96,6 +96,11 @@ class Progress(Model):
         return self.planned - self.jobs.get("archived", 0)
 
     @property
+    def built_layouts(self) -> str:
+        """Number of built and of all layouts as text, e.g. `3 of 8 layouts built`; empty without layouts."""
+        return f"{self.layouts.get('archived', 0)} of {sum(self.layouts.values())} layouts built" if self.layouts else ""
+
+    @property
     def failures(self) -> dict[str, int]:
         """Number of failed attempts by reason; a job that its worker returned without a failure is not counted."""
         return {name: count for name, count in self.attempts.items() if name not in {"success", FailReason.RELEASED}}

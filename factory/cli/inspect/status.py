@@ -122,6 +122,7 @@ def draw_progress(progress: Progress) -> Group:
     tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
     back = f"; returned jobs: {progress.given_back}" if progress.given_back else ""
     packed = [Text(f"shards of packed episodes: {progress.shards}")] if progress.shards else []
+    layouts = [Text(progress.built_layouts)] if progress.layouts else []
     foot = f"failed attempts: {tries}{back}; redrawn targets: {progress.redrawn}"
     kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
     away = [Text(f"stored at gateways: {kept}; copy them into one dataset with `factory gather`")] if kept else []
@@ -130,7 +131,7 @@ def draw_progress(progress: Progress) -> Group:
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     hosts = map(_describe_host, progress.hosts)
     sandbox = _describe_sandbox(progress.sandbox)
-    return Group(Text(head, style="bold"), *away, *packed, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
+    return Group(Text(head, style="bold"), *layouts, *away, *packed, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
 
 
 def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:

@@ -198,5 +198,6 @@ class RunBar(Bars):
         failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
-        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
+        layouts = f", {progress.built_layouts}" if progress.layouts else ""
+        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{layouts}"
         self.update(self._task, total=progress.planned, completed=progress.jobs.get("archived", 0), note=note)

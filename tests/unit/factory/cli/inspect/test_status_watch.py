@@ -78,6 +78,15 @@ def test_the_progress_bar_of_a_run_does_not_count_returned_jobs() -> None:
     assert bar.tasks[0].fields["note"].endswith("0 failed attempts")
 
 
+def test_status_and_progress_bar_count_built_layouts(capsys: pytest.CaptureFixture[str]) -> None:
+    told = progress(1).model_copy(update={"layouts": {"archived": 3, "leased": 1, "pending": 4}})
+    stdout.print(draw_progress(told))
+    assert "3 of 8 layouts built" in capsys.readouterr().out
+    bar = RunBar(load_plan("demo"))
+    bar.tell(told)
+    assert bar.tasks[0].fields["note"].endswith("3 of 8 layouts built")
+
+
 @pytest.mark.parametrize(("archived", "state"), [(1, "alive"), (3, "left")])
 def test_a_finished_run_shows_no_workers(capsys: pytest.CaptureFixture[str], archived: int, state: str) -> None:
     beat = datetime(2026, 1, 1, tzinfo=UTC)
