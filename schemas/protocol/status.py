@@ -98,7 +98,8 @@ class Progress(Model):
     @property
     def built_layouts(self) -> str:
         """Number of built and of all layouts as text, e.g. `3 of 8 layouts built`; empty without layouts."""
-        return f"{self.layouts.get('archived', 0)} of {sum(self.layouts.values())} layouts built" if self.layouts else ""
+        built, total = self.layouts.get("archived", 0), sum(self.layouts.values())
+        return f"{built} of {total} layouts built" if total else ""
 
     @property
     def failures(self) -> dict[str, int]:

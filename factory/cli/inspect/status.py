@@ -131,7 +131,8 @@ def draw_progress(progress: Progress) -> Group:
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     hosts = map(_describe_host, progress.hosts)
     sandbox = _describe_sandbox(progress.sandbox)
-    return Group(Text(head, style="bold"), *layouts, *away, *packed, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
+    top = (Text(head, style="bold"), *layouts, *away, *packed)
+    return Group(*top, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
 
 
 def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:

@@ -120,11 +120,12 @@ def command(
     warn_of_empty_splits(plan)
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     processes = workers or os.cpu_count() or 1
-    has_gate = is_new and not (shard is not None and gate_mode == "auto")
+    if not is_new or (shard is not None and gate_mode == "auto"):
+        gate_mode = "skip"
+    all_before = shard is not None or packages is not None
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_signals())
-        gate_mode = gate_mode if has_gate else "skip"
-        before = None if shard is not None or packages is not None else scenes_before_run(plan, pilots(plan, gate_mode))
+        before = None if all_before else scenes_before_run(plan, pilots(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
             catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages, before)
         gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
