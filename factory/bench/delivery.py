@@ -67,23 +67,7 @@ def bench_delivery(
         settings = CoordinatorSettings(
             lease_ttl_s=_LEASE_S, reserve_bytes=0, checkpoint_s=_LEASE_S, pullers=count, spot_checks=share
         )
-        with process(serve_archive, root, plan, catalog, settings, samples[0]) as coordinator:
-            opened: CoordinatorReady = receive(coordinator)
-            at_once = max(2, min(_WAITING, _WAITING_BYTES // max(sizes)) // workers)
-            load = (
-                opened.endpoints,
-                plan.run,
-                workers,
-                [sample.path for sample in samples],
-                share is not None,
-                at_once,
-            )
-            with process(deliver_copies, *load) as fleet:
-                receive(fleet)
-                before = usage(coordinator).cpu_s
-                fleet.send("go")
-                seconds: float = receive(fleet)
-                cpu_s = usage(coordinator).cpu_s - before
+        seconds, cpu_s = _archive_copies(root, plan, catalog, settings, samples, workers)
         paces.append(
             DeliveryPace(
                 pullers=count,
@@ -106,6 +90,29 @@ def bench_delivery(
         workers=workers,
         paces=tuple(paces),
     )
+
+
+def _archive_copies(
+    root: Path,
+    plan: Plan,
+    catalog: Catalog,
+    settings: CoordinatorSettings,
+    samples: Sequence[BenchSample],
+    workers: int,
+) -> tuple[float, float]:
+    """Returns the wall time and the CPU time of the coordinator in which it archives the planned episodes, seconds."""
+    paths = [sample.path for sample in samples]
+    largest = max(path.stat().st_size for path in paths)
+    at_once = max(2, min(_WAITING, _WAITING_BYTES // largest) // workers)
+    with process(serve_archive, root, plan, catalog, settings, samples[0]) as coordinator:
+        opened: CoordinatorReady = receive(coordinator)
+        load = (opened.endpoints, plan.run, workers, paths, settings.spot_checks is not None, at_once)
+        with process(deliver_copies, *load) as fleet:
+            receive(fleet)
+            before = usage(coordinator).cpu_s
+            fleet.send("go")
+            seconds: float = receive(fleet)
+            return seconds, usage(coordinator).cpu_s - before
 
 
 def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[RecordedBundle]) -> None:
