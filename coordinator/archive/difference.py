@@ -45,7 +45,7 @@ class ArchiveDifference:
     changed: Mapping[int, str]
     """Listed with other contents than recorded, with a description of the difference."""
     elsewhere: tuple[int, ...]
-    """Listed as recorded, and recorded at a gateway; these are no part of `same`."""
+    """Listed as recorded, and recorded at a gateway; these are not in `same`."""
 
     @property
     def strays(self) -> tuple[int, ...]:

@@ -48,12 +48,12 @@ class RemoteLedgerClient:
         strays = self._core.ask(Verb.INVENTORY, told, InventoryReply).strays
         return all(stray.index != index for stray in strays)
 
-    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:  # noqa: ARG002 - all are
+    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:  # noqa: ARG002 - a gateway checks all
         """See `LedgerClient`. Repeats the request until the core replies, because the file is already durable."""
         told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
         return self._core.request_until_reply(Verb.ARCHIVED, told, Ack, self._stop).accepted
 
-    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:  # noqa: ARG002 - orders have no claim
+    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:  # noqa: ARG002 - always false
         """See `LedgerClient`."""
         self._core.ask(
             Verb.REFUSED,

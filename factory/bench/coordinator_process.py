@@ -72,7 +72,7 @@ def serve_coordinator(
         root: Directory of the dataset; its ledger may already contain jobs.
         plan: Plan of the ledger.
         catalog: Scenes of the plan.
-        meta: Episode metadata that stand for every bundle.
+        meta: Episode metadata that are used for every bundle.
         sha256: SHA-256 of every bundle.
         size: Size of every bundle, bytes.
     """

@@ -75,7 +75,7 @@ class SessionsBench(Model):
     seconds: float
     """Simulated time, seconds."""
     verbs: dict[str, VerbLoad]
-    """Load by verb; `archive` is the record of an archived episode, which is no request."""
+    """Load by verb; `archive` is the record of an archived episode, which is not a request."""
     episodes_per_s: float
     """Archived episodes per second of simulated time."""
     commits_per_s: float

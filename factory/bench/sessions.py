@@ -41,7 +41,7 @@ _ARCHIVE_S = 1.0
 _BEATS_PER_LEASE = 4
 _VERSION = "bench"
 _ARCHIVE = "archive"
-"""Name of the ledger's work for an archived episode, which is no request."""
+"""Name of the ledger's work for an archived episode, which is not a request."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def bench_sessions(plan: Plan, catalog: Catalog, meta: EpisodeMeta, folder: Path
     Args:
         plan: Plan with one scene.
         catalog: Scenes of the plan.
-        meta: Metadata of a real episode, which stand for every episode.
+        meta: Metadata of a real episode, which are used for every episode.
         folder: Directory of the ledger.
         load: Workload.
     """

@@ -56,7 +56,7 @@ def bench_wire(
     Args:
         plan: Plan of the ledger in `root`, with enough jobs for all claims.
         catalog: Scenes of the plan.
-        meta: Metadata of a real episode, which stand for every bundle.
+        meta: Metadata of a real episode, which are used for every bundle.
         root: Directory of the ledger.
         workers: Number of concurrent workers.
         sessions: Number of simultaneous sessions for the memory measurement.

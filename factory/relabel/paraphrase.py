@@ -31,7 +31,7 @@ KEY_VARIABLE = "MINIVLA_PARAPHRASE_KEY"
 """Environment variable of the API key, which is sent to the endpoint only."""
 _MOST_BYTES = 1 << 20
 _MOST_FAILURES = 3
-"""Number of failed requests in succession after which no more are sent."""
+"""Number of consecutive failed requests after which no more are sent."""
 _WANTED = 3
 _PROMPT = (
     "Rewrite this instruction for a mobile robot in {language} in {count} other ways, one on each line, without "
@@ -64,7 +64,7 @@ class ParaphraseReport(Model):
     accepted: int
     """Number of new sentence patterns."""
     refused: dict[str, int]
-    """Number of lines that are no usable pattern, by reason."""
+    """Number of unusable lines, by reason."""
     failed: dict[str, int]
     """Number of patterns without an answer, by reason."""
 

@@ -26,7 +26,7 @@ from schemas.terms import RendererKind
 
 _DAYS = 30
 _LOOK_S = 2.0
-"""Time between two looks at the nodes of the cluster, seconds."""
+"""Pause between two queries for the nodes of the cluster, seconds."""
 _MOST_DEATHS = 8
 """Maximum number of workers that exit with an error without a new episode."""
 _LEAVE_S = 10.0

@@ -1,6 +1,6 @@
-"""Adds a typing or speech error to a sentence, and decides whether a sentence with an error has one only.
+"""Adds a typing or speech error to a sentence, and checks that a sentence has exactly one error.
 
-The error never changes the meaning: a mistyped word is no other word of the grammar, and resembles one of them at most.
+The error never changes the meaning: a mistyped word is not another word of the grammar, and resembles at most one.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class MistakeKind(StrEnum):
 def with_mistake(
     text: str, kind: MistakeKind, code: str, vocabulary: Collection[str], rng: np.random.Generator
 ) -> str | None:
-    """Returns a sentence with one error; `None` if it has no place for one. Chinese sentences have no typing errors.
+    """Returns a sentence with one error; `None` if none can be added. Chinese sentences have no typing errors.
 
     Args:
         text: clean sentence.

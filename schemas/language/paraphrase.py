@@ -55,14 +55,14 @@ def _content_fault(source: Grammar, around: str, words: set[str], content: froze
         return "it has a negation"
     if not any(map(holds, source.actions)):
         return "it names no action"
-    return "it has words that belong into the slot" if any(map(holds, content)) else ""
+    return "it has words that belong in the slot" if any(map(holds, content)) else ""
 
 
 class _KnownWords(NamedTuple):
     """Words of the built-in grammar of a language."""
 
     content: frozenset[str]
-    """Words of referring expressions that are no words of patterns."""
+    """Words of referring expressions that are not words of patterns."""
     governed: frozenset[tuple[str, str]]
     """Cases of slots, each with the word before it."""
 

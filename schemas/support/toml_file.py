@@ -1,4 +1,4 @@
-"""Reads TOML files into plain data, and lists the mistakes of their content by key. Knows no model."""
+"""Reads TOML files into plain data, and lists the mistakes of their content by key. Uses no model."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class SceneSheets:
         return self.language.graph
 
     def goals(self, count: int) -> Iterator[Shown]:
-        """Yields instructions for random targets from random starts; each eighth one has a false premise."""
+        """Yields instructions for random targets from random starts; every eighth has a false premise."""
         numbers = sorted(self.graph.number_of.values())
         found = 0
         while found < count:

@@ -16,7 +16,7 @@ import structlog
 
 LIMITS = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_CORE)
 RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
-"""A coordinator raises its soft limit to the hard one: restored like the others, but its change is no error."""
+"""A coordinator raises its soft limit to the hard one: restored like the others, but its change is not an error."""
 OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Variables that pytest itself changes between the phases of a test."""
 

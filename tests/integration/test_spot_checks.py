@@ -61,7 +61,7 @@ def unchecked(root: Path) -> list[int]:
         engine.dispose()
 
 
-def test_a_lying_host_is_barred_and_its_accepted_episodes_are_generated_again(tmp_path: Path) -> None:
+def test_a_host_with_a_false_claim_is_barred_and_its_invalid_episodes_are_generated_again(tmp_path: Path) -> None:
     with started(tmp_path, 0.0) as coordinator, WireWorker(coordinator.endpoints, coordinator.run, "liar") as liar:
         hello = liar.hello(version("minivla-factory"))
         assert isinstance(hello, HelloReply)

@@ -1,4 +1,4 @@
-"""Hostile clients of the web page of a run: floods, slow clients, forged forms and odd input change nothing."""
+"""Hostile clients of the web page of a run: floods, slow clients, forged forms and malformed input change nothing."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_odd_text_in_paths_and_queries_is_refused_or_found_nowhere(data):
+def test_malformed_text_in_paths_and_queries_is_refused_or_not_found(data):
     with web_page(data) as client:
         for text in TEXTS:
             odd = quote(text, errors="surrogatepass", safe="")

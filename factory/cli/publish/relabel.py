@@ -64,7 +64,7 @@ def command(
     every instruction, and accepts it only if it fits the target and no other object. An episode without such an
     instruction keeps the recorded one. After Ctrl-C or a crash, the same command continues.
 
-    With --paraphrase, an endpoint rewrites the sentence patterns once. Texts that are no usable pattern, and requests
+    With --paraphrase, an endpoint rewrites the sentence patterns once. Unusable patterns, and requests
     without an answer, are omitted and counted. The API key is read from MINIVLA_PARAPHRASE_KEY.
     """
     configure_logs()

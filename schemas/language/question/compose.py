@@ -55,7 +55,7 @@ class AskedEpisode(NamedTuple):
     goals: tuple[Instruction, ...] = ()
     """Its verified instructions that name the target."""
     is_false_premise: bool = False
-    """Whether the robot stands still because its instruction names no object; the target is no goal then."""
+    """Whether the robot stands still because its instruction names no object; the target is then not a goal."""
     images: FrameImages | None = None
     """Recorded instance ids and depth; `None` for an episode of states."""
 

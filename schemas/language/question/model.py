@@ -32,8 +32,8 @@ class SeenSide(StrEnum):
 class AnswerKind(StrEnum):
     """Meaning of an answer."""
 
-    YES = "yes"  # it is so
-    NO = "no"  # it is not so
+    YES = "yes"  # affirmative
+    NO = "no"  # negative
     THERE = "there"  # side and distance of the target
     UNSEEN = "unseen"  # the target is not visible
     OBJECT = "object"  # name of an object

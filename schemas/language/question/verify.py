@@ -61,7 +61,7 @@ class QuestionVerifier:
         self._replay = PoseReplay(self._graph, poses, place.camera)
 
     def check(self, asked: Question, language: Reader, images: FrameImages | None = None) -> str:
-        """Returns why answer or reason are wrong; empty if every reading of the texts is right.
+        """Returns why the answer or the reason is wrong; empty if every reading of the texts is right.
 
         Args:
             asked: question, answer, reason and frames; the recorded meaning is not used.
@@ -86,7 +86,7 @@ class QuestionVerifier:
             case QuestionKind.NEXT:
                 return self._movement_fault(meaning.answer, start, end) or self._reason_fault(meaning, start, end)
         if end != start + 1:
-            return "a view is that of one frame"
+            return "a view consists of one frame"
         fitting, fault = self._seen_fault(meaning, start)
         if fault or images is None:
             return fault

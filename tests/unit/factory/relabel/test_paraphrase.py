@@ -132,7 +132,7 @@ def test_foreign_urls_and_a_damaged_cache_are_refused(tmp_path):
     [
         ("en", "Would you kindly proceed to {np}?", ""),
         ("en", "The weather is nice near {np}.", "it names no action"),
-        ("en", "Go to {np} behind the sofa.", "words that belong into the slot"),
+        ("en", "Go to {np} behind the sofa.", "words that belong in the slot"),
         ("en", "Go to {np} and {np}.", "exactly one slot"),
         ("en", "Go to {0}.", "exactly one slot"),
         ("en", "Go to {np} (now|later).", "marks or numbers"),

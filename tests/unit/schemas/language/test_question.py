@@ -120,7 +120,7 @@ def test_a_wrong_answer_or_reason_is_rejected():
 def test_other_frames_and_foreign_words_are_rejected():
     one = next(each for each in asked() if each.meaning.kind is QuestionKind.WHERE)
     assert fault(one.model_copy(update={"start": 0, "end": len(POSES) + 1})) == "the frames do not exist"
-    assert fault(one.model_copy(update={"end": one.end + 1})) == "a view is that of one frame"
+    assert fault(one.model_copy(update={"end": one.end + 1})) == "a view consists of one frame"
     assert fault(one.model_copy(update={"answer": "Perhaps."})) == "the texts are not those of the language"
 
 

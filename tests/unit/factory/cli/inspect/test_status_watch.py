@@ -33,7 +33,7 @@ def progress(archived: int) -> Progress:
 
 
 def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
-    """Returns a source that returns each answer in turn; `None` is no answer."""
+    """Returns a source that returns each answer in turn; `None` means that no answer arrives."""
     left = iter(answers)
 
     def source() -> Progress:
