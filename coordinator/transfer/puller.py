@@ -30,9 +30,6 @@ from schemas.support.log_limit import LogLimit, Repeated
 
 _VALIDATION_S = 120.0
 """Duration of the lease after a complete transfer, seconds; the worker is no longer needed."""
-_SMALL_BYTES = 1 << 20
-"""Largest size of a bundle whose validation takes a small part of a lease, so that the lease is not extended first,
-bytes; a commit is a large part of the work for a bundle of states."""
 _TURN_S = 0.25
 """Duration of a turn of one bundle while others wait, seconds."""
 _FAILURES = 5
@@ -194,8 +191,7 @@ class Pullers(Closing):
         elif not staged.is_taken and self._is_another(pull, staged.sha256):
             return True
         else:
-            if pull.size > _SMALL_BYTES:
-                self._ledger.keep(pull, _VALIDATION_S)
+            self._ledger.keep(pull, _VALIDATION_S)
             if isinstance(pull.job, BuildJob):
                 self._receive_layout(pull, pull.job, staged)
                 return True

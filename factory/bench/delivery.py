@@ -38,7 +38,7 @@ def bench_delivery(
     *,
     episodes: int,
     workers: int,
-    pullers: Sequence[int],
+    pullers: int,
     shares: Sequence[float | None],
     tell: Callable[[], None],
 ) -> DeliveryBench:
@@ -51,7 +51,7 @@ def bench_delivery(
         folder: Empty directory for the datasets.
         episodes: Number of episodes of each variant.
         workers: Number of simulated workers.
-        pullers: Numbers of pullers to compare.
+        pullers: Number of pullers.
         shares: Shares of spot checks to compare; `None` validates all bundles centrally.
         tell: Progress callback, called after every variant.
     """
@@ -61,16 +61,16 @@ def bench_delivery(
     steps = [recording.meta.rollout.num_steps for recording in recordings]
     frames = sum(steps[index % len(steps)] for index in range(1, episodes + 1))
     sizes = [sample.path.stat().st_size for sample in samples]
-    for number, (share, count) in enumerate((share, count) for share in shares for count in pullers):
+    for number, share in enumerate(shares):
         root = folder / f"run{number}"
         _fill(root, plan, catalog, recordings)
         settings = CoordinatorSettings(
-            lease_ttl_s=_LEASE_S, reserve_bytes=0, checkpoint_s=_LEASE_S, pullers=count, spot_checks=share
+            lease_ttl_s=_LEASE_S, reserve_bytes=0, checkpoint_s=_LEASE_S, pullers=pullers, spot_checks=share
         )
         seconds, cpu_s = _archive_copies(root, plan, catalog, settings, samples, workers)
         paces.append(
             DeliveryPace(
-                pullers=count,
+                pullers=pullers,
                 spot_checks=share,
                 seconds=seconds,
                 cpu_s=cpu_s,

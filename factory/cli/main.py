@@ -51,7 +51,7 @@ VERBS = MappingProxyType(
         "rig": CommandEntry("rig.command", _MAKE, "List, show and check sensor rigs."),
         "gate": CommandEntry("run.gate", _MAKE, "Measure the success rate of first attempts in one scene."),
         "status": CommandEntry("inspect.status", _INSPECT, "Show the progress of a run and its workers."),
-        "jobs": CommandEntry("inspect.jobs", _INSPECT, "List, show, retry and cancel jobs; release barred hosts."),
+        "jobs": CommandEntry("inspect.jobs", _INSPECT, "List, retry and cancel jobs; release hosts; pause a run."),
         "verify": CommandEntry("inspect.verify", _INSPECT, "Check the files, tables and hashes of a dataset."),
         "repair": CommandEntry("inspect.repair", _INSPECT, "Repair a damaged dataset, its ledger and its tables."),
         "pack": CommandEntry("inspect.pack", _INSPECT, "Pack the episodes of a states dataset into shards."),

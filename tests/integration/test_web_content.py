@@ -19,7 +19,7 @@ from sqlalchemy import update
 from coordinator.ledger import hosts
 from coordinator.ledger.host_memory import write_memory
 from coordinator.ledger.opening import ledger_url_of
-from coordinator.ledger.tables import jobs
+from coordinator.ledger.tables import LEDGER_FORMAT, jobs
 from factory.dataset.reader import Dataset
 from factory.eval.models.result import Variant
 from factory.eval.policies.note import PolicyNote
@@ -171,7 +171,7 @@ def test_failures_are_drawn_at_the_robot_or_at_their_target(tmp_path):
         farm = client.ask("/").text
         assert '<a href="/scenes/office#map">office</a> 2' in farm
         assert "3.0 GB of 8.0 GB" in farm
-        assert "Ledger: format 2" in farm
+        assert f"Ledger: format {LEDGER_FORMAT}" in farm
         page = client.ask("/scenes/office").text
         marks = re.findall(r'<circle class="failure ([a-z ]+)" cx="([^"]+)" cy="([^"]+)"', page)
         assert marks == [("timeout ring", f"{GOAL_M[0]:.2f}", f"{-GOAL_M[1]:.2f}"), ("collision", "1.25", "0.75")]

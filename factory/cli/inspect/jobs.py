@@ -32,7 +32,7 @@ from schemas.terms import Split, Tier
 
 @click.group("jobs", cls=CommandGroup)
 def command() -> None:
-    """List, show, retry and cancel jobs; release barred hosts; pause and resume the run."""
+    """List, retry and cancel jobs; release hosts; pause a run."""
 
 
 @command.command("list")

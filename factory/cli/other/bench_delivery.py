@@ -8,12 +8,11 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
-from coordinator.settings import MAX_PULLERS
 from factory.bench.delivery import bench_delivery
 from factory.bench.delivery_model import DeliveryBench
 from factory.bench.sample import make_sample, narrow
 from factory.cli.common.bars import Bars
-from factory.cli.common.options import count_option, record_option, shrunk_plan
+from factory.cli.common.options import count_option, pullers_option, record_option, shrunk_plan
 from factory.cli.common.output import json_option, print_result, print_table
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
@@ -23,15 +22,7 @@ from workers.sim.scene_renderer import SceneRenderer
 @click.command("delivery")
 @count_option("--episodes", 40, "Number of episodes of each variant; a frames episode takes 30 to 100 MB.")
 @count_option("--workers", 8, "Number of simulated workers.", most=64)
-@click.option(
-    "--pullers",
-    type=click.IntRange(1, MAX_PULLERS),
-    multiple=True,
-    default=(1, 2, 4),
-    metavar="N",
-    show_default=True,
-    help="Number of bundles that are transferred at a time, repeatable.",
-)
+@pullers_option()
 @click.option(
     "--spot-checks",
     type=click.FloatRange(0.0, 1.0),
@@ -42,19 +33,17 @@ from workers.sim.scene_renderer import SceneRenderer
 )
 @record_option
 @json_option
-def delivery(
-    episodes: int, workers: int, pullers: tuple[int, ...], spot_checks: float, record: str | None, as_json: bool
-) -> None:
+def delivery(episodes: int, workers: int, pullers: int, spot_checks: float, record: str | None, as_json: bool) -> None:
     """Measure how many valid bundles a coordinator archives.
 
-    Simulated workers deliver copies of two recorded episodes over the network. Each number of pullers is measured with
-    central validation and with spot checks of bundles that the workers have validated.
+    Simulated workers deliver copies of two recorded episodes over the network, with central validation and with spot
+    checks of bundles that the workers have validated.
     """
     plan = shrunk_plan(narrow(load_plan("demo"), ("office",), 2), {"record": record})
     with tempfile.TemporaryDirectory(prefix="bench-") as name, Bars(refresh_per_second=1) as bar:
         folder = Path(name)
         catalog = open_catalog(plan, folder, scene_cache())
-        task = bar.add_task("bench delivery", total=plan.episodes + 2 * len(pullers))
+        task = bar.add_task("bench delivery", total=plan.episodes + 2)
 
         def tell() -> None:
             bar.advance(task)

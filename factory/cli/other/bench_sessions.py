@@ -23,14 +23,14 @@ from workers.sim.scene_renderer import SceneRenderer
 @click.command("sessions")
 @count_option("--sessions", 10_000, "Number of workers, each with one session.", most=10_000)
 @count_option("--cores", 1, "Number of simulations of each worker.", most=256)
-@number_option("SECONDS", "--episode", 10.0, "Mean duration of an attempt, seconds.", "episode_s", least=0.1)
+@number_option("SECONDS", "--attempt", 10.0, "Mean duration of an attempt, seconds.", "episode_s", least=0.1)
 @number_option(
     "SECONDS", "--lease", 15.0, "Lease time, seconds; a worker sends four heartbeats in it.", "lease_s", least=1.0
 )
 @number_option("SECONDS", "--seconds", 30.0, "Simulated time after the start of all workers, seconds.", least=1.0)
 @json_option
 def sessions(sessions: int, cores: int, episode_s: float, lease_s: float, seconds: float, as_json: bool) -> None:
-    """Simulate the sessions of thousands of workers against one coordinator.
+    """Simulate thousands of workers against one coordinator.
 
     The requests of the workers run through the real handlers and a ledger on disk, in virtual time. Measures the CPU
     time, the messages and the commits; network and bundles are measured by `factory bench coordinator` and `delivery`.

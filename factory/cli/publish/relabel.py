@@ -42,6 +42,7 @@ from workers.client.stopping import stop_on_signals
     "timeout_s",
     type=click.FloatRange(0.1, 3600.0),
     default=60.0,
+    metavar="SECONDS",
     show_default=True,
     help="Timeout of a request to the endpoint, seconds.",
 )

@@ -44,6 +44,7 @@ DIFFERENT = {
     ("factory render", "--rig"): "renders several rigs",
     ("factory run", "--scenes"): "names a folder of packages",
     ("factory relabel", "--language"): "a file; a flag of `factory stats`",
+    ("factory keys host", "--address"): "lists the addresses of one host",
     ("factory repair", "--plan"): "an addition to the dataset it works on",
 }
 """Options that take another kind of value than others of their name, and why."""

@@ -48,7 +48,7 @@ def test_only_drawings_and_rendered_templates_are_inserted_unescaped() -> None:
         "{{ drawing | safe }}",
         "<div><h3>{{ title }}</h3>{{ drawing | safe }}</div>",
         '<div id="live" data-events="/live">{{ fragment | safe }}</div>',
-        "{{ chart | safe }}",
+        '<div class="table" role="group" aria-label="Attempts over time" tabindex="0">{{ chart | safe }}</div>',
     ]
 
 

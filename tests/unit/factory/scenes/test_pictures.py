@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.pictures.sheet import alone, known_colours, model_name, variants
-from factory.scenes.pictures.viewpoints import EYE, looking, try_views, worth
+from factory.scenes.pictures.viewpoints import EYE, looking, score_view, try_views
 from tests.builders.scene import box_room
 from workers.geometry.camera import optical_pose
 from workers.render import RenderedFrame
@@ -28,18 +28,22 @@ def picture(*things: int) -> np.ndarray:
 
 def test_a_view_of_more_targets_has_a_higher_score() -> None:
     targets = frozenset({5, 6, 7})
-    assert worth(frame(picture(5, 6)), targets) > worth(frame(picture(5)), targets) > worth(frame(picture()), targets)
+    assert (
+        score_view(frame(picture(5, 6)), targets)
+        > score_view(frame(picture(5)), targets)
+        > score_view(frame(picture()), targets)
+    )
 
 
 def test_new_targets_score_higher_than_clutter_and_seen_targets() -> None:
     look = frame(picture(5))
-    assert worth(look, frozenset({5})) > worth(look, frozenset())
-    assert worth(look, frozenset({5})) > worth(look, frozenset({5}), seen={5})
+    assert score_view(look, frozenset({5})) > score_view(look, frozenset())
+    assert score_view(look, frozenset({5})) > score_view(look, frozenset({5}), seen={5})
 
 
 def test_an_object_close_to_the_camera_lowers_the_score() -> None:
     look, near = picture(5, 6), frame(picture(5, 6), 0.3)
-    assert worth(near, frozenset({5, 6})) < 0.5 * worth(frame(look), frozenset({5, 6}))
+    assert score_view(near, frozenset({5, 6})) < 0.5 * score_view(frame(look), frozenset({5, 6}))
 
 
 def test_a_view_has_the_requested_heading() -> None:
