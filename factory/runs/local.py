@@ -149,7 +149,7 @@ def run_locally(
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:
-            shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # its bundles are no longer needed
+            shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # a finished run does not read bundles again
         return progress
 
 
