@@ -240,7 +240,9 @@ def _scene_table(aggregates: TableAggregates) -> str:
         share = f"{100 * found.episodes / (found.episodes + refused):.0f} %" if found.episodes + refused else "-"
         rows.append((scene, *_means(found), str(found.episodes + refused), share))
     head = ("scene", "episodes", "steps", "start m", "TL m", "NE m", "attempts", "succeeded")
-    return "Means of the episodes; attempts are those that the world decided.\n\n" + _table(head, rows)
+    return "Means over the archived episodes; attempts that crashed or lost their lease are not counted.\n\n" + _table(
+        head, rows
+    )
 
 
 def _tier_table(aggregates: TableAggregates) -> str:
@@ -269,7 +271,7 @@ def _side_paragraph(meta: DatasetMeta) -> str:
     if not shared:
         return f"{kept}."
     places = "; ".join(shared)
-    return f"{kept}, but where a scene has too few of a category ({places}): there `instance_side` is `shared`."
+    return f"{kept}, except in categories with too few instances ({places}); their `instance_side` is `shared`."
 
 
 def _means(sums: EpisodeSums) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ _SYNONYMS = 6
 
 
 class RouteRegister(Model):
-    """Frames and joints of a register."""
+    """Sentence patterns and connecting words of a register."""
 
     form: Name
     """Form of the verbs: `imperative` or `infinitive`."""
