@@ -197,7 +197,7 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     except WorldError as error:
         found[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
-        found[CARD_FILE] = "is not there"
+        found[CARD_FILE] = "is missing"
     with suppress(ArchiveCorrupt):  # reported above
         found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
     return found

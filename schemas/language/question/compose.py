@@ -108,7 +108,7 @@ class QuestionComposer:
 
 
 class _Answers:
-    """Computes answers about one episode; chance chooses frame and object."""
+    """Computes answers about one episode; draws frame and object at random."""
 
     def __init__(self, place: SceneRoutes, episode: AskedEpisode, composer: Composer, rng: np.random.Generator) -> None:
         self._place, self._scene, self._episode, self._composer, self._rng = place, place.scene, episode, composer, rng
