@@ -17,7 +17,7 @@ _SHOWN = 24
 
 
 def require_known(name: str, values: Iterable[str], held: Callable[[], Sequence[str]], plan: Plan) -> None:
-    """Raises an error unless every value is valid for a filter, although no episode has it.
+    """Raises an error unless every value is valid for a filter; a valid value may have no episode.
 
     Args:
         name: Name of the filter.

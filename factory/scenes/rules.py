@@ -59,7 +59,7 @@ class CategoryRule(Model):
     height_m: tuple[NonNegative, Positive] = (0.0, 40.0)
     """Plausible vertical extents, from and to, metres."""
     thickest_m: Positive | None = None
-    """Maximum plausible width of the footprint at any rotation, metres: a panel is thin. `None` is any width."""
+    """Maximum plausible width of the footprint at any rotation, metres; for thin panels. `None` is any width."""
     colours: tuple[Colour, ...] = ()
     """Plausible dominant colours; empty is any colour."""
     has_colour: bool = True

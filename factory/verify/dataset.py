@@ -140,7 +140,7 @@ def _drawn_again(formats: Mapping[str, int], count: int) -> set[str]:
 
 
 def _reference_episodes(root: Place | None, dataset: Dataset, names: Iterable[str]) -> dict[str, Episode]:
-    """Returns the episodes of a reference by id, as far as it has them with the same number of steps."""
+    """Returns the episodes of a reference by id, limited to those that it has with the same number of steps."""
     if root is None:
         return {}
     reference = Dataset(root)

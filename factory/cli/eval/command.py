@@ -120,7 +120,7 @@ def run(
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))
         if not _drive(campaign, store, door):
-            kept = "run the same command again to continue" if out else "results were not kept; keep them with -o DIR"
+            kept = "run the same command again to continue" if out else "the results were not stored: use -o DIR"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
         evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)

@@ -1,4 +1,5 @@
-"""Policy with a trained behaviour cloning network: infers every few steps, holds the twist, and stops at the target.
+"""Policy with a trained behaviour cloning network: runs the network every few steps, holds the twist, and stops at the
+target.
 
 Loads the checkpoint on construction. Uses camera and instruction only.
 """

@@ -1,6 +1,6 @@
 """Reads and writes `targets_<scene>.yaml`, the target list of a scene that users edit.
 
-Does not apply the list; `edits.py` does.
+Does not apply the list; `target_edits.py` does.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from schemas.scene import SceneInfo
 from schemas.terms import COLOUR_NAMES
 
 _HEAD = """\
-# The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
-# be no target, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"` below
-# the scene in a plan. Centroid and size (metres) are for your eyes and are not read back.
+# The targets of {scene}. Set `enabled: false` to disable one, change its category, colour or id, delete rows that
+# are not targets, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"` below
+# the scene in a plan. Centroid and size (metres) are for information only; they are not read back.
 """
 
 
