@@ -1,7 +1,7 @@
 """Entry point of `factory` and `python -m factory`: removes the working directory from the import path.
 
-Then it runs the command line. `-m` and an empty entry of `PYTHONPATH` add it; a dataset may contain a module with the name of an
-imported one.
+Then it runs the command line. `-m` and an empty entry of `PYTHONPATH` add the directory; a dataset may contain a module
+with the name of an imported one.
 """
 
 import os

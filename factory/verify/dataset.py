@@ -220,7 +220,7 @@ def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
         report.add(Kind.DAMAGED, ATTEMPTS_FILE, f"cannot be read: {error}")
     else:
         if attempts != meta.failed_attempts:
-            report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} says {meta.failed_attempts}")
+            report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} has {meta.failed_attempts}")
     _check_split_tables(dataset, report)
 
 

@@ -14,7 +14,7 @@ from coordinator.ledger.tallies import attempt_counts, job_counts
 from coordinator.tables.checkpoint import Checkpoints, is_checkpoint_due, write_checkpoint
 from coordinator.tables.grouped_table import GROUP_ROWS
 from tests.builders.ledger import Desk, room_plan
-from tests.builders.ledger_story import change_at_random, scatter
+from tests.builders.ledger_changes import change_at_random, scatter
 from tests.builders.postgres import Postgres
 
 NOW = datetime(2026, 1, 2, tzinfo=UTC)
@@ -26,7 +26,7 @@ def read(root: Path) -> dict[str, bytes]:
 
 
 def rewritten(root: Path, desk: Desk) -> dict[str, bytes]:
-    """Returns the tables as a process writes them that has written none before."""
+    """Returns the tables as a new process writes them."""
     root.mkdir()
     with open_archive(root) as archive, desk.engine.connect() as connection:
         write_checkpoint(archive, connection, desk.plan, desk.catalog, NOW)
@@ -47,7 +47,7 @@ def test_a_checkpoint_of_the_changes_has_the_bytes_of_a_rewritten_one(tmp_path: 
 
 
 def test_a_checkpoint_reads_only_the_rows_that_have_changed(tmp_path: Path) -> None:
-    """Rows that change without an event, as only a test does, stay as they were written."""
+    """Rows that change without an event, which happens in tests only, stay as they were written."""
     desk = Desk(room_plan(GROUP_ROWS + 1))
     lease = desk.lease()
     assert desk.done(lease)

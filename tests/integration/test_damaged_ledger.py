@@ -47,7 +47,7 @@ WRONG = ("'x'", "-1", "1e300", "x'fffe'", "9223372036854775807", "''", "NULL", "
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> ArchivedRun:
-    """A run with every kind of row: archived, given up and waiting jobs, failed attempts."""
+    """A run with every kind of row: archived, abandoned and pending jobs, failed attempts."""
     return ArchivedRun(tmp_path_factory.mktemp("whole") / "out", planned=4, done=2, misses=3)
 
 

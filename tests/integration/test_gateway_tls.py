@@ -88,8 +88,8 @@ def test_a_gateway_admits_only_workers(hub, gateway, pki):
             assert stranger.hello(VERSION) is None
             assert stranger.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
             assert stranger.ask(Verb.ORDERS, OrdersRequest(router="a", most=9), Orders) is None
-    with WireWorker(gateway.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
-        assert liar.hello(VERSION) is None
+    with WireWorker(gateway.endpoints, hub.run, "other", files_of(pki, "node")) as false_peer:
+        assert false_peer.hello(VERSION) is None
     assert hub.progress().jobs["pending"] == 2
     assert hub.progress().workers == ()
 
@@ -117,9 +117,9 @@ def test_a_gateway_can_neither_answer_as_coordinator_nor_serve_bundles(hub, gate
             lies.append(str(query.key_expr))
             query.reply(str(query.key_expr), b'{"accepted": true}')
 
-    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "gw2"))) as liar:
-        liar.declare_queryable(verb_pattern(hub.run), lie)
-        liar.declare_queryable(bundle_key(hub.run, "*"), lie)
+    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "gw2"))) as false_peer:
+        false_peer.declare_queryable(verb_pattern(hub.run), lie)
+        false_peer.declare_queryable(bundle_key(hub.run, "*"), lie)
         time.sleep(0.3)
         with WireWorker(gateway.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
             _, lease = worker.job()

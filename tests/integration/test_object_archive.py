@@ -93,7 +93,7 @@ def test_missing_bucket_is_named_with_the_remedy(store: ObjectPath, tmp_path: Pa
     assert "create the bucket" in said
 
 
-def test_refused_access_is_named_without_the_servers_words(
+def test_refused_access_is_named_without_the_text_of_the_server(
     store: ObjectPath, relay: StoreRelay, tmp_path: Path
 ) -> None:
     relay.is_denying = True

@@ -142,9 +142,9 @@ def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_pa
 
 
 def test_a_host_cannot_send_requests_under_another_name(hub, pki):
-    with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
-        assert liar.hello(version("minivla-factory")) is None
-        assert liar.ask(Verb.CLAIM, Claim(sid=liar.sid, token=secrets.token_hex(16)), ClaimReply) is None
+    with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as false_peer:
+        assert false_peer.hello(version("minivla-factory")) is None
+        assert false_peer.ask(Verb.CLAIM, Claim(sid=false_peer.sid, token=secrets.token_hex(16)), ClaimReply) is None
     assert hub.progress().workers == ()
     assert hub.progress().jobs["pending"] == 2
 
@@ -168,10 +168,10 @@ def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub,
                 asked.append(str(query.key_expr))
                 query.reply(bundle_key(hub.run, honest.sid), b"x" * 100)
 
-        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as liar:
-            liar.declare_queryable(bundle_key(hub.run, honest.sid), lie)
-            liar.declare_queryable(bundle_key(hub.run, "*"), lie)
-            token = liar.liveliness().declare_token(alive_key(hub.run, honest.sid))
+        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as false_peer:
+            false_peer.declare_queryable(bundle_key(hub.run, honest.sid), lie)
+            false_peer.declare_queryable(bundle_key(hub.run, "*"), lie)
+            token = false_peer.liveliness().declare_token(alive_key(hub.run, honest.sid))
             time.sleep(0.3)
             token.undeclare()  # if accepted, it would shorten the leases of the honest worker
             before = hub.progress()
@@ -201,9 +201,9 @@ def test_only_the_coordinator_can_answer_coordinator_requests(hub, pki):
             lies.append(str(query.key_expr))
             query.reply(verb_key(hub.run, "other", Verb.CLAIM), b'{"finished": true}')
 
-    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as liar:
-        liar.declare_queryable(verb_pattern(hub.run), lie)
-        liar.declare_queryable(verb_key(hub.run, "other", Verb.CLAIM), lie)
+    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as false_peer:
+        false_peer.declare_queryable(verb_pattern(hub.run), lie)
+        false_peer.declare_queryable(verb_key(hub.run, "other", Verb.CLAIM), lie)
         time.sleep(0.3)
         with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "other"))) as honest:
             claim = Claim(sid="other.1", token=secrets.token_hex(16)).model_dump_json()

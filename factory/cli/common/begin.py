@@ -19,7 +19,7 @@ from schemas.storage.disk import translated
 from schemas.storage.place import children
 
 
-class Beginning(NamedTuple):
+class RunStart(NamedTuple):
     """The plan of a run, and whether the run is new."""
 
     plan: Plan
@@ -27,7 +27,7 @@ class Beginning(NamedTuple):
     """True when the dataset has neither a ledger nor episodes."""
 
 
-def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning:
+def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
     """Returns the plan to run in a dataset directory.
 
     Args:
@@ -50,7 +50,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
             _note_foreign_files(site.home)
     with translated("look into", site.home):
         has_episodes = bool(children(site.place / EPISODES))
-    return Beginning(plan, begun is None and not has_episodes)
+    return RunStart(plan, begun is None and not has_episodes)
 
 
 def _load(name: str, begun: Plan | None) -> Plan:

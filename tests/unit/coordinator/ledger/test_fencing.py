@@ -1,4 +1,5 @@
-"""A stale worker changes nothing: random programs of workers, pullers and operators on the real database."""
+"""A stale worker changes nothing: random sequences of operations of workers, pullers and operators on the real
+database."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _REASONS = (FailReason.TIMEOUT, FailReason.COLLISION, FailReason.CRASH, FailReas
 
 
 def scatter(desk: Desk) -> None:
-    """Spreads the order in which the jobs are claimed over all episode numbers."""
+    """Spreads the claims over all episode numbers."""
     with desk.open() as connection:
         connection.execute(update(jobs).values(not_before=(jobs.c.idx * 7919) % 4096 / 4096))
 
