@@ -136,9 +136,9 @@ def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(harmed, whole
     url = f"sqlite:///{ledger}"
     assert ledger_trouble(url, whole.catalog)
     with pytest.raises(FactoryError, match="factory repair"):
-        gather(_repair_input(whole, harmed), [], whole.desk.now)
+        gather(_repair_input(whole, harmed), [], whole.timed_ledger.now)
     with Validator() as validator:
-        report = repair(_repair_input(whole, harmed), validator, whole.desk.now, apply=True)
+        report = repair(_repair_input(whole, harmed), validator, whole.timed_ledger.now, apply=True)
     assert "rebuild" in {str(action.kind) for action in report.actions}
     assert ledger_trouble(url, whole.catalog) == ""
     ledger.write_bytes(damaged)

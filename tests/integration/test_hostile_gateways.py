@@ -37,7 +37,7 @@ from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for
-from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
+from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -128,27 +128,27 @@ class Core:
     """The coordinator's handlers of gateway requests, on a ledger in memory."""
 
     def __init__(self, episodes: int) -> None:
-        self.desk = Desk(room_plan(episodes))
-        self.terms = Terms(self.desk.plan, self.desk.catalog, "1", TTL_S, 0.1)
+        self.timed_ledger = TimedLedger(room_plan(episodes))
+        self.terms = Terms(self.timed_ledger.plan, self.timed_ledger.catalog, "1", TTL_S, 0.1)
 
     def ask(self, message: Any, gateway: str = "gw") -> Any:
-        with self.desk.open() as connection:
-            return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.desk.now).reply
+        with self.timed_ledger.open() as connection:
+            return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.timed_ledger.now).reply
 
     def summaries(self) -> dict[int, EpisodeSummary]:
         """Returns the row of each episode of the plan."""
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             rows = connection.execute(select(jobs)).all()
         meta = parts_for().meta
         found = {}
         for row in rows:
-            job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), 1)
+            job = to_job(self.timed_ledger.plan, self.timed_ledger.catalog, planned_of(row), 1)
             meta = meta.model_copy(update={"job": job, "episode_id": job.episode_id})
             found[row.idx] = summary_of(meta, "1" * 64, 7)
         return found
 
     def kept(self) -> int:
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             return count_by_gateway(connection).get("gw", 0)
 
 
@@ -166,7 +166,7 @@ def test_an_episode_of_another_run_is_refused_with_the_field_name(field: str, va
     reply = core.ask(message_about(false))
     assert isinstance(reply, Refusal)
     assert field in reply.error
-    assert core.desk.rows()[0].state == "pending"
+    assert core.timed_ledger.rows()[0].state == "pending"
     assert core.ask(message_about(true)) == Ack(accepted=True)
 
 

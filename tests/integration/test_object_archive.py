@@ -342,8 +342,8 @@ def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_quarantines_damaged_f
     home = tmp_path / "home"
     repair_input = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
     with Validator() as validator:
-        report = repair(repair_input, validator, run.desk.now, apply=True)
-        again = repair(repair_input, validator, run.desk.now, apply=False)
+        report = repair(repair_input, validator, run.timed_ledger.now, apply=True)
+        again = repair(repair_input, validator, run.timed_ledger.now, apply=False)
     assert sorted(str(action.kind) for action in report.actions) == [
         "adopt",
         "adopt",
@@ -367,7 +367,7 @@ def test_an_unreachable_store_is_not_reported_as_damage(store: ObjectPath, relay
     assert "403" in said_by(lambda: found[0].rgb(0))
     repair_input = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
     with Validator() as validator:
-        assert "403" in said_by(lambda: repair(repair_input, validator, run.desk.now, apply=False))
+        assert "403" in said_by(lambda: repair(repair_input, validator, run.timed_ledger.now, apply=False))
 
 
 @pytest.mark.parametrize("kind", ["directory", "bucket"])
