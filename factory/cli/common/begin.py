@@ -60,9 +60,9 @@ def _load(name: str, begun: Plan | None) -> Plan:
 
 def _note_foreign_files(out: Path) -> None:
     """Prints a note about files that do not belong to a dataset."""
-    strange = sorted(entry.name for entry in out.iterdir() if not is_part(entry.name)) if out.is_dir() else []
-    if strange:
-        some = ", ".join(strange[:3]) + (", ..." if len(strange) > 3 else "")
+    foreign = sorted(entry.name for entry in out.iterdir() if not is_part(entry.name)) if out.is_dir() else []
+    if foreign:
+        some = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         click.echo(
             f"note: {out} contains files that do not belong to a dataset; `factory verify` will report them: {some}",
             err=True,

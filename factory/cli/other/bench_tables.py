@@ -31,7 +31,7 @@ def show_serve(report: ServeBench) -> None:
     ]
     columns = ("request", "first, ms", "median, ms", "range", "CPU, ms")
     print_table(f"Web page of {report.episodes} episodes", columns, rows)
-    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time a frame")
+    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time per frame")
     share, idle = 100 * report.tabs_core_share, 100 * report.idle_core_share
     click.echo(f"{report.tabs} open tabs for {report.tabs_s:.0f} s: {share:.2f} % of a core, {idle:.2f} % without tabs")
 

@@ -99,7 +99,7 @@ def run_fleet(
     planned = tuple(map(planned_of, intake.left.values()))
     evaluation = EvalJobs(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
     if access.connect:
-        _look_for_coordinator(access)
+        _require_coordinator(access)
     _try_failed_again(root)
     options = CoordinatorOptions(
         listen=access.listen,
@@ -131,7 +131,7 @@ def _take_results(coordinator: Coordinator, intake: ResultCollector, root: Path,
     return False
 
 
-def _look_for_coordinator(access: FleetAccess) -> None:
+def _require_coordinator(access: FleetAccess) -> None:
     """Raises an error if no coordinator replies."""
     if access.guard is None:
         ask_presence(access.connect)
