@@ -1,4 +1,4 @@
-"""The experts: speed laws against the paper's equations, and what the planner does near its goal."""
+"""The experts: speed laws compared with the paper's equations, and the planner near its goal."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def test_a_scene_is_prepared_once_while_it_is_kept() -> None:
     assert take(cache, one) is first
 
 
-def test_scenes_are_told_apart_by_key() -> None:
+def test_scenes_are_distinguished_by_key() -> None:
     cache, (one, other) = PreparedSceneCache(Prepared, capacity=2), scenes(2)
     assert take(cache, one).scene is one
     assert take(cache, other).scene is other
