@@ -1,4 +1,4 @@
-"""Writes durations, sizes and times as text for people. Pure."""
+"""Writes durations, sizes and times as text for people. Pure functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Draws line and column charts as SVG text without styles and scripts; the page's stylesheet has the colours. Pure."""
+"""Draws line and column charts as SVG text without styles and scripts; the page's stylesheet has the colours.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ def test_a_ledger_of_another_plan_is_named_at_the_start_and_set_aside_by_repair(
     files, site = run.digests(), site_of(str(run.root))
     with pytest.raises(WorldError, match=r"is of run room-\w+, and dataset_meta.json of .*`factory repair"):
         plan_of(site)
-    repair_input = dataclasses.replace(run.repair_input(), stranger="is of another run")
+    repair_input = dataclasses.replace(run.repair_input(), foreign_ledger="is of another run")
     report = repair(repair_input, validator, run.timed_ledger.now, apply=True)
     assert report.episodes == 3
     assert run.digests() == files
@@ -221,7 +221,7 @@ def test_the_episodes_decide_between_the_plans_of_ledger_and_description(tmp_pat
     engine.dispose()
     repair_input = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert repair_input.plan == plan
-    assert "the episodes to run" in repair_input.stranger
+    assert "the episodes to run" in repair_input.foreign_ledger
     with pytest.raises(UsageError, match="the directory contains run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 

@@ -16,7 +16,7 @@ from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
-from coordinator.expansion.sentences import find_unsayable
+from coordinator.expansion.sentences import find_missing_instructions
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
@@ -59,7 +59,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     mistakes = None if unknown else find_impossible(_without_families(plan), found)
     content = summarise(plan, found) if mistakes == [] and not families else None
     in_layouts = dict(planned_categories(plan).most_common())
-    mistakes = find_unsayable(_without_families(plan), found) if mistakes == [] else mistakes
+    mistakes = find_missing_instructions(_without_families(plan), found) if mistakes == [] else mistakes
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}

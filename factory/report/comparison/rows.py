@@ -1,4 +1,4 @@
-"""Compares the numbers of a dataset with the paper, with a reason for each noticeable difference. Pure.
+"""Compares the numbers of a dataset with the paper, with a reason for each noticeable difference. Pure functions.
 
 Takes numbers from `factory.stats` and reasons from `reasons`.
 """

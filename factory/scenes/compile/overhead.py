@@ -1,4 +1,7 @@
-"""Adds a ceiling or a floor to a scene without one, and finds whether the sky is visible from the floor. Pure."""
+"""Adds a ceiling or a floor to a scene without one, and finds whether the sky is visible from the floor.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Computes smooth normals of charts that approximate a curved surface. Pure.
+"""Computes smooth normals of charts that approximate a curved surface. Pure functions.
 
 Charts that meet at less than a given angle are shaded as one smooth surface; sharper edges stay sharp.
 """

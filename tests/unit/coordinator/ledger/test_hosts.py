@@ -24,7 +24,7 @@ from schemas.protocol.status import HostStatus
 from schemas.terms import FailReason
 from tests.builders.ledger import TTL_S, TimedLedger, room_plan
 
-HARM = [reason for reason in FailReason if reason.is_of_the_worker]
+HARM = [reason for reason in FailReason if reason.is_worker_failure]
 EPISODES = 20
 
 

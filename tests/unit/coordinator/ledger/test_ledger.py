@@ -32,7 +32,7 @@ from schemas.terms import FailReason
 from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan, summary_for
 
 WORLD = [reason for reason in FailReason if reason.is_task_failure]
-WORKER = [reason for reason in FailReason if reason.is_of_the_worker]
+WORKER = [reason for reason in FailReason if reason.is_worker_failure]
 
 
 PLAN = room_plan(3, attempts_per_draw=2, draws=2, crashes=2)
