@@ -34,7 +34,7 @@ from schemas.terms import FailReason
 from tests.builders.bundle import GOAL_M
 from tests.builders.dataset import make_dataset
 from tests.builders.eval_results import evaluation_of, result_of, spec_of, specs_of
-from tests.builders.ledger import Desk, room_plan
+from tests.builders.ledger import TimedLedger, room_plan
 from tests.builders.web import WebClient, web_page
 
 SPECS = specs_of(*(spec_of(number) for number in range(1, 7)))
@@ -158,15 +158,15 @@ def test_the_3d_view_has_the_mesh_of_the_scene_and_the_trajectory(client, data):
 
 def test_failures_are_drawn_at_the_robot_or_at_their_target(tmp_path):
     make_dataset(tmp_path / "data", 1)
-    desk = Desk(room_plan(2), ledger_url_of(tmp_path / "data"))
+    timed_ledger = TimedLedger(room_plan(2), ledger_url_of(tmp_path / "data"))
     details = ("collision after 7 steps at (1.25, -0.75) m, 3.00 m from chair_001", "timeout <after> 9 steps")
     for reason, detail in zip((FailReason.COLLISION, FailReason.TIMEOUT), details, strict=True):
-        assert desk.fail(desk.lease(), reason, detail=detail)
-    with desk.open() as connection:
+        assert timed_ledger.fail(timed_ledger.lease(), reason, detail=detail)
+    with timed_ledger.open() as connection:
         connection.execute(update(jobs).values(scene="office", target_id="chair_001"))
         write_memory(connection, {"host": HostMemory(used_bytes=3 * 10**9, total_bytes=8 * 10**9)})
-        hosts.register(connection, Hello(sid="host.1", host="host", slots=2, version="1.2"), desk.now)
-    desk.engine.dispose()
+        hosts.register(connection, Hello(sid="host.1", host="host", slots=2, version="1.2"), timed_ledger.now)
+    timed_ledger.engine.dispose()
     with web_page(tmp_path / "data") as client:
         farm = client.ask("/").text
         assert '<a href="/scenes/office#map">office</a> 2' in farm
