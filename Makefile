@@ -15,7 +15,7 @@ DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: test-install test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
+.PHONY: test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
