@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from coordinator.ledger.reading.farm import FarmReading
+from coordinator.ledger.reading.farm import FarmReading, RunningJob
 from factory.html import render
 from factory.support.text import say_bytes, say_duration, say_time
 from factory.web.charts import draw_columns
@@ -103,7 +103,11 @@ def _draw(workspace: Workspace, farm: Farm | FactoryError) -> str:
         hosts=progress.hosts,
         failures=progress.failures,
         chart=_chart(reading),
-        events=[(say_time(event.at, farm.at), episode_id(event.index), event) for event in reading.events],
+        events=[
+            (say_time(event.at, farm.at), event.scene if event.is_build else episode_id(event.index), event)
+            for event in reading.events
+        ],
+        unbuilt=progress.planned - sum(sum(counts.values()) for counts in reading.cells.values()),
         failed_scenes=list(farm.failed.items())[:_MAPS],
         scenes=_scenes(workspace, farm),
         gateways=progress.by_gateway,
@@ -143,13 +147,17 @@ def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:
         host=worker.host,
         slots=worker.slots,
         archived=worker.archived,
-        jobs=", ".join(f"{episode_id(job.index)} step {job.step}" for job in jobs) or "–",
+        jobs=", ".join(map(_job, jobs)) or "–",
         frames_per_s="–" if rate is None else f"{rate:.1f}",
         version=farm.reading.versions.get(worker.sid, "") or "–",
         state=_state_of(worker, farm.progress),
         last_beat=say_time(worker.last_beat, farm.at),
         memory=_memory(farm.reading.memory.get(worker.host)),
     )
+
+
+def _job(job: RunningJob) -> str:
+    return f"builds {job.scene}" if job.is_build else f"{episode_id(job.index)} step {job.step}"
 
 
 def _memory(memory: HostMemory | None) -> str:
