@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
+import pyarrow as pa
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -186,11 +187,11 @@ def _tables(workspace: Workspace) -> list[tuple[str, str, int]]:
     """Returns scene, split and number of episodes according to the tables of a dataset without ledger."""
     try:
         dataset = workspace.dataset()
-        scenes, splits = dataset.column("scene").to_pylist(), dataset.column("split").to_pylist()
+        columns = {name: dataset.column(name).cast(pa.string()) for name in ("scene", "split")}
     except FactoryError:
         return []
-    counts = Counter(zip(scenes, splits, strict=True))
-    return [(scene, split, count) for (scene, split), count in sorted(counts.items())]
+    counts = pa.table(columns).group_by(["scene", "split"]).aggregate([([], "count_all")]).to_pylist()
+    return sorted((row["scene"], row["split"], row["count_all"]) for row in counts)
 
 
 def _scenes(workspace: Workspace, farm: Farm) -> list[tuple[str, int, int]]:
