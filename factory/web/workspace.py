@@ -19,7 +19,7 @@ from factory.dataset.packages import packages_by_scene
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.ledger import progress_of, read_ledger
-from factory.support.text import say_bytes
+from factory.support.text import format_bytes
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.errors import FactoryError
 from schemas.protocol.status import Progress
@@ -146,7 +146,7 @@ class Workspace:
             return f"{self.ledger.partition('://')[0]} database"
         sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.home)) if path.exists()]
         writer = "a coordinator writes to it" if is_held(self.site.home) else "no coordinator writes to it"
-        return f"{say_bytes(sum(sizes))}, {writer}"
+        return f"{format_bytes(sum(sizes))}, {writer}"
 
     def _version_of_tables(self) -> object:
         if self.site.store is not None:

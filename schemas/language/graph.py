@@ -104,7 +104,7 @@ class SceneGraph:
 
 @dataclass(frozen=True)
 class _Raw:
-    """Object before walls and rooms are known."""
+    """Object whose room and distances to walls are not computed yet."""
 
     ids: tuple[int, ...]
     kind: str
@@ -150,9 +150,9 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
 
 
 def _covered(each: _Raw, info: SceneInfo) -> Floats:
-    """Returns the lower and upper corner of the cells that an object covers; of a low or hung object those inside.
+    """Returns the lower and upper corner of the rectangle in which occupied cells belong to an object, not to a wall.
 
-    A tall object on the floor has cells that look like a wall at its edges, too.
+    For a tall object on the floor, it includes the cells at the edges; for a low or hanging one, it excludes them.
     """
     is_tall = each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M
     margin = info.grid_resolution_m / 2 * (1 if is_tall else -1)

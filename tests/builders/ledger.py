@@ -91,7 +91,7 @@ def _smallest_meta() -> EpisodeMeta:
     return parts_for().meta
 
 
-class Desk:
+class TimedLedger:
     """A ledger with a clock, accessed like by the protocol: each call is one transaction."""
 
     def __init__(self, plan: Plan | None = None, url: str = "sqlite://", catalog: Catalog | None = None) -> None:

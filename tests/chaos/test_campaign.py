@@ -44,7 +44,7 @@ def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(record, 
 
 
 @pytest.mark.slow
-def test_kills_while_packing_neither_lose_nor_double_episodes(tmp_path):
+def test_kills_while_packing_neither_lose_nor_duplicate_episodes(tmp_path):
     commands = fake_commands(24, 1.5, checkpoint_s=0.3, record=Recording.STATES)
     reference = reference_digest(commands, tmp_path / "reference")
     load = FaultLoad(workers=2, faults=FAULTS, pause_s=(0.02, 0.2))

@@ -74,7 +74,7 @@ def test_a_world_failure_is_reported_as_the_simulation_gave_it(tmp_path):
 
 def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
     with coordinator("bundle") as hub:
-        hub.swallow[Verb.CLAIM] = 2
+        hub.dropped_replies[Verb.CLAIM] = 2
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
         claims = hub.of(Claim)
@@ -85,7 +85,7 @@ def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
 
 def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
     with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no heartbeat in between
-        hub.swallow[Verb.FAIL] = 2
+        hub.dropped_replies[Verb.FAIL] = 2
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
         assert len({fail.lease for fail in hub.of(Fail)}) == 1
@@ -351,7 +351,7 @@ def test_a_worker_with_a_paused_simulation_learns_the_end_of_the_run_from_a_hear
     """Its only slot pauses after crashes, so that it claims no job for a time."""
     with coordinator(*["die"] * 4) as hub:
         hub.tells_end_by_beat = True
-        hub.swallow[Verb.CLAIM] = 0
+        hub.dropped_replies[Verb.CLAIM] = 0
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             hub.wait_until(lambda: len(hub.ended) == 4, "four crashes")
             claims = len(hub.of(Claim))
@@ -368,10 +368,10 @@ def test_a_worker_exits_after_the_end_of_the_run_with_undelivered_bundles(tmp_pa
             with hub.changed:
                 hub.archived[1] = b"brought by another"
             hub.wait_until(lambda: not hub.lease_of(7) and isinstance(hub.heard[-1], Beat), "a beat")
-            hub.swallow[Verb.BEAT] = 1
+            hub.dropped_replies[Verb.BEAT] = 1
             hub.close()
             hub.open()
-            hub.swallow[Verb.BEAT] = 10**6
+            hub.dropped_replies[Verb.BEAT] = 10**6
             assert worker.join() == 0
 
 

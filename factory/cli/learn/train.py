@@ -23,7 +23,7 @@ from factory.cli.common.output import json_option, print_result, print_table
 from factory.cli.common.places import PLACE
 from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
-from factory.support.text import say_duration
+from factory.support.text import format_duration
 from factory.train import BcOptions, EpochMeasures, TrainReport
 from factory.train.preprocess import SIZES
 from factory.train.run import TrainCallbacks, TrainOrder, train_bc
@@ -229,6 +229,6 @@ def _print(report: TrainReport) -> None:
     seconds = sum(epoch.seconds for epoch in report.epochs)
     click.echo(
         f"{report.parameters} parameters on {report.device}: {report.train_episodes} episodes, {report.train_frames} "
-        f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {say_duration(seconds)}"
+        f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {format_duration(seconds)}"
     )
     click.echo(f"policy: bc:{report.out}")

@@ -29,9 +29,9 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_building
+from factory.cli.common.output import json_option, print_building, print_result
 from factory.cli.common.places import PLACE, SHARD
-from factory.cli.common.summary import print_summary, say_missing, summarise
+from factory.cli.common.summary import print_missing, print_summary, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run
 from factory.runs.local import LocalRun, run_locally
@@ -39,7 +39,7 @@ from factory.runs.ray_engine import RayCluster
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from factory.support.text import say_duration
+from factory.support.text import format_duration
 from schemas.dataset.run_shard import RunShard
 from schemas.errors import UsageError
 from schemas.plan import Plan
@@ -129,7 +129,7 @@ def command(
         stop, _ = stack.enter_context(stop_on_signals())
         before = None if all_before else scenes_before_run(plan, pilots(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
-            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages, before)
+            catalog = open_catalog(plan, site.place, scene_cache(), print_building, builds, packages, before)
         gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -157,7 +157,7 @@ def command(
         return 130
     summary = summarise(site.place, progress)
     print_result(summary, as_json, print_summary)
-    say_missing(site, progress)
+    print_missing(site, progress)
     return 1 if progress.missing else 0
 
 
@@ -202,7 +202,7 @@ class RunBar(Bars):
         """Updates the bar."""
         failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
-        left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
+        left = "" if progress.eta_s is None else f"{format_duration(progress.eta_s)} left, "
         layouts = f", {progress.built_layouts}" if progress.layouts else ""
         note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{layouts}"
         self.update(self._task, total=progress.planned, completed=progress.jobs.get("archived", 0), note=note)

@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from coordinator.ledger.reading.farm import FarmReading, RunningJob
 from factory.html import render
-from factory.support.text import say_bytes, say_duration, say_time
+from factory.support.text import format_bytes, format_duration, format_time
 from factory.web.charts import draw_columns
 from factory.web.context import context_of, page
 from factory.web.live import LiveFeed
@@ -105,7 +105,7 @@ def _draw(workspace: Workspace, farm: Farm | FactoryError) -> str:
         failures=progress.failures,
         chart=_chart(reading),
         events=[
-            (say_time(event.at, farm.at), event.scene if event.is_build else episode_id(event.index), event)
+            (format_time(event.at, farm.at), event.scene if event.is_build else episode_id(event.index), event)
             for event in reading.events
         ],
         unbuilt=progress.planned - sum(sum(counts.values()) for counts in reading.cells.values()),
@@ -115,7 +115,7 @@ def _draw(workspace: Workspace, farm: Farm | FactoryError) -> str:
         disk=_disk(workspace),
         ledger=f"format {farm.info.format}, {workspace.ledger_health()}",
         paused=reading.paused,
-        requests=[(say_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
+        requests=[(format_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
     )
 
 
@@ -128,7 +128,7 @@ def _tiles(farm: Farm) -> list[tuple[str, str, str]]:
     return [
         ("episodes", f"{done}", f"of {progress.planned}"),
         ("rate", rate, "over ten minutes"),
-        ("remaining", "finished" if progress.finished else say_duration(progress.eta_s), ""),
+        ("remaining", "finished" if progress.finished else format_duration(progress.eta_s), ""),
         ("workers", f"{len(alive)}", f"{sum(worker.slots for worker in alive)} simulations"),
         ("frames", f"{frames:.0f}/s", "over ten minutes"),
         ("failed", f"{failed}", f"{sum(progress.failures.values())} failed attempts"),
@@ -152,7 +152,7 @@ def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:
         frames_per_s="–" if rate is None else f"{rate:.1f}",
         version=farm.reading.versions.get(worker.sid, "") or "–",
         state=_state_of(worker, farm.progress),
-        last_beat=say_time(worker.last_beat, farm.at),
+        last_beat=format_time(worker.last_beat, farm.at),
         memory=_memory(farm.reading.memory.get(worker.host)),
     )
 
@@ -162,7 +162,7 @@ def _job(job: RunningJob) -> str:
 
 
 def _memory(memory: HostMemory | None) -> str:
-    return "–" if memory is None else f"{say_bytes(memory.used_bytes)} of {say_bytes(memory.total_bytes)}"
+    return "–" if memory is None else f"{format_bytes(memory.used_bytes)} of {format_bytes(memory.total_bytes)}"
 
 
 def _state_of(worker: WorkerStatus, progress: Progress) -> str:
@@ -208,4 +208,4 @@ def _disk(workspace: Workspace) -> str:
     if not workspace.site.home.is_dir():
         return "unknown"
     usage = shutil.disk_usage(workspace.site.home)
-    return f"{say_bytes(usage.free)} of {say_bytes(usage.total)} free"
+    return f"{format_bytes(usage.free)} of {format_bytes(usage.total)} free"

@@ -63,7 +63,7 @@ class SceneRoutes:
 
 
 class RouteSearch:
-    """Finds the steps of one path; chance chooses between steps that are equally true.
+    """Finds the steps of one path; draws one of several steps that are equally true.
 
     Args:
         place: scene of the path.
