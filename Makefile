@@ -34,8 +34,11 @@ run: $(READY)
 	@echo "next: $(VENV)/bin/factory serve dataset (progress, episodes, scenes and statistics in a browser)"
 
 # JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process.
-# Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time
+# Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time.
+# Tests start many interpreters, so bytecode is written even if PYTHONDONTWRITEBYTECODE is set; otherwise each of them compiles the source
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(READY)
+	$(VENV)/bin/python -m compileall -q schemas workers coordinator factory minivla tests/builders tests/chaos
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 check: $(READY)
