@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.archive.staging import is_held
+from coordinator.ledger.builds import unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_files
 from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
 from coordinator.ledger.reading.failures import FailedPlace, count_failures, read_failures
@@ -43,6 +44,15 @@ class Farm(NamedTuple):
     """Description of the run."""
     failed: Mapping[str, int]
     """Number of recent failed attempts by scene."""
+
+
+class SceneList(NamedTuple):
+    """Scenes of a dataset."""
+
+    packages: Mapping[str, str]
+    """SHA-256 of the package by name of the scene."""
+    unbuilt: tuple[str, ...] = ()
+    """Planned layouts without a package."""
 
 
 class Workspace:
@@ -90,6 +100,18 @@ class Workspace:
             return read_dataset_meta(self.root)
         except FactoryError:
             return None
+
+    def scenes(self) -> SceneList:
+        """Returns the scenes of the description, and the layouts that were built since it was written."""
+        meta = self.meta()
+        described = meta.scenes if meta else {}
+        try:
+            with read_ledger(self.site, self.ledger) as connection:
+                info = read_info(connection)
+        except FactoryError:
+            return SceneList(described)
+        packages = {**info.scenes, **described, **info.layouts}
+        return SceneList(packages, tuple(unbuilt_layouts(info.plan, packages)))
 
     def farm(self) -> Farm:
         """Returns the state of the run.

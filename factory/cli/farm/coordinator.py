@@ -19,7 +19,7 @@ from factory.cli.common.admission import choose_listening, find_hosts
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
@@ -79,7 +79,7 @@ def command() -> None:
 )
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
-@http_options
+@run_http_options
 @gate_option("skip")
 @click.option(
     "--states",
@@ -101,6 +101,7 @@ def start(
     tls: Path | None,
     http: str | None,
     http_token: Path | None,
+    evaluations: tuple[Path, ...],
     gate_mode: GateMode,
     states: Place | None,
     verbose: bool,
@@ -113,6 +114,7 @@ def start(
     is stopped earlier. The pilot of --gate runs on this host before the first job is assigned.
     """
     configure_logs(verbose)
+    check_run_evaluations(http, evaluations)
     guard, listen = choose_listening(tls, listen)
     if states is not None and plan_name is not None:
         raise UsageError(f"--states {states}: the plan is that of the dataset; omit PLAN {plan_name}")
@@ -141,7 +143,7 @@ def start(
         )
         with (
             Coordinator(site.home, plan, catalog, options) as coordinator,
-            run_pages(coordinator, site, http, http_token, ledger),
+            run_pages(coordinator, site, http, http_token, ledger, evaluations),
         ):
             write_target_lists(catalog, site.place)
             _print_endpoints(coordinator, plan, site, guard)

@@ -17,7 +17,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
-from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
@@ -85,7 +85,7 @@ from workers.experts import require_expert
 )
 @ledger_option
 @shrink_options
-@http_options
+@run_http_options
 @json_option
 @verbose_option
 def command(
@@ -101,6 +101,7 @@ def command(
     ledger: str | None,
     http: str | None,
     http_token: Path | None,
+    evaluations: tuple[Path, ...],
     as_json: bool,
     verbose: bool,
     **changes: Any,
@@ -115,6 +116,7 @@ def command(
     require_package("pybullet", "`factory run`")
     if address is not None and engine != "ray":
         raise UsageError(f"--address {address} needs --engine ray")
+    check_run_evaluations(http, evaluations)
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
@@ -147,7 +149,9 @@ def command(
             take_over=shard is not None and may_take_over(site, stop),
             cluster=cluster,
         )
-        progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token))
+        progress = _run(
+            run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token, ledger, evaluations)
+        )
     if not progress.finished:
         click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130

@@ -154,6 +154,8 @@ class _Answers:
                 return None
             named = self._named(int(self._rng.choice(seen)))
             fitting = self._facts.described(named.kind, named.colour).sure & view.sure
+            if not fitting.any():  # a stool is only a borderline case of its category chair
+                return None
             nearest = min(np.flatnonzero(fitting).tolist(), key=lambda each: float(distance[each]))
             side, metres = side_of(float(view.bearing[nearest])), rounded(float(distance[nearest]))
             if side is None or metres is None:
