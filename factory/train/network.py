@@ -51,7 +51,8 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         )
         self.stage1 = _Block(width, width, 2, 64)
         self.stage2 = _Block(width, 2 * width, 2, 64)
-        self.look = _Block(2 * width, 2 * width, 1, 64)
+        self._has_positions = options.positions
+        self.look = _Block(2 * width + (2 if options.positions else 0), 2 * width, 1, 64)
         self.stage3 = _Block(2 * width, 4 * width, 2, 64)
         self.stage4 = _Block(4 * width, 4 * width, 2, 64)
         self.pointer = nn.Conv2d(2 * width, 1, 1)
@@ -69,7 +70,7 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         """
         instruction_state = self._read(words)
         low = self.stage2(self.stage1(self.stem(pictures), instruction_state), instruction_state)
-        near = self.look(low, instruction_state)
+        near = self.look(_with_positions(low) if self._has_positions else low, instruction_state)
         mask = self.pointer(near)
         wide = self.stage4(self.stage3(near, instruction_state), instruction_state).mean(dim=(2, 3))
         pointed = _attend(near, mask, pictures[:, 3:])
@@ -115,17 +116,23 @@ class _Block(nn.Module):  # type: ignore[misc]
         return functional.relu(y + self.around(x))
 
 
+def _with_positions(features: Tensor) -> Tensor:
+    """Returns the features with the column and the row of each cell, from -1 to 1, as channels, (N, C + 2, H, W)."""
+    n, _, rows, columns = features.shape
+    y, x = torch.meshgrid(
+        torch.linspace(-1, 1, rows, device=features.device),
+        torch.linspace(-1, 1, columns, device=features.device),
+        indexing="ij",
+    )
+    return torch.cat([features, x.expand(n, 1, -1, -1), y.expand(n, 1, -1, -1)], dim=1)
+
+
 def _attend(features: Tensor, mask: Tensor, nearness: Tensor) -> Tensor:
     """Returns the features pooled under the mask, with position, nearness and mask size, (N, C + 4)."""
     n, _, rows, columns = features.shape
     share = torch.softmax(mask.reshape(n, 1, rows * columns), dim=2)
-    y, x = torch.meshgrid(
-        torch.linspace(-1, 1, rows, device=mask.device),
-        torch.linspace(-1, 1, columns, device=mask.device),
-        indexing="ij",
-    )
     near = functional.adaptive_avg_pool2d(nearness, (rows, columns))
     size = torch.sigmoid(mask).mean(dim=(2, 3))
-    maps: Any = torch.cat([features, x.expand(n, 1, -1, -1), y.expand(n, 1, -1, -1), near], dim=1)
+    maps: Any = torch.cat([_with_positions(features), near], dim=1)
     pooled = (maps.reshape(n, -1, rows * columns) * share).sum(dim=2)
     return torch.cat([pooled, size], dim=1)

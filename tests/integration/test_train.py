@@ -157,7 +157,7 @@ def test_the_policy_returns_actions_for_the_hold_time(root: Path, tmp_path: Path
 @needs_torch
 def test_the_instruction_changes_the_action_except_in_the_ablated_model(root: Path, tmp_path: Path) -> None:
     for name, ablate in (("reads", False), ("blind", True)):
-        train(root, tmp_path / name, options(epochs=2, ablate_language=ablate))
+        train(root, tmp_path / name, options(epochs=2, ablate_language=ablate, positions=not ablate))
         policy = make_policy(f"bc:{tmp_path / name}", PolicyLimits())
         answers = []
         for instruction in ("Go to the chair.", "Approach the red sofa and stop."):

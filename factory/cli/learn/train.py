@@ -71,6 +71,11 @@ def command() -> None:
 )
 @click.option("--ablate-language", is_flag=True, help="Replace each instruction with one constant token.")
 @click.option(
+    "--positions",
+    is_flag=True,
+    help="Give the features that locate the target their position in the image, for instructions with left and right.",
+)
+@click.option(
     "--size",
     type=click.Choice([str(size) for size in SIZES]),
     default="128",
@@ -123,6 +128,7 @@ def bc(
     seed: int,
     head: str,
     ablate_language: bool,
+    positions: bool,
     size: str,
     antialias: int | None,
     memory: float,
@@ -146,6 +152,7 @@ def bc(
     options = _options(
         head=head,
         ablate_language=ablate_language,
+        positions=positions,
         epochs=epochs,
         seed=seed,
         size=int(size),
