@@ -93,7 +93,7 @@ TABLES = {
     "doubled id": (lambda p: p.with_meta(instances=p.meta.instances * 2), "is listed 2 times in the table"),
     "wrong category": (lambda p: p.with_job(category="sofa"), "the target is a chair in the instance table"),
     "wrong prim": (lambda p: p.with_meta(target_prim_path="/World/x"), "target_prim_path '/World/x'"),
-    "moved target": (lambda p: p.with_meta(target_centroid_m=(1.6, 0.01, 0.5)).measured(), "is 0.010000 m away from the"),
+    "moved target": (lambda p: p.with_meta(target_centroid_m=(1.6, 0.01, 0.5)).measured(), "is 0.010000 m away from"),
 }
 ROLLOUT = {
     "length": (
