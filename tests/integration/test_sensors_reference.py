@@ -177,7 +177,8 @@ def test_encoder_ticks_follow_the_wheel_joints_of_pybullet() -> None:
     scene = box_room()
     with World(scene, ColliderMesh.from_scene(scene), robot, HZ) as world:
         world.place(-1.0, -1.5, 0.2)
-        client, body, wheels = world._rig.client._id, world._rig._body, world._rig._wheels
+        bodies = world._bodies
+        client, body, wheels = bodies.client._id, bodies._body, bodies._wheels
         angle = functools.partial(pybullet.getJointState, body, physicsClientId=client)
         begin, commands, joints = np.array([angle(wheel)[0] for wheel in wheels]), [], []
         for twist in wanted:

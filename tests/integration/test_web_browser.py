@@ -189,6 +189,7 @@ def test_without_webgl_or_javascript_the_3d_page_refers_to_the_map(browser, clie
 def confirm(page: Any, url: str, action: str) -> None:
     """Opens an operation from the farm page, confirms it and returns to the farm page."""
     page.click(f"#operations >> text={action}")
+    page.wait_for_selector("form button")  # a click returns before its page is loaded
     for box in page.locator("form input[type=checkbox]").all():
         box.check()
     with page.expect_navigation():
