@@ -99,9 +99,7 @@ def bake_light(
     return LightMap(layout.uvs.astype(np.float32), picture)
 
 
-def _cast_light(
-    caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detail: LightDetail
-) -> tuple[Floats, Bools]:
+def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detail: LightDetail) -> tuple[Floats, Bools]:
     """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
     sky, open_spots = sky_light(caster, texels, detail.sky)
     whole, free = lamp_light(caster, texels, open_spots, lamps, detail.lamps)
