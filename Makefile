@@ -15,7 +15,7 @@ DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: test-install test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
+.PHONY: test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -34,8 +34,11 @@ run: $(READY)
 	@echo "next: $(VENV)/bin/factory serve dataset (progress, episodes, scenes and statistics in a browser)"
 
 # JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process.
-# Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time
+# Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time.
+# Tests start many interpreters, so bytecode is written even if PYTHONDONTWRITEBYTECODE is set; otherwise each of them compiles the source
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(READY)
+	$(VENV)/bin/python -m compileall -q schemas workers coordinator factory minivla tests/builders tests/chaos
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 check: $(READY)
@@ -82,6 +85,17 @@ test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.re
 	    lerobot-v2.1=$(JUDGE)-v2.1/bin/python habitat=$(JUDGE)-habitat/bin/python \
 	    readers=$(JUDGE)-readers/bin/python visualnav=$(VISUALNAV)
 
+# instructions, sub-instructions and spans of routes, read back with the loaders of LeRobot and Habitat
+test-language: $(READY) $(JUDGE)/.ready $(JUDGE)-habitat/.ready
+	rm -rf build/language && mkdir -p build/language
+	printf 'languages = ["en", "de", "es", "zh"]\nkinds = ["route"]\n' > build/language/language.toml
+	$(VENV)/bin/factory run demo --scene office --scene hospital --expert planner --episodes 6 --out build/language/driven
+	$(VENV)/bin/factory relabel build/language/driven -o build/language/data --language build/language/language.toml
+	$(VENV)/bin/factory export build/language/data --to lerobot -o build/language/lerobot
+	$(VENV)/bin/factory export build/language/data --to vlnce -o build/language/vlnce
+	HF_HUB_OFFLINE=1 $(JUDGE)/bin/python -W ignore tests/judges/lerobot_language_judge.py build/language/data build/language/lerobot
+	$(JUDGE)-habitat/bin/python -W ignore tests/judges/habitat_language_judge.py build/language/data build/language/vlnce
+
 # the reader inside LeRobot's own environment (Python 3.12)
 test-lerobot: $(READY) $(JUDGE)/.ready
 	rm -rf build/lerobot && mkdir -p build/lerobot
@@ -107,7 +121,7 @@ $(JUDGE)-v2.1/.ready:
 $(JUDGE)-habitat/.ready:
 	$(PYTHON) -m venv $(JUDGE)-habitat
 	$(JUDGE)-habitat/bin/python -m pip install --quiet "setuptools<66" wheel
-	$(JUDGE)-habitat/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh
+	$(JUDGE)-habitat/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh "pyarrow==19.0.1"
 	touch $(JUDGE)-habitat/.ready
 
 # with the project itself, which contains the RLDS builder and `factory view`

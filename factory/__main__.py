@@ -1,6 +1,7 @@
-"""Entry point of `factory` and `python -m factory`: takes the working directory off the import path, then runs.
+"""Entry point of `factory` and `python -m factory`: removes the working directory from the import path.
 
-`-m`, and an empty entry of `PYTHONPATH`, put it there; a dataset may hold a module with the name of one that we import.
+Then it runs the command line. `-m` and an empty entry of `PYTHONPATH` add the directory; a dataset may contain a module
+with the name of an imported one.
 """
 
 import os

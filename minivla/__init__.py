@@ -5,7 +5,7 @@
 >>> dataset[0].frame(0).rgb.shape  # doctest: +SKIP
 (640, 640, 3)
 
-A dataset stores frames, or states only, from which its frames are rendered when they are read, bit by bit the same.
+A dataset stores frames, or states only, from which the same frames are rendered, byte for byte, when they are read.
 
 Importing this package imports no large dependency; each name is loaded at its first use. It keeps working when another
 distribution overwrites `factory/__init__.py`, as factory_boy does. `minivla.gym` registers the Gymnasium environment.

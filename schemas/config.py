@@ -146,8 +146,8 @@ class InstructionConfig(Model):
     """Parameters of the instructions (docs/design/starts.md#start-view)."""
 
     unique: Literal["scene", "view", "off"] = "off"
-    """Area in which an instruction fits exactly one object: the scene, or `view` for the scene or else the view at the
-    start; `off` sets no condition."""
+    """Area in which an instruction fits exactly one object: with `scene` the scene; with `view` the scene or, if
+    several objects fit there, the view at the start. `off` sets no condition."""
 
 
 class ExpertConfig(Model):

@@ -1,7 +1,7 @@
-"""Distributes the episodes of a family over its layouts, from the plan only: no layout need be built.
+"""Distributes the episodes of a family over its layouts, from the plan only: the layouts need not be built.
 
-Each cell of split x tier has its exact quota in the family, and is dealt to the layouts in turn: the totals of two
-layouts of one kind, and their episodes in each cell, differ by at most one. The last layouts are those of the
+Each cell of split x tier has its exact quota in the family, which is distributed over the layouts in turn: the totals
+of two layouts of one kind, and their episodes in each cell, differ by at most one. The last layouts are those of the
 unseen-scene splits. Pure functions.
 """
 

@@ -1,7 +1,7 @@
 """Distances to the target: the goal region of an episode, and the measures of a trajectory from its poses.
 
-Rollout, validation, statistics and evaluation share these formulas. Pure functions without input or output. They do not
-know obstacles, and do not decide when an episode ends.
+Rollout, validation, statistics and evaluation share these formulas. Pure functions without input or output. They
+ignore obstacles, and do not decide when an episode ends.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Goal:
     def approach(self, starts: ArrayLike, distance_m: ArrayLike) -> Floats:
         """Returns the points (..., 2) at which straight lines from starts to the centroid come within a distance.
 
-        Returns a start that is as near as that itself.
+        Returns a start itself if it is within that distance.
 
         Args:
             starts: (..., 2) points, metres.

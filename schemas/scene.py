@@ -168,19 +168,10 @@ class SceneInfo(Model):
         Raises:
             KeyError: the scene has no target of that name.
         """
-        return next_or_raise(self.targets, target_id)
-
-
-def next_or_raise(targets: tuple[Target, ...], target_id: str) -> Target:
-    """Returns the target of that name.
-
-    Raises:
-        KeyError: no target has that name.
-    """
-    for target in targets:
-        if target.target_id == target_id:
-            return target
-    raise KeyError(target_id)
+        for target in self.targets:
+            if target.target_id == target_id:
+                return target
+        raise KeyError(target_id)
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ class FailReason(StrEnum):
         return self not in {FailReason.INVALID, FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}
 
     @property
-    def is_of_the_worker(self) -> bool:
+    def is_worker_failure(self) -> bool:
         """Whether the failure counts towards the quarantine of the job, not against the attempt budget."""
         return self in {FailReason.CRASH, FailReason.HANG, FailReason.INVALID}
 

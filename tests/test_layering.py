@@ -137,15 +137,15 @@ def _module(path: Path) -> str:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_folders_of_a_package_form_no_circle(package):
+def test_folders_of_a_package_form_no_cycle(package):
     graph: dict[str, set[str]] = {}
     for path in sorted((ROOT / package).rglob("*.py")):
         own = _folder_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
         named = {_folder_of(name) for name in imports_of(path) if name.startswith(f"{package}.")}
         graph.setdefault(own, set()).update(named - {own})
-    list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
+    list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the cycle
 
 
 def _folder_of(name: str) -> str:
-    """Returns the folder or file directly below a package in which a module lies."""
+    """Returns the folder or file, directly below a package, that contains a module."""
     return ".".join(name.split(".")[:2])

@@ -25,6 +25,6 @@ def test_a_public_class_name_is_defined_once_in_the_product() -> None:
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
-def test_no_folder_holds_more_modules_than_a_reader_can_survey() -> None:
+def test_no_folder_has_more_modules_than_the_limit() -> None:
     counts = Counter(str(path.parent.relative_to(ROOT)) for path in sources() if path.name != "__init__.py")
     assert {folder: count for folder, count in counts.items() if count > MOST_MODULES} == {}

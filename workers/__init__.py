@@ -1,7 +1,4 @@
 """Stateless simulation (world, robot, renderer, expert, rollout) and the worker's side of the protocol.
 
-Keeps no state between jobs except caches keyed by content hash. Import from the modules by name; the listed ones may be
-used by other packages.
+Keeps no state between jobs except caches keyed by content hash. Import from the modules by name.
 """
-
-__all__ = ["attempt", "experts", "grid", "render", "rollout", "settings", "stage", "supervisor", "world"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 GONE = "its file is missing"
-"""Reason for generating an episode again whose file is missing."""
+"""Reason that is recorded when an episode is generated again because its file is missing."""
 
 
 class ListedFile(NamedTuple):

@@ -37,7 +37,8 @@ paper's office is one open room: near and mid starts in this one, which has inne
 (docs/decisions/0154-start-papers-office-episodes-in-sight-of-the-target.md)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
-"""Categories that hardly any start shows alone (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
+"""Categories of which almost every start shows several objects
+(docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
 
 
 def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:

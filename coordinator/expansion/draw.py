@@ -199,7 +199,7 @@ def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
 
 
 def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
-    """Returns the requirements on a demonstration; one that stops at a false premise has no target to show."""
+    """Returns the requirements on a demonstration; at a false premise, the last frame need not show the target."""
     wanted = plan.demonstration
     return wanted.model_copy(update={"target_in_view": False}) if episode.is_false_premise else wanted
 
@@ -224,7 +224,7 @@ def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned:
     if not language.in_view:
         return None
     episode, ranks = planned.episode, None
-    if language.balanced:  # the same in all draws of an episode, so that ranks that are hard to find stay as frequent
+    if language.balanced:  # the same in all draws of an episode; otherwise ranks that rarely occur would get rarer
         rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
         ranks = (float(rng.random()), float(rng.random()))
     alike = referents(info, episode.category) - {info.target(episode.target_id).instance_id}

@@ -1,7 +1,7 @@
-"""Adapts the far tier of the targets of a scene to the least distance that a plan permits.
+"""Determines which targets of a scene have starts in the far tier, for the smallest far distance that a plan permits.
 
-A package records the tiers for the default distance. Without this, a plan with shorter far starts would be refused in a
-small room. Pure, except for reading the surveyed points of a package.
+A package records the tiers for the default distance. Without this module, a plan with shorter far starts would be
+refused in a small room. Reads the surveyed points of a package; has no other side effects.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FIELDS = {
 
 
 def with_far_tiers(plan: Plan, entry: SceneEntry) -> SceneEntry:
-    """Returns the scene with the far tier of its targets by `spawn.far_floor_m` of a plan."""
+    """Returns the scene, whose targets have the far tier according to `spawn.far_floor_m` of a plan."""
     least_m = plan.spawn.far_floor_m[0]
     if least_m == FAR_FLOOR_M[0]:
         return entry
@@ -48,10 +48,10 @@ def _target(
 ) -> Target:
     straight, connected = (getattr(target, field) for field in _FIELDS[task.success])
     if not connected:
-        return target  # not reachable, or without the footprint that the measure needs
+        return target  # not reachable, or without the footprint that the success measure needs
     # the path along the floor is at least as long as the planar distance
     is_far = Goal.of(target, task).distances(spawns) >= least_m
-    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight  # by the line of the success measure
+    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight  # as recorded for the success measure
     changes = {"straight": bool((is_far & sees).any()) or was_far, "connected": bool(is_far.any())}
     tiers = [
         tuple(tier for tier in Tier if (holds if tier is Tier.FAR else tier in old))

@@ -44,7 +44,7 @@ def startable_tiers(plan: Plan, scene: ScenePlan, target: Target) -> tuple[Tier,
 
 
 def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cells) -> Sides:
-    """Returns the side of every startable instance of a seen category; empty where nothing is to be kept apart.
+    """Returns the side of every startable instance of a seen category; empty if the plan does not separate instances.
 
     The instances of each category are divided in proportion to the episodes of training and evaluation, with at least
     one instance per side. A category with a single instance is shared. So are all categories of a tier in which a cell

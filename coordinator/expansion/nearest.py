@@ -20,7 +20,7 @@ Share = TypeVar("Share", Split, Tier)
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestPlan:
     """Nearest feasible plan."""
 
     plan: Plan | None
@@ -31,7 +31,7 @@ class Nearest:
     """Number of episodes of the plan that are in other cells or are omitted."""
 
 
-def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
+def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
     """Returns a plan in which every cell has a target.
 
     Categories that a scene lacks are removed from it. If a scene then has cells without a target, the function keeps
@@ -52,7 +52,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
             kept.append(part)
         if part != scene:
             changes.append(_change_message(plan, scene, part, catalog[scene.name], lost))
-    return Nearest(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
+    return NearestPlan(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
 
 
 def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:

@@ -36,7 +36,7 @@ def scene_language(package: Path) -> SceneLanguage:
     return SceneLanguage(build_graph(_decode(package)))
 
 
-def find_unsayable(plan: Plan, catalog: Catalog) -> list[str]:
+def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
     """Returns a line for each scene in which the language block of a plan gives no instruction, with what is possible.
 
     Args:

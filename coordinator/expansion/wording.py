@@ -15,8 +15,8 @@ class Wording:
     """Words that the instructions of a plan may use in a scene.
 
     With `instructions.unique = "scene"`, category and named colour fit exactly one object of the scene, except for
-    categories that the scene's plan lists as ambiguous. Another kind of words, such as a relation to another object,
-    is one more way to identify a target here.
+    categories that the scene's plan lists as ambiguous. To support other words that identify a target, such as a
+    relation to another object, extend this class.
     """
 
     def __init__(self, plan: Plan, scene: ScenePlan, info: SceneInfo) -> None:

@@ -112,8 +112,10 @@ def gather(
     with ExitStack() as stack:
         store = dataset.root if isinstance(dataset.root, ObjectPath) else None
         archive = stack.enter_context(open_archive(dataset.home, store))
-        if dataset.stranger:
-            raise WorldError(f"the ledger {dataset.stranger}; `factory repair {dataset.root}` rebuilds the right one")
+        if dataset.foreign_ledger:
+            raise WorldError(
+                f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` rebuilds the right one"
+            )
         require_sound(dataset.url)
         engine = open_writer(dataset.url)
         stack.callback(engine.dispose)

@@ -23,8 +23,8 @@ from schemas.protocol.messages import BuildOrder
 from schemas.terms import FailReason
 
 _AFTER_EPISODES = 1.0
-"""Time from which a build is due. A job that no attempt has delayed is due since 0, so that workers drive in the built
-layouts first, and build others when no such job is left."""
+"""Time from which a build is due. A job that no attempt has delayed is due since 0, so that workers simulate
+episodes in the built layouts first, and build other layouts when no such job is left."""
 
 
 class BuildRow(Protocol):

@@ -193,10 +193,10 @@ def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
 
 
 def expire(connection: Connection, now: datetime) -> int:
-    """Puts jobs with an expired lease back into the queue, at most `_SWEEP_ROWS` per call.
+    """Expires leases: puts jobs whose lease has ended back into the queue, at most `_SWEEP_ROWS` per call.
 
     Returns:
-            The number of jobs.
+        The number of jobs.
     """
     expired = 0
     for row in connection.execute(OVERDUE, {"now": now.timestamp()}).all():
@@ -211,8 +211,8 @@ def expire(connection: Connection, now: datetime) -> int:
 def held_too_long(connection: Connection, now: datetime, limit_s: float) -> Sequence[JobRow]:
     """Returns jobs that were claimed longer ago than the limit and are still held, at most `_SWEEP_ROWS`.
 
-    A claim time in the future is older than a change of the clock. The caller has checked that the limit has passed
-    since.
+    A claim time in the future was recorded before the clock was set back. Such a job is returned too, because the
+    caller has checked that the limit has passed since the clock was set.
     """
     at = now.timestamp()
     return connection.execute(_CLAIMED_BEFORE, {"before": at - limit_s, "now": at}).all()

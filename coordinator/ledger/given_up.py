@@ -1,4 +1,4 @@
-"""Ends the jobs that a finished shard quarantined or cancelled in the ledger of the joined run.
+"""Ends jobs in the ledger of a joined run: those that a finished shard quarantined or cancelled.
 
 Tables of a dataset list failed attempts, not states: a job of a finished shard that has no episode was given up there.
 """
@@ -18,7 +18,7 @@ from coordinator.ledger.transitions import FREED, JobRow, Transition
 from schemas.terms import FailReason
 
 _BY = "gather"
-_HARM = tuple(reason.value for reason in FailReason if reason.is_of_the_worker)
+_HARM = tuple(reason.value for reason in FailReason if reason.is_worker_failure)
 _AS_READ = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
 _TAKE = Transition(
     Event.CLAIMED, *_AS_READ, fence=jobs.c.fence + 1, token=bindparam("of_token"), sid=_BY, lease_until=None

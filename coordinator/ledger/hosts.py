@@ -33,7 +33,7 @@ _BARRED_PAUSE_S = 30.0
 """Pause of a barred host before its next claim, seconds."""
 _ABSENT_S = 300.0
 """Time without a message after which a host is not considered available, seconds."""
-_HARM = tuple(reason.value for reason in FailReason if reason.is_of_the_worker)
+_HARM = tuple(reason.value for reason in FailReason if reason.is_worker_failure)
 
 _FIND = PreparedStatement(select(*hosts.c).where(hosts.c.host == bindparam("name")))
 _RELIEVE = PreparedStatement(

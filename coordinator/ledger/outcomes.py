@@ -178,7 +178,7 @@ def fail(
     if report.reason.is_task_failure:
         limits = budget_of_builds(budget) if row.tier == BUILD else budget
         return _miss(connection, row, report, now, limits, successor)
-    if report.reason.is_of_the_worker:
+    if report.reason.is_worker_failure:
         return _hurt(connection, row, report, now, budget, blames_hosts=blames_hosts)
     return _release(connection, row, report, now)
 

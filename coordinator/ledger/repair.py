@@ -82,9 +82,9 @@ def obstacle_to(connection: Connection, index: int, draw: int, attempt: int, *, 
     if row.state == JobState.ARCHIVED and not replaces:
         return "the ledger owns another file"
     if row.draw > draw:
-        return f"the ledger has given up draw {draw} of it"
+        return f"the ledger has recorded draw {draw} of it as failed"
     if row.attempt > attempt:
-        return f"the ledger has seen attempt {attempt} fail"
+        return f"the ledger has recorded attempt {attempt} as failed"
     return ""
 
 

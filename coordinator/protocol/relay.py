@@ -67,7 +67,7 @@ class RelayOrder(Model):
 
 
 class Orders(Model):
-    """Reply to `Duty`: orders. Each order is sent once, and again after the worker repeats the announcement."""
+    """Reply to `OrdersRequest`. Each order is sent once, and again after the worker repeats the announcement."""
 
     orders: Annotated[tuple[RelayOrder, ...], Field(max_length=MAX_ORDERS)] = ()
     """Bundles to pull."""

@@ -68,7 +68,7 @@ class RepairInput:
     """Mapping of scene name to the reason why its package in the dataset is unusable."""
     shard: RunShard | None = None
     """Shard of the run that the dataset contains; `None` for the whole run."""
-    stranger: str = ""
+    foreign_ledger: str = ""
     """Reason why the ledger belongs to another dataset; empty if it belongs to this dataset or is lost."""
 
 
@@ -98,7 +98,7 @@ def repair(
     with ExitStack() as stack:
         actions = list(_of_shards(dataset.root))  # opening the archive repairs them
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
-        trouble = dataset.stranger or ledger_trouble(dataset.url, dataset.catalog)
+        trouble = dataset.foreign_ledger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
             survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
             actions += [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
@@ -197,7 +197,7 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     except WorldError as error:
         found[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
-        found[CARD_FILE] = "is not there"
+        found[CARD_FILE] = "is missing"
     with suppress(ArchiveCorrupt):  # reported above
         found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
     return found

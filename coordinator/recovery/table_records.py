@@ -54,7 +54,7 @@ def restore_failures(
     Args:
         engine: engine of the ledger writer.
         root: root of the dataset.
-        plan: of the run.
+        plan: plan of the run.
         catalog: compiled scenes of the plan.
         now: time of the repair.
         whole: rows of the files to adopt, by episode number.

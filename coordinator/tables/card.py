@@ -60,7 +60,7 @@ With minivla-factory {version}, simulated in PyBullet and rendered by
 {renderers}. Plan `{plan}`, seed {seed}. The `{expert}` expert drove with the true pose of its target; no people were
 recorded. Every planned cell of scene, split and tier is filled exactly; an attempt that fails is repeated and recorded
 in `attempts.parquet`. Plan, versions and digests are in `dataset_meta.json`: with the same software, `factory replay`
-generates any episode again, bit by bit.
+generates any episode again, byte for byte.
 
 {software}
 
@@ -138,8 +138,8 @@ _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
 _SENSORS = """`sensors/*` (measurements of the rig `{}`, see
   `plan.rig` in `dataset_meta.json`), """
 _RENDERED = """ This dataset records states:
-  minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, bit by bit as the robot saw them
-  with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
+  minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, byte for byte as the robot saw
+  them with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
 _DRAWN_THUMBNAIL = ", with a `thumbnail` of frame 0 where `factory push --thumbnails` has rendered it"
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _SHARDS = "- `episodes/shard_*.zip`: "
@@ -227,7 +227,7 @@ def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:
         return ""
     what = "make" if stores_frames else "make and read"
     return (
-        f"Machines with this software {what} the same frames, bit by bit; `deploy/Dockerfile` of minivla-factory\n"
+        f"Machines with this software {what} the same frames, byte for byte; `deploy/Dockerfile` of minivla-factory\n"
         "installs fixed versions. `factory verify . --render all` measures how far pixels of another machine differ.\n"
         "\n" + _table(("renderer", "minivla-factory", "C library", "machine"), sorted(rows))
     )
@@ -240,7 +240,9 @@ def _scene_table(aggregates: TableAggregates) -> str:
         share = f"{100 * found.episodes / (found.episodes + refused):.0f} %" if found.episodes + refused else "-"
         rows.append((scene, *_means(found), str(found.episodes + refused), share))
     head = ("scene", "episodes", "steps", "start m", "TL m", "NE m", "attempts", "succeeded")
-    return "Means of the episodes; attempts are those that the world decided.\n\n" + _table(head, rows)
+    return "Means over the archived episodes; attempts that crashed or lost their lease are not counted.\n\n" + _table(
+        head, rows
+    )
 
 
 def _tier_table(aggregates: TableAggregates) -> str:
@@ -269,7 +271,7 @@ def _side_paragraph(meta: DatasetMeta) -> str:
     if not shared:
         return f"{kept}."
     places = "; ".join(shared)
-    return f"{kept}, but where a scene has too few of a category ({places}): there `instance_side` is `shared`."
+    return f"{kept}, except in categories with too few instances ({places}); their `instance_side` is `shared`."
 
 
 def _means(sums: EpisodeSums) -> tuple[str, ...]:

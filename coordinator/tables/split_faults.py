@@ -68,7 +68,7 @@ def find_faults(root: Place, deep: bool = False) -> Iterator[SplitFault]:
 
 
 def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
-    """Returns the paths in the folder of split tables with other names than the wanted ones."""
+    """Returns the paths in the folder of split tables whose names are not expected."""
     return [place for place in children(root / SPLITS_FOLDER) if f"{SPLITS_FOLDER}/{place.name}" not in wanted]
 
 
@@ -78,7 +78,7 @@ def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault |
         text = _check_rows(root, table) if deep else _check_footer(root, table)
         damage = _check_thumbnails(root, table) if deep and not text else ""
     except FileNotFoundError:
-        return SplitFault(table.name, FaultKind.ABSENT, "is not there")
+        return SplitFault(table.name, FaultKind.ABSENT, "is missing")
     except UNREADABLE as error:
         return SplitFault(table.name, FaultKind.DAMAGED, f"cannot be read: {' '.join(str(error).split())}")
     if damage:

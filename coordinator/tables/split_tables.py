@@ -42,7 +42,7 @@ from schemas.storage.place import Place
 
 _READERS = 8
 _THUMBNAIL_PX = 160
-"""Width and height: a quarter of a frame's."""
+"""Width and height of a thumbnail, pixels: a quarter of those of a frame."""
 _QUALITY = 85
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 _FEATURES = json.dumps({"info": {"features": {THUMBNAIL: {"_type": "Image"}}}}).encode()
@@ -116,7 +116,7 @@ def _read_thumbnail(bundle: Place, steps: int) -> bytes | None:
 
     Args:
         bundle: the episode's file.
-        steps: of the episode.
+        steps: number of steps of the episode.
 
     Raises:
         WorldError: the store does not answer.

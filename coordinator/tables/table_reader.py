@@ -22,7 +22,7 @@ def read_column(path: Place, name: str) -> list[str] | str:
     try:
         return [str(value) for value in pq.read_table(table_of(path), columns=[name])[name].to_pylist()]
     except FileNotFoundError:
-        return "is not there"
+        return "is missing"
     except (pa.ArrowException, *PARSER_ERRORS) as error:
         return f"cannot be read: {error}"
 

@@ -119,7 +119,7 @@ def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:
     """Yields the reasons why a package cannot be the layout of a plan, one line each."""
     found = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
     if not found and plan.language is not None:
-        from coordinator.expansion.sentences import find_unsayable  # other plans do not import the grammars
+        from coordinator.expansion.sentences import find_missing_instructions  # other plans do not import the grammars
 
-        found = find_unsayable(plan, {layout: entry})
+        found = find_missing_instructions(plan, {layout: entry})
     yield from found

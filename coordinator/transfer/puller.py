@@ -186,7 +186,7 @@ class Pullers(Closing):
             self._refuse(
                 pull,
                 f"too slow: {staged.size} of {pull.size} bytes in {transfer.seconds:.0f} s; a worker has to serve "
-                f"{self._settings.min_bytes_per_s:.0f} bytes a second",
+                f"{self._settings.min_bytes_per_s:.0f} bytes per second",
             )
         elif not staged.is_taken and self._is_another(pull, staged.sha256):
             return True

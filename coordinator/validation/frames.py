@@ -73,8 +73,8 @@ class _Survey:
         self._far_m = meta.job.camera.far_m
         self._known = np.zeros(1 << 16, dtype=bool)
         self._known[[0, *(instance.id for instance in meta.instances)]] = True
-        self._colour = _Stuck("rgb_front", poses, *FROZEN_COLOUR)
-        self._depth = _Stuck("depth_front", poses, *FROZEN_DEPTH)
+        self._colour = _FrozenImages("rgb_front", poses, *FROZEN_COLOUR)
+        self._depth = _FrozenImages("depth_front", poses, *FROZEN_DEPTH)
         self._digests: dict[int, str] = {}
         self._pixels: dict[int, int] = {}
         self._findings: list[str] = []
@@ -129,7 +129,7 @@ def _ends_of_runs(ids: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.append(flat[np.flatnonzero(flat[1:] != flat[:-1])], flat[-1:])
 
 
-class _Stuck:
+class _FrozenImages:
     """Detector of images that do not change while the robot moves."""
 
     def __init__(self, name: str, poses: NDArray[np.float64], move_m: float, turn_rad: float) -> None:

@@ -151,9 +151,9 @@ class Validator(Closing):
         )
 
     def _with_sentence(self, verdict: Verdict, job: Job) -> EpisodeSummary:
-        """Returns the row of a valid bundle; the verifier has accepted its instruction, if it has a verified one.
+        """Returns the row of a valid bundle; its instruction fits the scene, if it is a verified one.
 
-        The children know no scenes, so that this process compares the instruction with the scene.
+        The children have no scenes, so this process compares the instruction with the scene.
         """
         summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
         if verdict.language is not None and package is not None:

@@ -2,7 +2,7 @@
 # Runs workers as a Slurm array job. The coordinator runs elsewhere, e.g. on the login node or with systemd.
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
-# A task that reaches its time limit gives its jobs back and queues itself again; Slurm queues preempted tasks again, and
+# A task that reaches its time limit returns its jobs and queues itself again; Slurm queues preempted tasks again, and
 # `scancel` ends a task. The run is finished when a worker exits without a signal, and then the task ends without requeuing.
 # `factory submit slurm` writes scripts that start the coordinator too, or that need none.
 #SBATCH --job-name=minivla

@@ -14,7 +14,7 @@ class TowardsOpenFloor:
         self.v_max, self.w_max = info.v_range_mps[1], info.w_range_rps[1]
 
     def act(self, observation):
-        """Called 60 times a second of simulated time; returns v in m/s and w in rad/s."""
+        """Called 60 times per second of simulated time; returns v in m/s and w in rad/s."""
         depth = observation["depth"]  # (640, 640) metres, 0 where nothing was hit
         rows = depth[200:400]
         left, right = np.median(rows[:, :320]), np.median(rows[:, 320:])

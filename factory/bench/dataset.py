@@ -122,7 +122,7 @@ def bench_dataset(root: Path, reads: int, generate_s: float) -> DatasetBench:
         generate_s=round(generate_s, 1),
         reader=_alone(_read, root, reads),
         verification=_alone(_verify, root),
-        ledger=_alone(_look, root),
+        ledger=_alone(_read_status, root),
         checkpoint=_alone(_checkpoint, root),
     )
 
@@ -176,7 +176,7 @@ def _verify(root: Path) -> VerifyCost:
     return VerifyCost(seconds=round(took_s, 2), findings=len(report.findings), memory=measure_memory(start_mib))
 
 
-def _look(root: Path) -> LedgerCost:
+def _read_status(root: Path) -> LedgerCost:
     engine = open_reader(ledger_url_of(root))
     try:
         with engine.connect() as connection:

@@ -56,7 +56,7 @@ _SETTLED = f"""
         SELECT changed_at, id, 'announced', 'submitted', attempt, attempt, sid, '' FROM jobs UNION ALL
         SELECT changed_at, id, 'archived', 'archived', attempt, attempt, sid, '' FROM jobs;
 """
-"""Records the attempts that the rows of `episodes` imply."""
+"""SQL that records the attempts and events of the rows of `episodes`."""
 
 
 class _Recorded(NamedTuple):

@@ -76,8 +76,8 @@ def bench_wire(
         coordinator_cpu_ms=Spread.of([1000 * run.coordinator_cpu_s / run.cycles for run in runs]),
         workers_cpu_ms=Spread.of([1000 * run.fleet.cpu_s / run.cycles for run in runs]),
         start_s=Spread.of([run.start_s for run in runs]),
-        crowd=_crowd(heavy, plan.run, sessions),
-        rush=_rush(heavy, plan.run, workers, bundle_bytes),
+        crowd=_measure_sessions(heavy, plan.run, sessions),
+        rush=_measure_deliveries(heavy, plan.run, workers, bundle_bytes),
     )
 
 
@@ -109,7 +109,7 @@ def _cycles(arguments: tuple[Any, ...], run: str, workers: int, rounds: int) -> 
             return _Run(rounds * workers, opened.seconds, cost, after.cpu_s - before.cpu_s, archived)
 
 
-def _crowd(arguments: tuple[Any, ...], run: str, sessions: int) -> SessionLoad:
+def _measure_sessions(arguments: tuple[Any, ...], run: str, sessions: int) -> SessionLoad:
     with process(serve_coordinator, *arguments) as coordinator:
         opened: CoordinatorReady = receive(coordinator)
         shares = [min(_WORKERS_PER_PROCESS, sessions - start) for start in range(0, sessions, _WORKERS_PER_PROCESS)]
@@ -118,7 +118,7 @@ def _crowd(arguments: tuple[Any, ...], run: str, sessions: int) -> SessionLoad:
             return SessionLoad(sessions=connected, memory=usage(coordinator).memory)
 
 
-def _rush(arguments: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> DeliveryLoad:
+def _measure_deliveries(arguments: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> DeliveryLoad:
     with process(serve_coordinator, *arguments) as coordinator:
         opened: CoordinatorReady = receive(coordinator)
         with (

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import click
 from click.shell_completion import CompletionItem
 
-from factory.cli.common.groups import CommandGroup, say_no_option
+from factory.cli.common.groups import CommandGroup, no_option_error
 from schemas.errors import FactoryError, UsageError
 from schemas.support.child import SAFE_PATH
 from schemas.support.extras import EXTRA_OF, missing_package
@@ -28,7 +28,8 @@ from workers.process.one_core import one_core
 _MAKE, _INSPECT, _USE, _LEARN = "Generate", "Inspect", "Export", "Train and evaluate"
 _FARM, _OTHER = "Multiple hosts", "Other"
 _MEASURED = {("bench", "rollout"), ("bench", "render"), ("bench", "memory")}
-"""Commands that measure the work of a simulation in this process, and so need its environment variables."""
+"""Commands that measure the work of a simulation in this process and therefore need the environment variables of
+one."""
 
 
 class CommandEntry(NamedTuple):
@@ -139,7 +140,7 @@ def _run() -> int:
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _say("interrupted; finished work is kept; run the same command again to continue", 130)
     except click.NoSuchOption as error:
-        say_no_option(error).show()
+        no_option_error(error).show()
         return 2
     except click.ClickException as error:
         error.show()

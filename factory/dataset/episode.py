@@ -295,7 +295,7 @@ def _refusal(path: FilePlace, file: BinaryIO, steps: int) -> ArchiveCorrupt:
         own = BundleReader(file)
     except InvalidBundle as error:
         return _corrupt(path, error)
-    return ArchiveCorrupt(f"{path} has {own.length} steps, the metadata says {steps}: run `factory verify --deep`")
+    return ArchiveCorrupt(f"{path} has {own.length} steps, the metadata has {steps}: run `factory verify --deep`")
 
 
 def _corrupt(path: FilePlace, error: InvalidBundle) -> ArchiveCorrupt:

@@ -17,7 +17,7 @@ _SHOWN = 24
 
 
 def require_known(name: str, values: Iterable[str], held: Callable[[], Sequence[str]], plan: Plan) -> None:
-    """Raises an error unless every value is valid for a filter, although no episode has it.
+    """Raises an error unless every value is valid for a filter; a valid value may have no episode.
 
     Args:
         name: Name of the filter.
@@ -29,9 +29,9 @@ def require_known(name: str, values: Iterable[str], held: Callable[[], Sequence[
         UsageError: A value is not valid; the message lists the valid values.
     """
     words = _WORDS[name](plan) if name in _WORDS else ()
-    is_spelt_like_one = _SPELLINGS.get(name, _is_nothing)
+    has_valid_form = _SPELLINGS.get(name, _has_no_form)
     for value in values:
-        if value not in words and not is_spelt_like_one(value, plan):
+        if value not in words and not has_valid_form(value, plan):
             there = list(dict.fromkeys((*words, *held())))
             raise UsageError(f"unknown {name} {value!r}; valid values: {_enumerate(there)}{did_you_mean(value, there)}")
 
@@ -49,7 +49,7 @@ def _categories(plan: Plan) -> tuple[str, ...]:
     return (*CATEGORIES, *(name for scene in plan.scenes for group in scene.categories for name in group))
 
 
-def _is_nothing(value: str, plan: Plan) -> bool:  # noqa: ARG001
+def _has_no_form(value: str, plan: Plan) -> bool:  # noqa: ARG001
     return False
 
 

@@ -1,4 +1,4 @@
-"""Builds the dataset card (`README.md`) of an export in the format of the Hugging Face Hub. Pure."""
+"""Builds the dataset card (`README.md`) of an export in the format of the Hugging Face Hub. Pure functions."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
     """Exporter of format `paper`: one folder per episode. Copies the bytes of the bundle; depth is decompressed."""
 
     name = "paper"
-    about = "the paper's tree: a PNG, NPY and PNG a frame; lossless and large"
+    about = "the paper's tree: PNG, NPY and PNG for each frame; lossless and large"
     version = 2
     takes_rig = True
     options = PaperOptions

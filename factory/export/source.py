@@ -1,6 +1,6 @@
 """Describes the source of an export by its content: a states dataset is described as the frames dataset of its plan.
 
-Times and workers are left out, so that datasets with equal content give equal exports. Reads tables and metadata only.
+Times and workers are excluded, so that datasets with equal content give equal exports. Reads tables and metadata only.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ RGB_CODEC = Codec(
     "yuv420p",
     MappingProxyType({"preset": "veryfast", "crf": "19", "g": "2", "bf": "0"}),
 )
-"""Measured on 60 frames of each of the demo's four scenes, one thread: ms of CPU / kB a frame / PSNR by scene in dB.
+"""Measured on 60 frames of each of the demo's four scenes, one thread: ms of CPU / kB per frame / PSNR by scene in dB.
 LeRobot's default (AV1, g 2, crf 30, preset 12) 15.8 / 7.2 / 38.8 39.0 35.4 36.5; this 7.6 / 7.7 / 40.1 40.4 35.4 36.9;
 superfast, crf 22: 5.7 / 9.5 / 40.3 40.7 35.4 37.2; this with g 10, crf 20: 7.2 / 3.7 / 39.8 39.8 34.9 36.6."""
 
@@ -62,7 +62,7 @@ DEPTH_CODEC = Codec(
         }
     ),
 )
-"""Lossless. ms of CPU / kB a frame: ultrafast 23 / 18-32, superfast 34 (g 30) to 55 (g 2) / 13, medium 63-73 / 12."""
+"""Lossless. ms of CPU / kB per frame: ultrafast 23 / 18-32, superfast 34 (g 30) to 55 (g 2) / 13, medium 63-73 / 12."""
 
 
 class VideoWriter:

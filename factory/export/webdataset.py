@@ -28,8 +28,8 @@ MEMBERS_FILE = "members.tar"
 SHARDS_FILE = "shards.json"
 _MEMBER_MODE = 0o644
 _CARD = """
-One sample a frame, in tar shards of one split each; episodes are spread over the shards of their split in an order that
-is random but fixed, frames of an episode stand together. Shuffle with a buffer of a few thousand samples.
+One sample a frame, in tar shards of one split each; episodes are spread over the shards of their split in a fixed
+random order, and the frames of an episode are adjacent. Shuffle with a buffer of a few thousand samples.
 
 | member | what |
 |---|---|
@@ -82,7 +82,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     """Exporter of format `webdataset`. A piece contains tar members without end of archive; a shard joins pieces."""
 
     name = "webdataset"
-    about = "tar shards, one sample a frame, for webdataset and datasets streaming; lossless"
+    about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless"
     assembles = True
     takes_rig = True
     options = WebdatasetOptions

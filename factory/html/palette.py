@@ -1,4 +1,4 @@
-"""Colours and markers of all figures and pages, for the light and the dark theme. Pure.
+"""Colours and markers of all figures and pages, for the light and the dark theme. Pure functions.
 
 The palette follows Okabe and Ito for colour-blind readers; markers and dashes repeat the information.
 """

@@ -59,7 +59,7 @@ SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class LanguageStart:
-    """Values of an episode from which instructions follow."""
+    """Values of an episode that determine its instructions."""
 
     episode_id: str
     index: int

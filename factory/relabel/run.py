@@ -36,7 +36,7 @@ from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTION
 
 _PART_EPISODES = 500
 _PROBES = 200
-"""Number of episodes of each scene that are tried before the work begins."""
+"""Number of episodes of each scene whose instructions are tried before any part is written."""
 _COLUMNS = (
     *("episode_id", "index", "split", "scene", "scene_sha256", "target_id", "target_category"),
     *("spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "instruction", "template_id"),
@@ -44,7 +44,7 @@ _COLUMNS = (
 
 
 class RelabelOrder(Model):
-    """What a relabelling is made from; equal orders give equal files."""
+    """Inputs of a relabelling; equal inputs give equal files."""
 
     source_digest: Sha256
     """Digest of the episodes of the source."""

@@ -1,4 +1,4 @@
-"""Converts a compiled scene to a floor map: outlines of floor and obstacles, targets, spawn points. Pure."""
+"""Converts a compiled scene to a floor map: outlines of floor and obstacles, targets, spawn points. Pure functions."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.possible import find_impossible
-from coordinator.expansion.sentences import find_unsayable
+from coordinator.expansion.sentences import find_missing_instructions
 from factory.dataset.packages import find_package_file, light_file, package_file, packages_by_scene
 from factory.runs.layouts import LayoutBuilds, build_layouts
 from factory.runs.plan_files import require_files
@@ -59,9 +59,9 @@ def open_catalog(
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
         raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
-    unsayable = find_unsayable(plan, entries)
-    if unsayable:
-        raise InvalidPlan(f"plan {plan.name!r} has a language block that its scenes do not permit", unsayable)
+    faults = find_missing_instructions(plan, entries)
+    if faults:
+        raise InvalidPlan(f"plan {plan.name!r} has a language block that its scenes do not permit", faults)
     return entries
 
 

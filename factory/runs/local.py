@@ -79,7 +79,7 @@ class LocalRun:
     shard: RunShard | None = None
     """Shard of the run to generate; `None` for the whole run."""
     take_over: bool = False
-    """Whether to take `store` over from another home, whose coordinator must have ended."""
+    """Whether to take over `store` from another state directory, whose coordinator must have ended."""
     cluster: RayCluster | None = None
     """Cluster that runs the workers; `None` runs them on this machine."""
 

@@ -25,7 +25,7 @@ from schemas.support.extras import require_package
 from schemas.terms import RendererKind
 
 _DAYS = 30
-_LOOK_S = 2.0
+_QUERY_PAUSE_S = 2.0
 """Pause between two queries for the nodes of the cluster, seconds."""
 _MOST_DEATHS = 8
 """Maximum number of workers that exit with an error without a new episode."""
@@ -97,7 +97,7 @@ class RayCluster(Closing):
         if archived > self._archived:
             self._archived, self._deaths = archived, 0
         self._collect_ended()
-        if time.monotonic() - self._looked < _LOOK_S:
+        if time.monotonic() - self._looked < _QUERY_PAUSE_S:
             return
         self._looked = time.monotonic()
         for node in self._ray.nodes():

@@ -1,6 +1,6 @@
 """Describes a compiled scene as plain data: categories, targets, units, extents, floor, notes.
 
-Pure. Does not validate the scene and reads no file.
+Pure functions. Does not validate the scene and reads no file.
 """
 
 from __future__ import annotations

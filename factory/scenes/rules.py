@@ -15,7 +15,7 @@ from typing import Annotated
 import yaml
 from pydantic import AfterValidator, TypeAdapter, ValidationError, model_validator
 
-from factory.scenes.yaml_text import read_yaml, say_absence
+from factory.scenes.yaml_text import os_reason, read_yaml
 from schemas.base import Model, Name, NonNegative, Positive
 from schemas.errors import UsageError
 from schemas.terms import COLOUR_NAMES
@@ -59,7 +59,7 @@ class CategoryRule(Model):
     height_m: tuple[NonNegative, Positive] = (0.0, 40.0)
     """Plausible vertical extents, from and to, metres."""
     thickest_m: Positive | None = None
-    """Maximum plausible width of the footprint at any rotation, metres: a panel is thin. `None` is any width."""
+    """Maximum plausible width of the footprint at any rotation, metres; for thin panels. `None` is any width."""
     colours: tuple[Colour, ...] = ()
     """Plausible dominant colours; empty is any colour."""
     has_colour: bool = True
@@ -135,7 +135,7 @@ def load_rules(path: Path) -> RuleBook:
     except OSError as error:
         command = f"cp {shlex.quote(str(BUILTIN_RULES))} {shlex.quote(str(path))}"
         raise UsageError(
-            f"cannot read category rules from {path} ({say_absence(error)}); use the built-in rules without --rules, "
+            f"cannot read category rules from {path} ({os_reason(error)}); use the built-in rules without --rules, "
             "or start "
             f"with a copy of them: `{command}`"
         ) from error

@@ -100,7 +100,7 @@ def find_fault(path: Path) -> str:
         head = _head(path)
     except OSError as error:
         return f"cannot read {path} ({error.strerror}); check its permissions"
-    return _judge(path, head)
+    return _find_problem(path, head)
 
 
 def kind_of_file(path: Path) -> str:
@@ -120,7 +120,7 @@ def _head(path: Path) -> bytes:
         return file.read(_READ_BYTES)
 
 
-def _judge(path: Path, head: bytes) -> str:
+def _find_problem(path: Path, head: bytes) -> str:
     suffix = path.suffix.lower()
     for kind, (magic, suffixes) in _USD.items():
         if head.startswith(magic) and (kind != "a zip archive" or suffix in STAGE_SUFFIXES):

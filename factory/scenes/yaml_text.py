@@ -49,6 +49,6 @@ def read_yaml(text: str) -> Any:
         raise yaml.YAMLError(f"a value is not valid: {error}") from error
 
 
-def say_absence(error: OSError) -> str:
+def os_reason(error: OSError) -> str:
     """Returns the reason of an OS error in lower case, without its number."""
     return (error.strerror or "it cannot be read").lower()

@@ -39,7 +39,7 @@ class Remark(Model):
     """Remark about omitted or incomplete data, with the reason."""
 
     is_damage: bool
-    """Whether the dataset contradicts itself; false for data that are only unfinished or few."""
+    """Whether the remark reports inconsistent data; false for data that are only incomplete."""
     file: str
     text: str
 

@@ -137,7 +137,7 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
         )
     else:
         if table.num_rows != rows.meta.failed_attempts:
-            rows.add_damage(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} says {rows.meta.failed_attempts}")
+            rows.add_damage(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} has {rows.meta.failed_attempts}")
         return _parse(rows, ATTEMPTS_FILE, _values(table), FailedAttempt)
     return None
 
@@ -145,7 +145,7 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
 def _compare_with_meta(rows: Rows, table_rows: int) -> None:
     meta = rows.meta
     if table_rows != meta.episodes:
-        rows.add_damage(METADATA_FILE, f"has {table_rows} rows, {META_FILE} says {meta.episodes} episodes")
+        rows.add_damage(METADATA_FILE, f"has {table_rows} rows, {META_FILE} has {meta.episodes} episodes")
     if not meta.complete:
         rows.add_remark(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:

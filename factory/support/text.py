@@ -1,11 +1,11 @@
-"""Writes durations, sizes and times as text for people. Pure."""
+"""Writes durations, sizes and times as text for people. Pure functions."""
 
 from __future__ import annotations
 
 from datetime import datetime
 
 
-def say_duration(seconds: float | None) -> str:
+def format_duration(seconds: float | None) -> str:
     """Returns a duration as `1 h 05 min`, `4 min 10 s` or `12 s`; a dash when it is unknown."""
     if seconds is None:
         return "-"
@@ -16,7 +16,7 @@ def say_duration(seconds: float | None) -> str:
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
-def say_bytes(size: int) -> str:
+def format_bytes(size: int) -> str:
     """Returns a size as `3.2 GB`, `1.5 MB` or `20 kB`."""
     for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if size >= factor:
@@ -24,6 +24,6 @@ def say_bytes(size: int) -> str:
     return f"{size / 1e3:.0f} kB"
 
 
-def say_time(at: datetime, now: datetime) -> str:
+def format_time(at: datetime, now: datetime) -> str:
     """Returns a time in UTC, with its date unless it is on the same day as `now`."""
     return f"{at:%H:%M:%S}" if at.date() == now.date() else f"{at:%Y-%m-%d %H:%M:%S}"

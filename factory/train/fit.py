@@ -26,7 +26,7 @@ from factory.train.options import BcOptions
 from factory.train.preprocess import Batch, augment
 from factory.train.report import EpochMeasures
 from factory.train.schedule import ema_decay, learning_rate
-from factory.train.vocabulary import encode
+from factory.train.vocabulary import encode, mirrored_words
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 
 _STOP_CELL = 3
@@ -58,6 +58,7 @@ class BcTraining:
     def __init__(self, options: BcOptions, words: tuple[str, ...], limits: TrainingLimits, device: Any) -> None:
         self._options, self._words, self._limits, self._device = options, words, limits, device
         torch.manual_seed(options.seed)
+        self._mirrored_words = mirrored_words(words)
         self.model = BcNetwork(options, len(words)).to(device)
         self.mean = copy.deepcopy(self.model).requires_grad_(False)
         self._optimizer = torch.optim.AdamW(
@@ -107,8 +108,8 @@ class BcTraining:
         self.model.train()
         for number, rows in enumerate(np.array_split(order, batches)):
             rate = learning_rate(self._steps_done, steps, self._options.peak_rate, max(1, int(_WARMUP_SHARE * steps)))
-            batch = augment(_read(train, np.sort(rows)), rng)
-            losses += self._step(batch, said[train.episode[np.sort(rows)]], rate)
+            batch = augment(_read(train, np.sort(rows), said), rng, self._mirrored_words)
+            losses += self._step(batch, rate)
             tell(number + 1, batches, losses / (number + 1))
         self.epochs_done += 1
         measured = {} if val is None else self._measure(val)
@@ -120,10 +121,10 @@ class BcTraining:
             seconds=time.monotonic() - start_s,
         )
 
-    def _step(self, batch: Batch, said: NDArray[np.int64], rate: float) -> float:
+    def _step(self, batch: Batch, rate: float) -> float:
         for group in self._optimizer.param_groups:
             group["lr"] = rate
-        answer = self.model(self._tensor(batch.pictures), self._tensor(said))
+        answer = self.model(self._tensor(batch.pictures), self._tensor(batch.words))
         loss = self._imitation(answer, batch).mean()
         if self._options.mask_weight:
             loss = loss + self._options.mask_weight * _mask_loss(answer.mask, self._tensor(batch.mask))
@@ -158,8 +159,8 @@ class BcTraining:
         said = self._sentences(val)
         losses, drives, stops, pointed = [], [], [], []
         for rows in _blocks(len(val), self._options.batch):
-            batch = _read(val, rows)
-            answer = self.mean(self._tensor(batch.pictures), self._tensor(said[val.episode[rows]]))
+            batch = _read(val, rows, said)
+            answer = self.mean(self._tensor(batch.pictures), self._tensor(batch.words))
             losses.append(self._imitation(answer, batch).cpu().numpy())
             action, stop = self._decide(answer)
             drives.append(np.abs(action - batch.actions)[~batch.is_stop])
@@ -197,10 +198,11 @@ class BcTraining:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self._device)
 
 
-def _read(frames: TrainingFrames, rows: NDArray[np.int64]) -> Batch:
+def _read(frames: TrainingFrames, rows: NDArray[np.int64], said: NDArray[np.int64]) -> Batch:
     found = frames.pictures.take(rows)
     mask = found.mask.astype(np.float32) / np.float32(255)
-    return Batch(preprocess.to_input(found.rgb, found.depth), mask, frames.actions[rows], frames.is_stop[rows])
+    pictures = preprocess.to_input(found.rgb, found.depth)
+    return Batch(pictures, mask, frames.actions[rows], frames.is_stop[rows], said[frames.episode[rows]])
 
 
 def _blocks(rows: int, size: int) -> Iterator[NDArray[np.int64]]:

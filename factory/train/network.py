@@ -51,7 +51,8 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         )
         self.stage1 = _Block(width, width, 2, 64)
         self.stage2 = _Block(width, 2 * width, 2, 64)
-        self.look = _Block(2 * width, 2 * width, 1, 64)
+        self._has_positions = options.positions
+        self.look = _Block(2 * width + (2 if options.positions else 0), 2 * width, 1, 64)
         self.stage3 = _Block(2 * width, 4 * width, 2, 64)
         self.stage4 = _Block(4 * width, 4 * width, 2, 64)
         self.pointer = nn.Conv2d(2 * width, 1, 1)
@@ -67,13 +68,13 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
             pictures: (N, 4, S, S) output of `preprocess.to_input`, sRGB and nearness.
             words: (N, L) token indices, padded with 0.
         """
-        said = self._read(words)
-        low = self.stage2(self.stage1(self.stem(pictures), said), said)
-        near = self.look(low, said)
+        instruction_state = self._read(words)
+        low = self.stage2(self.stage1(self.stem(pictures), instruction_state), instruction_state)
+        near = self.look(_with_positions(low) if self._has_positions else low, instruction_state)
         mask = self.pointer(near)
-        wide = self.stage4(self.stage3(near, said), said).mean(dim=(2, 3))
+        wide = self.stage4(self.stage3(near, instruction_state), instruction_state).mean(dim=(2, 3))
         pointed = _attend(near, mask, pictures[:, 3:])
-        out = self.twist(self.trunk(torch.cat([wide, pointed, said], dim=1)))
+        out = self.twist(self.trunk(torch.cat([wide, pointed, instruction_state], dim=1)))
         empty = out.new_zeros((len(out), 0))
         if self._is_tokens:
             return NetworkOutput(empty, empty, out, mask[:, 0])
@@ -90,42 +91,48 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
 class _Block(nn.Module):  # type: ignore[misc]
     """Residual block with FiLM: two convolutions and a shortcut, scaled and shifted by the instruction state."""
 
-    def __init__(self, into: int, out: int, stride: int, said: int) -> None:
+    def __init__(self, into: int, out: int, stride: int, instruction_state: int) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(into, out, 3, stride=stride, padding=1, bias=False)
         self.norm1 = nn.GroupNorm(_GROUPS, out)
         self.conv2 = nn.Conv2d(out, out, 3, padding=1, bias=False)
         self.norm2 = nn.GroupNorm(_GROUPS, out)
-        self.film = nn.Linear(said, 2 * out)
+        self.film = nn.Linear(instruction_state, 2 * out)
         nn.init.zeros_(self.film.weight)
         nn.init.zeros_(self.film.bias)
         plain = into == out and stride == 1
         self.around = nn.Identity() if plain else nn.Conv2d(into, out, 1, stride=stride, bias=False)
 
-    def forward(self, x: Tensor, said: Tensor) -> Tensor:
+    def forward(self, x: Tensor, instruction_state: Tensor) -> Tensor:
         """Returns (N, out, H / stride, W / stride) features.
 
         Args:
             x: (N, into, H, W) features.
-            said: (N, said) LSTM state after the last word.
+            instruction_state: (N, instruction_state) LSTM state after the last word.
         """
-        scale, shift = self.film(said)[:, :, None, None].chunk(2, dim=1)
+        scale, shift = self.film(instruction_state)[:, :, None, None].chunk(2, dim=1)
         y = functional.relu(self.norm1(self.conv1(x)))
         y = self.norm2(self.conv2(y)) * (1 + scale) + shift
         return functional.relu(y + self.around(x))
+
+
+def _with_positions(features: Tensor) -> Tensor:
+    """Returns the features with the column and the row of each cell, from -1 to 1, as channels, (N, C + 2, H, W)."""
+    n, _, rows, columns = features.shape
+    y, x = torch.meshgrid(
+        torch.linspace(-1, 1, rows, device=features.device),
+        torch.linspace(-1, 1, columns, device=features.device),
+        indexing="ij",
+    )
+    return torch.cat([features, x.expand(n, 1, -1, -1), y.expand(n, 1, -1, -1)], dim=1)
 
 
 def _attend(features: Tensor, mask: Tensor, nearness: Tensor) -> Tensor:
     """Returns the features pooled under the mask, with position, nearness and mask size, (N, C + 4)."""
     n, _, rows, columns = features.shape
     share = torch.softmax(mask.reshape(n, 1, rows * columns), dim=2)
-    y, x = torch.meshgrid(
-        torch.linspace(-1, 1, rows, device=mask.device),
-        torch.linspace(-1, 1, columns, device=mask.device),
-        indexing="ij",
-    )
     near = functional.adaptive_avg_pool2d(nearness, (rows, columns))
     size = torch.sigmoid(mask).mean(dim=(2, 3))
-    maps: Any = torch.cat([features, x.expand(n, 1, -1, -1), y.expand(n, 1, -1, -1), near], dim=1)
+    maps: Any = torch.cat([_with_positions(features), near], dim=1)
     pooled = (maps.reshape(n, -1, rows * columns) * share).sum(dim=2)
     return torch.cat([pooled, size], dim=1)

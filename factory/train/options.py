@@ -22,6 +22,8 @@ class BcOptions(Model):
     """Output head. `continuous`: v, w and a stop logit; `tokens`: one of the 49 points of the action grid."""
     ablate_language: bool = False
     """Whether every instruction is replaced by one constant token."""
+    positions: Annotated[bool, Field(exclude_if=lambda it: not it)] = False
+    """Whether the features that locate the target include their position in the image; omitted if not."""
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128

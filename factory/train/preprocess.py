@@ -81,13 +81,22 @@ class Batch(NamedTuple):
     """(N, 2) action labels: v in m/s, w in rad/s."""
     is_stop: NDArray[np.bool_]
     """(N,) whether the label is a stop."""
+    words: NDArray[np.int64]
+    """(N, W) token indices of the instructions."""
 
 
-def augment(batch: Batch, rng: np.random.Generator) -> Batch:
+def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.int64]) -> Batch:
     """Returns the frames mirrored and with other brightness and contrast at random; also zooms some stop frames.
+
+    The instruction of a mirrored frame says right for left.
 
     The expert stops on the success circle, so no recorded frame shows the view of a robot that is too close. A zoomed
     frame with equally scaled depths approximates such a view; its label is a stop, too.
+
+    Args:
+        batch: Frames, which are not changed.
+        rng: Random generator.
+        mirrored_words: (V,) index of each word in the instruction of a mirrored frame.
     """
     pictures, mask = batch.pictures.copy(), batch.mask.copy()
     actions = batch.actions.copy()
@@ -98,11 +107,12 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     mirrored = rng.random(len(mask)) < 0.5
     pictures[mirrored], mask[mirrored] = pictures[mirrored, :, :, ::-1], mask[mirrored, :, ::-1]
     actions[mirrored, 1] *= -1
+    words = np.where(mirrored[:, None], mirrored_words[batch.words], batch.words)
     shape = (len(mask), 1, 1, 1)
     gain = rng.uniform(1 - _CONTRAST, 1 + _CONTRAST, shape)
     lift = rng.uniform(-_BRIGHTNESS, _BRIGHTNESS, shape) + rng.uniform(-_TINT, _TINT, (len(mask), 3, 1, 1))
     pictures[:, :3] = np.clip(pictures[:, :3] * gain + lift, -1, 1)
-    return Batch(pictures, mask, actions, batch.is_stop)
+    return Batch(pictures, mask, actions, batch.is_stop, words)
 
 
 def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:

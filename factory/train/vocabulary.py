@@ -22,6 +22,14 @@ MAX_WORDS = 16
 """Maximum number of encoded words; the longest template with the longest category has 11."""
 _WORD = re.compile(r"[a-z0-9']+")
 _SLOT = re.compile(r"\{\w+\}")
+_SIDES = (
+    ("left", "right"),
+    ("leftmost", "rightmost"),
+    ("links", "rechts"),
+    ("linken", "rechten"),
+    ("izquierda", "derecha"),
+)
+"""Words that change places in a mirrored image."""
 
 
 def split_words(text: str) -> list[str]:
@@ -33,12 +41,28 @@ def vocabulary(instructions: Iterable[str] = ()) -> tuple[str, ...]:
     """Returns the words by index: the special ones first, the others in alphabetical order.
 
     Args:
-        instructions: Instructions of the training data; imported scenes can add categories and colours.
+        instructions: Instructions of the training data; imported scenes can add categories and colours. If one of two
+            opposite sides, such as left and right, is among their words, the other one is added.
     """
     texts = [_SLOT.sub(" ", text) for text in TEMPLATES.values()]
     texts += [say_category(category) for category in CATEGORIES]
     words = {word for text in (*texts, *instructions) for word in split_words(text)}
+    words |= {word for pair in _SIDES if words & set(pair) for word in pair}
     return (*_SPECIAL, *sorted(words))
+
+
+def mirrored_words(words: Sequence[str]) -> NDArray[np.int64]:
+    """Returns the index of each word in the instruction of a mirrored image, (V,): left and right are exchanged.
+
+    Args:
+        words: Vocabulary.
+    """
+    number = {word: place for place, word in enumerate(words)}
+    out = np.arange(len(words), dtype=np.int64)
+    for one, other in _SIDES:
+        if one in number and other in number:
+            out[number[one]], out[number[other]] = number[other], number[one]
+    return out
 
 
 def encode(instruction: str, words: Sequence[str], ablate: bool = False) -> NDArray[np.int64]:

@@ -140,7 +140,7 @@ def _drawn_again(formats: Mapping[str, int], count: int) -> set[str]:
 
 
 def _reference_episodes(root: Place | None, dataset: Dataset, names: Iterable[str]) -> dict[str, Episode]:
-    """Returns the episodes of a reference by id, as far as it has them with the same number of steps."""
+    """Returns the episodes of a reference by id, limited to those that it has with the same number of steps."""
     if root is None:
         return {}
     reference = Dataset(root)
@@ -220,7 +220,7 @@ def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
         report.add(Kind.DAMAGED, ATTEMPTS_FILE, f"cannot be read: {error}")
     else:
         if attempts != meta.failed_attempts:
-            report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} says {meta.failed_attempts}")
+            report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} has {meta.failed_attempts}")
     _check_split_tables(dataset, report)
 
 

@@ -118,7 +118,7 @@ def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | N
 def _differences(row: EpisodeSummary, found: EpisodeSummary, relabelled: bool) -> list[str]:
     ignored = _OF_THE_FILE | _RELABELLED if relabelled else _OF_THE_FILE
     return [
-        f"{name}: {METADATA_FILE} says {getattr(row, name)}, the episode {getattr(found, name)}"
+        f"{name}: {METADATA_FILE} has {getattr(row, name)}, the episode has {getattr(found, name)}"
         for name in EpisodeSummary.model_fields
         if name not in ignored and getattr(row, name) != getattr(found, name)
     ]

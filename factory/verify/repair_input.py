@@ -58,14 +58,16 @@ def inspect_dataset(
         raise UsageError(f"directory {root} does not exist; give the --out of a run")
     ledger = ledger_url_of(home, url)
     noted, described = _from_ledger(ledger), _from_meta(root)
-    record, stranger = _settle_plan(root, noted, described, plan)
+    record, foreign_ledger = _settle_plan(root, noted, described, plan)
     if record is None:
         raise UsageError(
             f"neither the ledger nor dataset_meta.json of {root} contains the plan of the run: give the plan "
             "with --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
-    return RepairInput(root, home, ledger, record.plan, catalog, troubles, shard_of(Site(root, home), url), stranger)
+    return RepairInput(
+        root, home, ledger, record.plan, catalog, troubles, shard_of(Site(root, home), url), foreign_ledger
+    )
 
 
 def _settle_plan(

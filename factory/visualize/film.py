@@ -69,7 +69,7 @@ def require_mp4() -> None:
     Raises:
         UsageError: PyAV is not installed.
     """
-    require_package("av", "an MP4 film")
+    require_package("av", "an MP4 video")
 
 
 def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction, crf: int = 20) -> None:

@@ -63,7 +63,7 @@ def create_app(
             *(route for module in _PAGES for route in module.routes()),
             *more_routes,
         ],
-        exception_handlers={HTTPException: _say_http, FactoryError: _say_failure, Exception: _say_bug},
+        exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
     app.state.context = WebContext(
         workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations)
@@ -92,16 +92,16 @@ async def login(request: Request) -> Response:
     return signed_in(request.scope, access, "/")
 
 
-def _say_http(request: Request, error: Exception) -> Response:
+def _answer_http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     return _message(request, error.status_code, error.detail)
 
 
-def _say_failure(request: Request, error: Exception) -> Response:
+def _answer_failure(request: Request, error: Exception) -> Response:
     return _message(request, 400 if isinstance(error, UsageError) else 503, str(error))
 
 
-def _say_bug(request: Request, error: Exception) -> Response:
+def _answer_bug(request: Request, error: Exception) -> Response:
     log.error("page_failed", path=request.url.path[:80], error=repr(error))
     return _message(request, 500, "the page failed; see the log of the server")
 

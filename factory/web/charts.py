@@ -1,4 +1,7 @@
-"""Draws line and column charts as SVG text without styles and scripts; the page's stylesheet has the colours. Pure."""
+"""Draws line and column charts as SVG text without styles and scripts; the page's stylesheet has the colours.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ def draw_lines(title: str, unit: str, values: ArrayLike, duration_s: float, name
     """Returns a chart of values over time, with a cursor that the page moves.
 
     Args:
-        title: what is drawn.
+        title: title of the chart.
         unit: unit of the values.
         values: (T,) values at equal distances in time; NaN is left out.
         duration_s: time of the last value, seconds.
@@ -47,7 +50,7 @@ def draw_columns(title: str, columns: Sequence[Mapping[str, int]], first: str, l
     """Returns a chart of stacked columns.
 
     Args:
-        title: what is drawn.
+        title: title of the chart.
         columns: counts by series for each interval, in order of time.
         first: label of the first interval.
         last: label of the last interval.

@@ -1,4 +1,4 @@
-"""State that all requests of one application share, and how a page is answered."""
+"""State that all requests of one application share, and the rendering of a page."""
 
 from __future__ import annotations
 

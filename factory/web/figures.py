@@ -35,7 +35,7 @@ class DrawnStatistics:
     images: dict[str, str]
     """SVG by name of the drawing."""
     trouble: str = ""
-    """Reason why the figures cannot be drawn; empty if they are drawn."""
+    """Reason why the figures cannot be drawn; empty if they were drawn."""
 
 
 class StatisticsStore:

@@ -75,7 +75,7 @@ class FrameStore:
             episode = self._episodes.pop(episode_id, None) or dataset[episode_id]
             self._episodes[episode_id] = episode
             if len(self._episodes) > _KEPT_EPISODES:
-                self._episodes.popitem(last=False)  # its file is closed when its last reader has finished
+                self._episodes.popitem(last=False)  # the file is closed when the last reader has finished
             return episode
 
     def png(self, key: FrameKey) -> Future[bytes]:

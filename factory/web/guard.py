@@ -41,7 +41,7 @@ class RequestGuard:
     """ASGI middleware with the access rules of one server.
 
     Args:
-        app: application behind the rules.
+        app: application that the rules protect.
         address: configured address.
         access: token and reading rights.
     """

@@ -17,7 +17,7 @@ _SHARE = 50
 
 
 class LiveFeed:
-    """Text that is computed again and again while a tab listens, and sent when it has changed.
+    """Text that is computed repeatedly while a tab listens, and sent when it has changed.
 
     Args:
         compute: function that returns the current fragment; called in a thread, never twice at a time.

@@ -153,6 +153,8 @@ class EpisodeTable:
             numbers = ranks[held.indices.to_numpy(zero_copy_only=False)]
         else:
             numbers = held.to_numpy(zero_copy_only=False)
+        if np.all(numbers[1:] >= numbers[:-1]):  # the table is written in the order of the episodes
+            return np.arange(len(numbers))
         return np.argsort(numbers, kind="stable")
 
     def _mask(self, query: TableQuery) -> NDArray[np.bool_] | None:

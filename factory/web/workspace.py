@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.archive.staging import is_held
+from coordinator.ledger.builds import unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_files
 from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
 from coordinator.ledger.reading.failures import FailedPlace, count_failures, read_failures
@@ -18,7 +19,7 @@ from factory.dataset.packages import packages_by_scene
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
 from factory.runs.ledger import progress_of, read_ledger
-from factory.support.text import say_bytes
+from factory.support.text import format_bytes
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.errors import FactoryError
 from schemas.protocol.status import Progress
@@ -43,6 +44,15 @@ class Farm(NamedTuple):
     """Description of the run."""
     failed: Mapping[str, int]
     """Number of recent failed attempts by scene."""
+
+
+class SceneList(NamedTuple):
+    """Scenes of a dataset."""
+
+    packages: Mapping[str, str]
+    """SHA-256 of the package by name of the scene."""
+    unbuilt: tuple[str, ...] = ()
+    """Planned layouts without a package."""
 
 
 class Workspace:
@@ -91,6 +101,18 @@ class Workspace:
         except FactoryError:
             return None
 
+    def scenes(self) -> SceneList:
+        """Returns the scenes of the description, and the layouts that were built since it was written."""
+        meta = self.meta()
+        described = meta.scenes if meta else {}
+        try:
+            with read_ledger(self.site, self.ledger) as connection:
+                info = read_info(connection)
+        except FactoryError:
+            return SceneList(described)
+        packages = {**info.scenes, **described, **info.layouts}
+        return SceneList(packages, tuple(unbuilt_layouts(info.plan, packages)))
+
     def farm(self) -> Farm:
         """Returns the state of the run.
 
@@ -124,7 +146,7 @@ class Workspace:
             return f"{self.ledger.partition('://')[0]} database"
         sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.home)) if path.exists()]
         writer = "a coordinator writes to it" if is_held(self.site.home) else "no coordinator writes to it"
-        return f"{say_bytes(sum(sizes))}, {writer}"
+        return f"{format_bytes(sum(sizes))}, {writer}"
 
     def _version_of_tables(self) -> object:
         if self.site.store is not None:

@@ -2,7 +2,7 @@
 
 The eleven names are those of Berlin and Kay (Basic Color Terms, 1969). Their sectors of lightness, chroma and hue
 follow the XKCD colour survey (Munroe 2010, blog.xkcd.com/2010/05/03/color-survey-results).
-Pure. Does not choose the surfaces to sample.
+Pure functions. Does not choose the surfaces to sample.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _BLACK, _GRAY, _WHITE, _RED, _ORANGE, _YELLOW, _GREEN, _BLUE, _PURPLE, _PINK, _B
 _HUES = ((0, 45, _RED), (45, 72, _ORANGE), (72, 108, _YELLOW), (108, 195, _GREEN), (195, 308, _BLUE))
 _NAMELESS = len(COLOUR_NAMES)
 _TEAL = (183.0, 217.0)
-"""Ambiguous hues between green and blue, degrees; samples in this range vote for neither."""
+"""Ambiguous hues between green and blue, degrees; samples in this range count for neither colour."""
 _LATE_HUES = ((308, 342, _PURPLE), (342, 361, _RED))
 
 _TO_XYZ = np.array(

@@ -14,7 +14,7 @@ _FOLDER = Path(__file__).parent / "builtin"
 BUILTIN_APPEARANCES = ("varied", "full", "light", "materials", "camera", "clutter")
 """Names of the built-in appearances; each is a file in `schemas/appearance/builtin`."""
 NO_APPEARANCE = "none"
-"""Name that shows scenes as they were compiled."""
+"""Name for scenes without appearance randomisation, which are rendered as they were compiled."""
 
 
 def find_appearance(reference: str) -> Appearance | None:

@@ -93,7 +93,7 @@ class DatasetMeta(Model):
     dataset_digest: Sha256 | None = None
     """SHA-256 over the content digests of all episodes; null until the dataset is complete."""
     renderers: tuple[str, ...] = ()
-    """Descriptions of all renderers that drew an episode."""
+    """Descriptions of all renderers that rendered an episode."""
     software: dict[str, str]
     """Package versions of the coordinator; each episode records those of its worker."""
     git_commit: str | None = None

@@ -37,8 +37,9 @@ class StartView(Model):
     least_alike: Count = Field(default=0, exclude_if=lambda it: it == 0)
     """Smallest number of objects of `alike` that are in view, together with the target; 0 sets no condition."""
     ranks: tuple[Fraction, Fraction] | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Two random numbers: the target is the nearest, and the most central, of the k objects of its category in view if
-    the number is below 1 / k, and another object is if not; `None` sets no condition."""
+    """Two random numbers from 0 to 1. If the first is below 1 / k, the target is the nearest of the k objects of its
+    category in view; otherwise another one is the nearest. The second decides in the same way which object is the most
+    central. `None` sets no condition."""
 
     @property
     def shows_target(self) -> bool:
@@ -96,7 +97,7 @@ def _rank_findings(
     camera: CameraConfig,
     min_pixels: int,
 ) -> list[str]:
-    """Returns a sentence for each measure by which the target has another rank than the wanted one."""
+    """Returns a sentence for each of both measures in which the target does not have the required rank."""
     seen = see_objects(ids, depth, {target, *alike}, camera, min_pixels)
     found = []
     measures = {"nearest": _range_of, "most central": _angle_of}

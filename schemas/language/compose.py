@@ -1,6 +1,6 @@
 """Writes verified instructions for one target: draws expressions, patterns and words; keeps what the verifier accepts.
 
-Opens no file; chance is an argument.
+Opens no file; the random generator is an argument.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Composer:
         return Search(scene.facts, seen, number, families, source.nouns, source.rooms)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
-        """Returns a few features by their weights, which makes a short search; all of them after some turns."""
+        """Returns a few features, drawn by their weights, for a short search; after half of the tries, all features."""
         every = self.spec.families
         if len(every) <= _FEW or turn >= _TRIES // 2:
             return every

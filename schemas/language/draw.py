@@ -1,4 +1,4 @@
-"""Draws by weights. Chance is an argument."""
+"""Draws items by weights. The random generator is an argument."""
 
 from __future__ import annotations
 

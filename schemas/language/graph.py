@@ -21,6 +21,8 @@ UNKNOWN = "unknown"
 """Colour of an object without a dominant or recorded colour."""
 _LOW_M, _TALL_M = 0.6, 1.6
 _BETWEEN_ROOMS = frozenset({"door", "gate", "window"})
+_BESIDE_M = (0.1, 0.13, 0.16, 0.2)
+"""Distances from the faces of a door leaf at which a wall, of perhaps two thin faces, is looked for, metres."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class SceneGraph:
 
 @dataclass(frozen=True)
 class _Raw:
-    """Object before walls and rooms are known."""
+    """Object whose room and distances to walls are not computed yet."""
 
     ids: tuple[int, ...]
     kind: str
@@ -136,7 +138,7 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
             high_m=(float(each.high[0]), float(each.high[1]), float(each.high[2])),
             outline_m=tuple((float(x), float(y)) for x, y in each.outline),
             target_id=each.target_id,
-            room=0 if each.kind in _BETWEEN_ROOMS else int(labels[number]),
+            room=_room_of_leaf(each, walls, room_grid) if each.kind in _BETWEEN_ROOMS else int(labels[number]),
             wall_gap_m=float(gaps[number]),
             corner_gap_m=float(corners[number]),
             base_m=float(each.low[2]) - info.floor_height_m,
@@ -149,10 +151,22 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     return SceneGraph(objects, rooms, types, room_grid, occupancy._replace(values=sight), info.floor_height_m, table)
 
 
-def _covered(each: _Raw, info: SceneInfo) -> Floats:
-    """Returns the lower and upper corner of the cells that an object covers; of a low or hung object those inside.
+def _room_of_leaf(each: _Raw, walls: CellGrid, room_grid: CellGrid) -> int:
+    """Returns the room of an open door leaf in front of a wall; 0 for a leaf in its doorway, and for other objects."""
+    if each.kind != "door":
+        return 0
+    across = int(each.high[1] - each.low[1] < each.high[0] - each.low[0])
+    middle, half = (each.low[:2] + each.high[:2]) / 2, (each.high[across] - each.low[across]) / 2
+    offsets = np.zeros((len(_BESIDE_M), 2))
+    offsets[:, across] = half + np.array(_BESIDE_M)
+    free = [side for side in (-1, 1) if not np.any(walls.at(middle + side * offsets))]
+    return int(room_grid.at(middle + free[0] * offsets[-1])) if len(free) == 1 else 0
 
-    A tall object on the floor has cells that look like a wall at its edges, too.
+
+def _covered(each: _Raw, info: SceneInfo) -> Floats:
+    """Returns the lower and upper corner of the rectangle in which occupied cells belong to an object, not to a wall.
+
+    For a tall object on the floor, it includes the cells at the edges; for a low or hanging one, it excludes them.
     """
     is_tall = each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M
     margin = info.grid_resolution_m / 2 * (1 if is_tall else -1)

@@ -21,7 +21,7 @@ class ObjectKind(Model):
     plain: bool = True
     """Whether its colour can be named."""
     like: tuple[Name, ...] = ()
-    """Kinds for which a viewer may take the object."""
+    """Kinds that a viewer may confuse with this kind."""
     prims: tuple[tuple[str, ...], ...] = ()
     """Words of the prim's name that identify a landmark without a category."""
 

@@ -1,4 +1,4 @@
-"""Reads a sentence back: returns every meaning that a grammar gives it. Written without the code that writes sentences.
+"""Reads a sentence back: returns every meaning that a grammar gives it. Does not use the code that writes sentences.
 
 Reading uses the words of `data/<code>.toml`. It accepts wrong endings, because they do not change a meaning.
 """

@@ -1,7 +1,8 @@
 """Thresholds of relations: where they surely hold, and where they surely do not (docs/language.md#thresholds).
 
 Spatial terms have regions of good, acceptable and bad examples (Logan & Sadler 1996). A relation surely holds in the
-good region, and surely does not hold in the bad one; the acceptable region between them is borderline.
+good region, and surely does not hold in the bad one; the acceptable region between them is borderline. Values without a
+source were chosen for this project.
 """
 
 from __future__ import annotations
@@ -20,51 +21,51 @@ class Band(NamedTuple):
 
 
 NEXT_TO_M = Band(0.6, 1.6)
-"""Gap of footprints for `next_to`, metres; ours."""
+"""Gap of footprints for `next_to`, metres."""
 DIRECTION_RAD = Band(math.radians(35), math.radians(75))
-"""Angle from the axis for `left_of`, `right_of`, `in_front_of`, `behind`; limits ours. Goodness falls linearly with
+"""Angle from the axis for `left_of`, `right_of`, `in_front_of`, `behind`. Goodness falls linearly with
 this angle (Regier & Carlson 2001, attention vector sum); SceneVerse (Jia et al. 2024) has sectors of 45 degrees."""
 DIRECTION_GAP_M = Band(2.0, 4.0)
 """Gap of footprints for the same relations, metres; Sr3D (Achlioptas et al. 2020) has areas of 1 to 4 m."""
 ALIGNED_RAD = Band(math.radians(10), math.radians(60))
-"""Angle between object and landmark in the view for `in_front_of` and `behind`; ours."""
+"""Angle between object and landmark in the view for `in_front_of` and `behind`."""
 BETWEEN_ALONG = Band(0.25, 0.05)
-"""Smallest share of the way from one landmark to the other for `between`; ours."""
+"""Smallest share of the way from one landmark to the other for `between`."""
 BETWEEN_ACROSS = Band(0.2, 0.45)
-"""Distance from the line between the landmarks, as a share of its length; ours."""
+"""Distance from the line between the landmarks, as a share of its length."""
 BETWEEN_SPAN_M = Band(5.0, 7.0)
-"""Distance of the landmarks for `between`, metres; ours."""
+"""Distance of the landmarks for `between`, metres."""
 LEVEL_M = 1.0
-"""Difference in height of the lower sides from which horizontal relations do not hold, metres; ours."""
+"""Difference in height of the lower sides from which horizontal relations do not hold, metres."""
 SAME_BASE_M = 0.5
 """Difference in height of the lower sides from which heights are not compared, and objects are not surely in front of
-or behind each other, metres; ours."""
+or behind each other, metres."""
 TOUCH_M = Band(0.15, 0.3)
 """Vertical gap for `on`, and gap to the wall for `on_wall`, metres; 0.15 is `max_touch_distance` of Sr3D."""
 OVERLAP = Band(0.5, 0.1)
-"""Smallest share of the footprint within that of the landmark for `on` and `under`; ours. `min_supported_area_ratio` of
+"""Smallest share of the footprint within that of the landmark for `on` and `under`. `min_supported_area_ratio` of
 Sr3D is 0.3."""
 WALL_BASE_M = Band(0.3, 0.1)
-"""Smallest height of the lower side for `on_wall`, metres; ours."""
+"""Smallest height of the lower side for `on_wall`, metres."""
 CORNER_M = Band(0.45, 1.2)
-"""Distance of two perpendicular walls for `in_corner`, metres; ours."""
+"""Distance of two perpendicular walls for `in_corner`, metres."""
 EGO_RAD = Band(math.radians(18), math.radians(6))
-"""Smallest angle from the heading for `your_left` and `your_right`; ours."""
+"""Smallest angle from the heading for `your_left` and `your_right`."""
 EGO_BEHIND_RAD = Band(math.radians(90), math.radians(170))
-"""Largest angle from the heading for the same relations; ours."""
+"""Largest angle from the heading for the same relations."""
 AHEAD_RAD = Band(math.radians(10), math.radians(28))
-"""Angle from the heading for `ahead`; ours."""
+"""Angle from the heading for `ahead`."""
 DISTANCE_GAP_M = 0.3
 """Smallest difference of distances for nearest and farthest, metres; Sr3D's `horizontal_gap` is 0.2."""
 DISTANCE_RATIO = 1.15
-"""Smallest ratio of these distances; ours."""
+"""Smallest ratio of these distances."""
 VOLUME_RATIO = 1.5
-"""Smallest ratio of volumes for the largest and smallest object; ours."""
+"""Smallest ratio of volumes for the largest and smallest object."""
 HEIGHT_RATIO = 1.2
-"""Smallest ratio of heights for the tallest and lowest object; ours."""
+"""Smallest ratio of heights for the tallest and lowest object."""
 BEARING_GAP_RAD = math.radians(4)
-"""Smallest angle between objects that are counted from a side; ours."""
+"""Smallest angle between objects that are counted from a side."""
 VISIBLE_M = 10.0
-"""Largest distance at which an object counts as surely visible, metres; ours."""
+"""Largest distance at which an object counts as surely visible, metres."""
 EDGE_RAD = math.radians(4)
-"""Width of the band at the edge of the image where visibility is borderline; ours."""
+"""Width of the band at the edge of the image where visibility is borderline."""

@@ -1,4 +1,4 @@
-"""Finds out why a coordinator cannot be reached: name, port, certificate. zenoh reports only that a time ran out.
+"""Finds out why a coordinator cannot be reached: name, port, certificate. zenoh reports a timeout only.
 
 Opens one short connection per endpoint and sends nothing but a TLS handshake.
 """

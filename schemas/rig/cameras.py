@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from schemas.base import Finite, Positive
-from schemas.rig.distortion import bend, first_fold, undistort
+from schemas.rig.distortion import first_fold, fisheye_radii, undistort
 from schemas.rig.mount import Mount, MountedSensor
 from schemas.rig.noise import CameraNoise
 
@@ -198,7 +198,7 @@ class FisheyeCamera(_CentredCamera):
         """Focal lengths along rows and columns, pixels."""
         if self.fx_px is not None:
             return self.fx_px, self.fy_px or self.fx_px
-        focal = min(self.width, self.height) / 2 / float(bend(np.array(self.half_fov_rad), self.distortion))
+        focal = min(self.width, self.height) / 2 / float(fisheye_radii(np.array(self.half_fov_rad), self.distortion))
         return focal, focal
 
     @model_validator(mode="after")

@@ -67,7 +67,7 @@ def undistort(points: Floats, coefficients: Sequence[float]) -> Floats:
     return np.where(whole[..., None], found, np.nan)
 
 
-def bend(angles: Floats, coefficients: Sequence[float]) -> Floats:
+def fisheye_radii(angles: Floats, coefficients: Sequence[float]) -> Floats:
     """Returns the image radii, in focal lengths, of rays at angles (...) from the optical axis, radians.
 
     J. Kannala and S. S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and
@@ -78,28 +78,28 @@ def bend(angles: Floats, coefficients: Sequence[float]) -> Floats:
     return np.asarray(angles * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))))
 
 
-def _bend_slope(angles: Floats, coefficients: Sequence[float]) -> Floats:
+def _radius_slope(angles: Floats, coefficients: Sequence[float]) -> Floats:
     square = angles * angles
     k1, k2, k3, k4 = coefficients
     return np.asarray(1 + square * (3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4))))
 
 
 def first_fold(limit: float, coefficients: Sequence[float]) -> float | None:
-    """Returns the smallest angle up to `limit`, radians, at which the radius of `bend` no longer grows, or `None`."""
+    """Returns the smallest angle up to `limit`, radians, from which `fisheye_radii` no longer grows, or `None`."""
     angles = np.linspace(0, limit, 2000)
-    folded = np.flatnonzero(_bend_slope(angles, coefficients) <= _LEAST_GAIN)
+    folded = np.flatnonzero(_radius_slope(angles, coefficients) <= _LEAST_GAIN)
     return float(angles[folded[0]]) if len(folded) else None
 
 
-def unbend(radii: Floats, limit: float, coefficients: Sequence[float]) -> Floats:
+def fisheye_angles(radii: Floats, limit: float, coefficients: Sequence[float]) -> Floats:
     """Returns the angles (...), radians, of image radii (...) in focal lengths; NaN beyond the angle `limit`.
 
     Below this angle the radius must increase, see `first_fold`.
     """
     table = np.linspace(0, limit, 512)
-    edge = float(bend(np.array(limit), coefficients))
-    angles = np.interp(radii, bend(table, coefficients), table)
+    edge = float(fisheye_radii(np.array(limit), coefficients))
+    angles = np.interp(radii, fisheye_radii(table, coefficients), table)
     for _ in range(_NEWTON_STEPS):
-        step = (bend(angles, coefficients) - radii) / _bend_slope(angles, coefficients)
+        step = (fisheye_radii(angles, coefficients) - radii) / _radius_slope(angles, coefficients)
         angles = np.clip(angles - step, 0, limit)
     return np.where(radii <= edge * (1 + 1e-12), angles, np.nan)

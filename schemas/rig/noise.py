@@ -156,7 +156,7 @@ class ImuNoise(Model):
 
 
 class OdometryNoise(Model):
-    """Noise of wheel odometry; the defaults are assumed, no source has them for this robot."""
+    """Noise of wheel odometry; the defaults are assumptions, because no source has values for this robot."""
 
     slip_std_m: Annotated[float, Field(ge=0, le=1)] = 0.001
     """Standard deviation of the slip of each wheel after one metre, metres; it grows with the square root of the

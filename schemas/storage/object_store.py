@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SCHEMES = ("s3", "gs", "az")
 _CLIENT: ClientConfig = {"connect_timeout": "5s", "timeout": "10m", "allow_http": True}
-"""An endpoint may be http:// if the user gives it so; a bundle may take minutes on a slow connection."""
+"""Client options: `http://` endpoints are allowed, and the timeout suits a bundle on a slow connection."""
 _RETRY: RetryConfig = {"max_retries": 5, "retry_timeout": timedelta(seconds=60)}
 _BATCH = 1000
 _COPY_BYTES = 1 << 20

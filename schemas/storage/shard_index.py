@@ -183,8 +183,8 @@ def packed_place(root: Place, number: int) -> PackedPath | None:
 def episode_place(root: Place, number: int) -> FilePlace:
     """Returns the path of an episode: its file, or its place in a shard.
 
-    An episode that is nowhere has the path of its file. Reads the header of a packed episode; if it is missing there,
-    the index is outdated, and the directories of the shards are read.
+    For an episode that is not stored, this is the path that its file would have. Reads the header of a packed episode;
+    if it is missing there, the index is outdated, and the directories of the shards are read.
 
     Args:
         root: root of the dataset.

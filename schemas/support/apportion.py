@@ -18,7 +18,7 @@ def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
     """Returns a sequence of `count` keys in which every prefix is apportioned to the shares.
 
     The next key is the one with the largest share / (2 * already given + 1); ties go to the first in the mapping.
-    Webster's method is house-monotone: a longer sequence never takes a seat back (Balinski & Young, 1982).
+    Webster's method is house-monotone: in a longer sequence no key has fewer places (Balinski & Young, 1982).
     """
     given = dict.fromkeys(shares, 0)
     sequence = []
@@ -32,7 +32,7 @@ def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
 def apportion(shares: Mapping[Key, float], count: int) -> dict[Key, int]:
     """Returns the quota of each key; the quotas sum to `count`."""
     total = sum(shares.values())
-    # fewer seats than Webster's method gives, so that large numbers need few steps
+    # starts below the result of Webster's method, so that large numbers need few steps
     given = {key: max(0, int(count * share / total) - len(shares)) for key, share in shares.items()}
     for _ in range(count - sum(given.values())):
         given[max(given, key=lambda k: shares[k] / (2 * given[k] + 1))] += 1

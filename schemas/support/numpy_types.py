@@ -1,4 +1,4 @@
-"""Arrays by their element type, for annotations. Pure."""
+"""Type aliases of arrays by element type, for annotations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planar geometry: headings of poses, and distances to polygons. Pure."""
+"""Planar geometry: headings of poses, and distances to polygons. Pure functions."""
 
 from __future__ import annotations
 

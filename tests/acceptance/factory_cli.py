@@ -150,7 +150,7 @@ def kill_group(process: Started, number: int = signal.SIGKILL) -> None:
 def wait_for(condition: Callable[[], bool], timeout_s: float = 120) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < deadline, "waited too long"
+        assert time.monotonic() < deadline, "timed out waiting"
         time.sleep(0.05)
 
 

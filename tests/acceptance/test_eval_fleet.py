@@ -1,4 +1,4 @@
-"""`factory eval --listen`: an evaluation on workers under kills has the numbers of one machine."""
+"""`factory eval --listen`: an evaluation on workers that are killed gives the numbers of one machine."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def rows_in(out: Path) -> Iterator[dict[str, Any]]:
 
 
 def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """Returns the episodes by policy and spec; each must be there once."""
+    """Returns the episodes by policy and spec; each must occur once."""
     rows = list(rows_in(out))
     found = {(row["policy"], row["spec_id"]): row for row in rows}
     assert len(found) == len(rows)

@@ -40,14 +40,14 @@ def test_gate_refuses_a_scene_that_the_plan_does_not_have(factory):
     assert "office" in factory("gate", "--scene", "garage", expect=2).stderr
 
 
-HASTY = "[task]\nmax_steps = 20\n[budget]\nattempts_per_draw = 1\ndraws = 1\n" + PILOT.replace("50", "2")
+SHORT_EPISODES = "[task]\nmax_steps = 20\n[budget]\nattempts_per_draw = 1\ndraws = 1\n" + PILOT.replace("50", "2")
 """Every attempt times out, and is not repeated."""
 
 
 @pytest.mark.parametrize("verb", [("run", "--workers", 2), ("coordinator", "start", "--listen", "tcp/127.0.0.1:0")])
 def test_an_enforced_gate_blocks_a_plan_with_a_low_success_rate(factory, tmp_path, verb):
     plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
-    plan.write_text(HASTY)
+    plan.write_text(SHORT_EPISODES)
     err = factory(*verb, plan, "--out", root, "--gate", "enforce", expect=1).stderr
     assert "2 timeout" in err
     assert "gate failed: less than 80 % of first attempts succeed in hospital" in err
@@ -57,7 +57,7 @@ def test_an_enforced_gate_blocks_a_plan_with_a_low_success_rate(factory, tmp_pat
 
 def test_a_reported_gate_is_recorded_and_not_repeated(factory, tmp_path):
     plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
-    plan.write_text(HASTY)
+    plan.write_text(SHORT_EPISODES)
     factory("run", plan, "--out", root, "--workers", 2, "--gate", "report", expect=1)
     (found,) = json.loads((root / "dataset_meta.json").read_text())["gate"]
     assert (found["scene"], found["attempts"], found["succeeded"], found["passed"]) == ("hospital", 2, 0, False)

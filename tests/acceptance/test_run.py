@@ -1,4 +1,4 @@
-"""The main guarantee: the dataset depends neither on the number of workers nor on kills."""
+"""The main guarantee: the dataset does not depend on the number of workers or on kills."""
 
 from __future__ import annotations
 

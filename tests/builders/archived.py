@@ -20,11 +20,11 @@ from schemas.dataset.rows import summary_of
 from schemas.protocol.messages import Done
 from schemas.terms import FailReason, Recording
 from tests.builders.bundle import parts_for
-from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
+from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
 
 
 class ArchivedRun:
-    """A dataset directory with `done` archived episodes; `desk` accesses its ledger.
+    """A dataset directory with `done` archived episodes; `timed_ledger` accesses its ledger.
 
     Args:
         root: directory of the dataset.
@@ -42,34 +42,34 @@ class ArchivedRun:
         self.plan = room_plan(planned, record, attempts_per_draw=2, draws=3)
         self.catalog = room_catalog(root.parent)
         self.url = ledger_url_of(root)
-        self.desk = Desk(self.plan, self.url)
-        self.desk.catalog = self.catalog
+        self.timed_ledger = TimedLedger(self.plan, self.url)
+        self.timed_ledger.catalog = self.catalog
         with open_archive(root) as archive:
             for name, entry in self.catalog.items():
                 archive.add_scene(entry.path, name, entry.sha256)
             for _ in range(misses):
-                assert self.desk.fail(self.lease_of(1), FailReason.TIMEOUT)
+                assert self.timed_ledger.fail(self.lease_of(1), FailReason.TIMEOUT)
             for index in range(1, done + 1):
                 self.archive_episode(archive, index)
             self._write_tables(archive)
-        self.desk.engine.dispose()
+        self.timed_ledger.engine.dispose()
 
     def lease_of(self, index: int):  # type: ignore[no-untyped-def]
         """Claims until the episode with that number is leased and releases the others."""
         others = []
         while True:
-            row = self.desk.claim()
+            row = self.timed_ledger.claim()
             assert row is not None
             if row.idx == index:
                 break
             others.append(lease_of(row))
         for lease in others:
-            self.desk.fail(lease, FailReason.RELEASED)
+            self.timed_ledger.fail(lease, FailReason.RELEASED)
         return lease_of(row)
 
     def bundle(self, index: int) -> bytes:
         """Returns the bundle of the current attempt of an episode."""
-        row = self.desk.rows(index)[-1]
+        row = self.timed_ledger.rows(index)[-1]
         return parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write()
 
     def repair_input(self, scenes: Sequence[str] = ()) -> RepairInput:
@@ -79,10 +79,10 @@ class ArchivedRun:
     def pack(self, size: int, *, is_over: bool = True) -> int:
         """Packs the settled ranges of that size and writes the tables; returns the number of packed episodes."""
         with open_archive(self.root) as archive:
-            with self.desk.engine.connect() as connection:
+            with self.timed_ledger.engine.connect() as connection:
                 packed = pack_settled(archive, connection, self.plan, is_over, size)
             self._write_tables(archive)
-        self.desk.engine.dispose()
+        self.timed_ledger.engine.dispose()
         return packed
 
     def file(self, index: int) -> Path:
@@ -95,25 +95,25 @@ class ArchivedRun:
 
     def states(self) -> dict[int, str]:
         """Returns the state of the current draw of each episode."""
-        return {row.idx: row.state for row in self.desk.rows() if not row.superseded}
+        return {row.idx: row.state for row in self.timed_ledger.rows() if not row.superseded}
 
     def archive_episode(self, archive: Archive, index: int) -> None:
         """Claims, announces and archives an episode."""
         lease = self.lease_of(index)
         data = self.bundle(index)
         digest = hashlib.sha256(data).hexdigest()
-        row = self.desk.rows(index)[-1]
+        row = self.timed_ledger.rows(index)[-1]
         parts = parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt))
         with archive.stage(index) as staged:
             staged.write(data)
             archive.publish(staged, index)
         done = Done(sid="host-1", lease=lease, sha256=digest, size=len(data))
-        with self.desk.open() as connection:
-            outcomes.announce(connection, done, self.desk.now, TTL_S)
+        with self.timed_ledger.open() as connection:
+            outcomes.announce(connection, done, self.timed_ledger.now, TTL_S)
             summary = summary_of(parts.sealed(), digest, len(data))
-            assert outcomes.archive(connection, lease, summary, self.desk.now)
+            assert outcomes.archive(connection, lease, summary, self.timed_ledger.now)
 
     def _write_tables(self, archive: Archive) -> None:
-        with self.desk.engine.connect() as connection:
-            write_checkpoint(archive, connection, self.plan, self.catalog, self.desk.now)
+        with self.timed_ledger.engine.connect() as connection:
+            write_checkpoint(archive, connection, self.plan, self.catalog, self.timed_ledger.now)
         write_split_tables(archive)

@@ -64,7 +64,7 @@ class FakeCoordinator:
         self.archived: dict[int, bytes] = {}
         self.ended: dict[int, Fail] = {}
         """Jobs that will not be given out again."""
-        self.swallow: Counter[Verb] = Counter()
+        self.dropped_replies: Counter[Verb] = Counter()
         """Number of further replies that are lost, by verb."""
         self.pulls = True
         self.drains = False
@@ -141,8 +141,8 @@ class FakeCoordinator:
             self.heard.append(message)
             reply = self._reply_to(message)
             self.changed.notify_all()
-            if self.swallow[verb] > 0:
-                self.swallow[verb] -= 1
+            if self.dropped_replies[verb] > 0:
+                self.dropped_replies[verb] -= 1
             else:
                 query.reply(verb_key(RUN, host, verb), reply.model_dump_json())
 

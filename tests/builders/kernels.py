@@ -45,7 +45,7 @@ def _computed(place: LoadedScene, target_id: str) -> dict[str, str]:
     poses = [Pose(*row) for row in rng.normal(size=(_MANY, 7))]
     views = [product(projection_matrix(camera), view_matrix(optical_pose(pose, camera))) for pose in poses]
     starts = place.grid.centre_of(rng.integers(0, min(place.grid.occupancy.shape), (_MANY, 2)))
-    look = MaskEstimate(place.scene, target.instance_id, camera).look
+    look = MaskEstimate(place.scene, target.instance_id, camera).evaluate
     return {
         "measures": _digest(str([measure_track(track, (0.3, 0.1, 0.7)) for track in tracks])),
         "views": _digest(str(np.array(views).tolist())),

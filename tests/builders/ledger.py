@@ -91,12 +91,12 @@ def _smallest_meta() -> EpisodeMeta:
     return parts_for().meta
 
 
-class Desk:
+class TimedLedger:
     """A ledger with a clock, accessed like by the protocol: each call is one transaction."""
 
-    def __init__(self, plan: Plan | None = None, url: str = "sqlite://") -> None:
+    def __init__(self, plan: Plan | None = None, url: str = "sqlite://", catalog: Catalog | None = None) -> None:
         self.plan = plan or room_plan()
-        self.catalog = room_catalog()
+        self.catalog = catalog or room_catalog()
         self.now = datetime(2026, 1, 2, tzinfo=UTC)
         self.engine: Engine = open_writer(url)
         self._tokens = itertools.count(1)

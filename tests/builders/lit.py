@@ -27,7 +27,8 @@ _CHAIRS = (
 
 @functools.cache
 def lit_room() -> CompiledScene:
-    """Returns a room whose light was baked, and whose walls and floor are named so."""
+    """Returns a room whose light was baked, and whose prims of walls and floor have the words wall and floor in their
+    names."""
     scene = box_room((*_CHAIRS, *_LAMPS))
     count = len(scene.part_count)
     brightness = np.repeat(np.arange(count) >= count - len(_LAMPS), 12).astype(np.float64)

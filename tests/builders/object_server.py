@@ -1,4 +1,4 @@
-"""Runs a real S3 server on loopback with buckets; its content is deleted at exit."""
+"""Runs a real S3 server on loopback; its buckets are deleted at exit."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def anchors_of(page: Path) -> set[str]:
 
 
 def factory_lines(page: Path) -> Iterator[list[str]]:
-    """Yields the words behind `factory` of every command line in the blocks of a page."""
+    """Yields the arguments after `factory` of every command line in the blocks of a page."""
     for line in _lines(page):
         for command in line.split(";"):
             words = shlex.split(re.sub(r"\[(-[^\]]*)\]", r"\1", command), comments=True)

@@ -16,7 +16,7 @@ import structlog
 
 LIMITS = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_CORE)
 RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
-"""A coordinator raises its soft limit to the hard one: restored like the others, but its change is not an error."""
+"""Limit that a coordinator raises to the hard limit; it is restored like the others, and its change is not an error."""
 OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Variables that pytest itself changes between the phases of a test."""
 
@@ -82,7 +82,7 @@ def unchanged_process() -> Iterator[None]:
         structlog.contextvars.clear_contextvars()
         leaks = before.restore()
     if leaks:
-        raise AssertionError("the test left this changed, which the tests after it would see: " + "; ".join(leaks))
+        raise AssertionError("the test did not restore this state, which later tests use: " + "; ".join(leaks))
 
 
 def _restore_folder(folder: Path) -> Iterator[str]:

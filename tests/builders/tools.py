@@ -1,4 +1,4 @@
-"""Finds system tools (ip, tc, mount, initdb ...) that are not on the PATH of an ordinary user."""
+"""Finds system tools (ip, tc, mount, initdb ...) that are not on the PATH of a user without administration rights."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
     """Waits for an event in another thread; the limit only ends a hang."""
     end = time.monotonic() + within_s
     while not condition():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "timed out waiting"
         time.sleep(0.02)
 
 

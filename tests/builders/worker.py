@@ -39,7 +39,7 @@ def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
 
 
 class WorkerThread:
-    """A worker in this process; the end of the block stops it and raises its exception."""
+    """A worker in this process; at the end of the block it is stopped and its exception is raised."""
 
     def __init__(self, settings: WorkerSettings) -> None:
         self.stop, self.at_once = threading.Event(), threading.Event()

@@ -1,7 +1,8 @@
 """Hostile peer beside honest workers: sends invalid requests at a bounded rate and counts the refusals.
 
-It does nothing that plain TCP allows by design: it sends no operator or gateway request and reports no false collision.
-TLS denies the former to workers; the latter cannot be detected from outside.
+It leaves out attacks that plain TCP permits by design: operator requests, gateway requests and false reports of
+collisions.
+TLS denies the requests to workers; a false report cannot be detected by the coordinator.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from tests.chaos.light_simulation import misses
 HOSTILE_HOST = "hostile"
 _BEAT_S = 0.5
 _HELD_S = 4.0
-"""How long a job is held without progress."""
+"""Time for which a job is held without progress, seconds."""
 _SLOW_S, _SLOW_BYTES = 0.3, 512
 """Pause before each answer for a slow bundle, and the bytes of the answer."""
 _PAUSES = "no job for a hostile peer that pauses or is barred"

@@ -58,8 +58,8 @@ class Hosts(Closing):
         """Reconnects a host."""
         self._ip("link", "set", self._cable(number), "up")
 
-    def worsen(self, number: int, rate: str, latency: str) -> str:
-        """Limits the link of a host in rate and latency; returns why that is not possible, or an empty text."""
+    def degrade(self, number: int, rate: str, latency: str) -> str:
+        """Limits the rate of a host's link and adds latency; returns why that is not possible, or an empty text."""
         if shutil.which("tc") is None:
             return "needs tc (Debian: iproute2)"
         shape = ["tbf", "rate", rate, "burst", "16kbit", "latency", latency]

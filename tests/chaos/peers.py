@@ -1,4 +1,5 @@
-"""One hostile peer and one faulty host beside the honest hosts of a round, and their observed effects."""
+"""One hostile peer and one faulty host that take part in a round beside the honest hosts, and their observed
+effects."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ PEER_KINDS = (*HOSTILE_KINDS, _REFUSED, _CRASHED, *_BARRED.values())
 
 @dataclass(frozen=True)
 class Peers:
-    """Settings of the two in a round."""
+    """Settings of the hostile peer and the faulty host in a round."""
 
     pause_s: tuple[float, float] = (0.1, 0.6)
     """Shortest and longest pause between two attacks of the hostile peer, seconds."""
@@ -29,7 +30,7 @@ class Peers:
 
 
 def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
-    """Gives one of the two hosts so many strikes that the next one bars it; a round is too short for eight.
+    """Gives one of the two hosts all strikes but the last one before it is barred; a round is too short for eight.
 
     Returns:
         Whether the ledger was updated; otherwise the caller retries.

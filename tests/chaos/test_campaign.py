@@ -34,21 +34,26 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosClust
 
 @pytest.mark.slow
 @pytest.mark.parametrize("record", Recording)
-def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(record, tmp_path):
-    reference = reference_digest(fake_commands(EPISODES, 0.0, record=record), tmp_path / "reference")
+def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(record, reference, tmp_path):
+    undisturbed = (
+        reference[0]
+        if record is Recording.FRAMES
+        else reference_digest(fake_commands(EPISODES, 0.0, record=record), tmp_path / "reference")
+    )
     load = FaultLoad(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
-    tally = run_round(fake_commands(EPISODES, 3.0, record=record), tmp_path / "faults", load, 7, reference)
+    tally = run_round(fake_commands(EPISODES, 3.0, record=record), tmp_path / "faults", load, 7, undisturbed)
     assert tally.violations == []
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES
 
 
 @pytest.mark.slow
-def test_kills_while_packing_neither_lose_nor_double_episodes(tmp_path):
+def test_kills_while_packing_neither_lose_nor_duplicate_episodes(tmp_path):
     commands = fake_commands(24, 1.5, checkpoint_s=0.3, record=Recording.STATES)
-    reference = reference_digest(commands, tmp_path / "reference")
+    at_once = fake_commands(24, 0.0, record=Recording.STATES)  # the content does not depend on the duration
+    undisturbed = reference_digest(at_once, tmp_path / "reference")
     load = FaultLoad(workers=2, faults=FAULTS, pause_s=(0.02, 0.2))
-    tally = run_round(commands, tmp_path / "faults", load, 3, reference)
+    tally = run_round(commands, tmp_path / "faults", load, 3, undisturbed)
     assert tally.violations == []
     assert tally.outcomes["success"] == tally.episodes == 24
     assert tally.faults.total() > 0
@@ -56,10 +61,10 @@ def test_kills_while_packing_neither_lose_nor_double_episodes(tmp_path):
 
 @pytest.mark.slow
 def test_a_hostile_peer_and_a_faulty_host_neither_change_nor_lose_episodes(tmp_path):
-    commands = fake_commands(EPISODES, 1.0, crashes=Budget().crashes)  # as in a default plan
-    reference = reference_digest(commands, tmp_path / "reference")
+    crashes = Budget().crashes  # as in a default plan
+    reference = reference_digest(fake_commands(EPISODES, 0.0, crashes=crashes), tmp_path / "reference")
     load = FaultLoad(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
-    tally = run_round(commands, tmp_path / "faults", load, 1, reference)
+    tally = run_round(fake_commands(EPISODES, 1.0, crashes=crashes), tmp_path / "faults", load, 1, reference)
     assert tally.violations == []
     assert tally.outcomes["success"] == tally.episodes == EPISODES
     assert tally.faults.total() >= FAULTS

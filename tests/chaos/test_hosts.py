@@ -86,7 +86,7 @@ def test_a_disconnected_host_loses_its_jobs_and_reconnects(tmp_path):
 def test_a_host_behind_a_slow_lossy_link_delivers_its_episodes(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(2))
-        reason = hosts.worsen(1, "16mbit", "30ms")
+        reason = hosts.degrade(1, "16mbit", "30ms")
         if reason:
             pytest.skip(reason)
         site = Site(tmp_path, hosts, stack)

@@ -1,4 +1,4 @@
-"""Finds lost, duplicated, torn and stale data of an ended run. Repairs nothing."""
+"""Finds lost, duplicated, incomplete and stale data of an ended run. Repairs nothing."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def gather_problems(cluster: ChaosCluster) -> Iterator[str]:
 
 
 def violations_of(cluster: ChaosCluster) -> Iterator[str]:
-    """Yields lost, duplicated and torn data of an ended run."""
+    """Yields lost, duplicated and incomplete data of an ended run."""
     wanted = set(range(1, cluster.commands.episodes + 1))
     listed = list_episodes(cluster.out)
     files = listed.episodes

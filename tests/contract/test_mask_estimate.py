@@ -12,12 +12,12 @@ from schemas.job import Job
 from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene
-from workers.experts.sight import see
+from workers.experts.image_measures import measure_mask
 from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.choose import open_renderer
-from workers.sim.foresight import predict_path
+from workers.sim.predicted_path import predict_path
 
 CAMERA = CameraConfig()
 TARGETS = {
@@ -41,16 +41,16 @@ def test_the_predicted_centroid_matches_the_mask(renderer: Renderer, name: str, 
     scene = build_scene([TARGETS[name]])
     renderer.load(scene, CAMERA)
     depth_and_ids = renderer.render_depth_and_ids(Pose.planar(0.1, -0.05, yaw))
-    drawn = see(depth_and_ids.ids, depth_and_ids.depth, 1, min_pixels=1)
-    pixels, column = MaskEstimate(scene, 1, CAMERA).look(0.1, -0.05, yaw)
+    drawn = measure_mask(depth_and_ids.ids, depth_and_ids.depth, 1, min_pixels=1)
+    pixels, column = MaskEstimate(scene, 1, CAMERA).evaluate(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
     if drawn.pixels > 5000:  # not only a few pixels at the edge
         assert column == pytest.approx((drawn.column - 320) / 320, abs=0.12)
 
 
 def test_an_object_behind_the_camera_is_not_in_view() -> None:
-    assert MaskEstimate(build_scene([TARGETS["box"]]), 1, CAMERA).look(0.0, 0.0, math.pi) == (0.0, 0.0)
-    assert MaskEstimate(build_scene([TARGETS["box"]]), 99, CAMERA).look(0.0, 0.0, 0.0) == (0.0, 0.0)
+    assert MaskEstimate(build_scene([TARGETS["box"]]), 1, CAMERA).evaluate(0.0, 0.0, math.pi) == (0.0, 0.0)
+    assert MaskEstimate(build_scene([TARGETS["box"]]), 99, CAMERA).evaluate(0.0, 0.0, 0.0) == (0.0, 0.0)
 
 
 def test_a_long_target_seen_at_an_angle_is_approached_at_its_near_end() -> None:

@@ -134,7 +134,7 @@ def test_the_sky_is_visible_only_where_no_surface_is(renderer: Renderer) -> None
     assert column[0, 0] < 70
 
 
-def test_the_sky_turns_with_the_lean_of_the_camera_and_not_with_its_heading(renderer: Renderer) -> None:
+def test_the_sky_turns_with_the_tilt_of_the_camera_and_not_with_its_heading(renderer: Renderer) -> None:
     renderer.load(under(SKY, build_scene([wall(-2.0)])), CAMERA)
     ahead, aside = (renderer.render(Pose.planar(0.0, 0.0, yaw)).rgb for yaw in (0.0, 0.6))
     up = renderer.render(Pose(0.0, 0.0, 0.0, float(np.cos(0.15)), 0.0, -float(np.sin(0.15)), 0.0)).rgb
@@ -184,7 +184,7 @@ def test_a_surface_across_the_far_plane_ends_before_it(renderer: Renderer) -> No
 
 @pytest.mark.gl
 def test_far_depth_has_float_resolution() -> None:
-    """OpenGL alone: TinyRenderer's depth buffer has 24 bits."""
+    """OpenGL only: TinyRenderer's depth buffer has 24 bits."""
     far = CAMERA.x_m + 29.0
     halves = (Box((far, -40, -40), (far + 1, 0, 40), RED), Box((far + 1e-4, 0, -40), (far + 1, 40, 40), BLUE))
     with open_renderer("gl") as renderer:
@@ -216,7 +216,7 @@ def test_textures_are_upright_and_multiply_the_colour(renderer: Renderer) -> Non
 
 @pytest.mark.gl
 def test_corners_of_different_colours_are_blended() -> None:
-    """OpenGL alone: TinyRenderer has one colour a mesh."""
+    """OpenGL only: TinyRenderer has one colour per mesh."""
     scene = build_scene([Box((2.0, -2.0, -2.0), (2.1, 2.0, 3.0), RED)])
     on_the_left = scene.positions[:, 1] > 0
     with open_renderer("gl") as renderer:

@@ -1,4 +1,4 @@
-"""Damages a file in ways that break parsers. Pure: the same generator gives the same bytes."""
+"""Damages a file in ways that often break parsers. Pure: the same generator gives the same bytes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def mutate(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def mutate_members(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Damages a member of a zip file within a sound zip file, or the whole file."""
+    """Damages a member of a zip file whose container stays valid, or the whole file."""
     if rng.random() < 0.4:
         return mutate(rng, data, others)
     with zipfile.ZipFile(io.BytesIO(data)) as source:

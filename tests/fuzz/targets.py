@@ -64,7 +64,7 @@ class Target(NamedTuple):
     run: Callable[[bytes, Path], object]
     """Reads bytes, with a private folder; only a `FactoryError` may be raised."""
     seeds: Callable[[Path], list[bytes]]
-    """Sound files, which may be made in a folder, besides those of the corpus."""
+    """Function that makes valid files in a folder, in addition to those of the corpus."""
     mutate: Mutate = mutate
 
 

@@ -38,7 +38,8 @@ from workers.sim.scene_renderer import SceneRenderer
 
 LOOP = ["start", "render", "read-back", "control", "physics", "png rgb", "depth", "png ids", "bundle", "route"]
 LEAK_MIB = 20.0
-"""A frame has 3.7 MiB; one lost in each of the 16 episodes that are compared would be three times as much."""
+"""Limit of the growth of memory, MiB. One leaked frame of 3.7 MiB in each of the 16 compared episodes would be three
+times as much."""
 
 
 @pytest.fixture(scope="module")

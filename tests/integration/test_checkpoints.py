@@ -13,8 +13,8 @@ from coordinator.ledger.tables import attempt_tallies, attempts, episodes, job_t
 from coordinator.ledger.tallies import attempt_counts, job_counts
 from coordinator.tables.checkpoint import Checkpoints, is_checkpoint_due, write_checkpoint
 from coordinator.tables.grouped_table import GROUP_ROWS
-from tests.builders.ledger import Desk, room_plan
-from tests.builders.ledger_story import change_at_random, scatter
+from tests.builders.ledger import TimedLedger, room_plan
+from tests.builders.ledger_changes import change_at_random, scatter
 from tests.builders.postgres import Postgres
 
 NOW = datetime(2026, 1, 2, tzinfo=UTC)
@@ -25,41 +25,41 @@ def read(root: Path) -> dict[str, bytes]:
     return {name: (root / name).read_bytes() for name in FILES}
 
 
-def rewritten(root: Path, desk: Desk) -> dict[str, bytes]:
-    """Returns the tables as a process writes them that has written none before."""
+def rewritten(root: Path, timed_ledger: TimedLedger) -> dict[str, bytes]:
+    """Returns the tables as a new process writes them."""
     root.mkdir()
-    with open_archive(root) as archive, desk.engine.connect() as connection:
-        write_checkpoint(archive, connection, desk.plan, desk.catalog, NOW)
+    with open_archive(root) as archive, timed_ledger.engine.connect() as connection:
+        write_checkpoint(archive, connection, timed_ledger.plan, timed_ledger.catalog, NOW)
     return read(root)
 
 
 def test_a_checkpoint_of_the_changes_has_the_bytes_of_a_rewritten_one(tmp_path: Path) -> None:
-    desk = Desk(room_plan(2 * GROUP_ROWS + 10, attempts_per_draw=2, draws=3))
-    scatter(desk)
+    timed_ledger = TimedLedger(room_plan(2 * GROUP_ROWS + 10, attempts_per_draw=2, draws=3))
+    scatter(timed_ledger)
     with open_archive(tmp_path / "data") as archive:
-        checkpoints = Checkpoints(archive, desk.plan, desk.catalog)
-        for step, name in enumerate(change_at_random(desk, 120)):
+        checkpoints = Checkpoints(archive, timed_ledger.plan, timed_ledger.catalog)
+        for step, name in enumerate(change_at_random(timed_ledger, 120)):
             if step % 20 == 0:
-                with desk.engine.connect() as connection:
+                with timed_ledger.engine.connect() as connection:
                     checkpoints.write(connection, NOW)
                     assert not is_checkpoint_due(archive, connection)
-                assert read(tmp_path / "data") == rewritten(tmp_path / f"new-{step}", desk), name
+                assert read(tmp_path / "data") == rewritten(tmp_path / f"new-{step}", timed_ledger), name
 
 
 def test_a_checkpoint_reads_only_the_rows_that_have_changed(tmp_path: Path) -> None:
-    """Rows that change without an event, as only a test does, stay as they were written."""
-    desk = Desk(room_plan(GROUP_ROWS + 1))
-    lease = desk.lease()
-    assert desk.done(lease)
-    assert desk.archive(lease)
+    """Rows that change without an event, which happens in tests only, stay as they were written."""
+    timed_ledger = TimedLedger(room_plan(GROUP_ROWS + 1))
+    lease = timed_ledger.lease()
+    assert timed_ledger.done(lease)
+    assert timed_ledger.archive(lease)
     with open_archive(tmp_path / "data") as archive:
-        checkpoints = Checkpoints(archive, desk.plan, desk.catalog)
-        with desk.engine.connect() as connection:
+        checkpoints = Checkpoints(archive, timed_ledger.plan, timed_ledger.catalog)
+        with timed_ledger.engine.connect() as connection:
             checkpoints.write(connection, NOW)
         before = read(tmp_path / "data")
-        with desk.open() as connection:
+        with timed_ledger.open() as connection:
             connection.execute(episodes.delete())
-        with desk.engine.connect() as connection:
+        with timed_ledger.engine.connect() as connection:
             checkpoints.write(connection, NOW)
             assert read(tmp_path / "data") == before
             checkpoints.write(connection, NOW, rewrite=True)
@@ -72,47 +72,47 @@ def test_tallies_equal_the_counted_rows_after_every_change(server: str, request:
     if server == "postgresql":
         postgres: Postgres = request.getfixturevalue("postgres_server")
         url = postgres.new_database()
-    desk = Desk(room_plan(40, attempts_per_draw=2, draws=3), url)
-    scatter(desk)
+    timed_ledger = TimedLedger(room_plan(40, attempts_per_draw=2, draws=3), url)
+    scatter(timed_ledger)
     names = set()
     try:
-        for name in change_at_random(desk, 150):
+        for name in change_at_random(timed_ledger, 150):
             names.add(name)
-            assert tallies(desk) == counted(desk), name
+            assert tallies(timed_ledger) == counted(timed_ledger), name
     finally:
-        desk.engine.dispose()
+        timed_ledger.engine.dispose()
     assert len(names) == 7
 
 
 def test_a_ledger_without_tallies_is_counted_and_gets_them_when_it_is_opened_for_writing(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'ledger.db'}"
-    desk = Desk(room_plan(20), url)
-    list(change_at_random(desk, 30))
-    with desk.open() as connection:
+    timed_ledger = TimedLedger(room_plan(20), url)
+    list(change_at_random(timed_ledger, 30))
+    with timed_ledger.open() as connection:
         for name in ("jobs_insert", "jobs_update", "attempts_insert", "attempts_update"):
             connection.execute(text(f"DROP TRIGGER count_{name}"))
         job_tallies.drop(connection)
         attempt_tallies.drop(connection)
-    before = tallies(desk)
-    desk.engine.dispose()
-    again = Desk(room_plan(20), url)
+    before = tallies(timed_ledger)
+    timed_ledger.engine.dispose()
+    again = TimedLedger(room_plan(20), url)
     assert tallies(again) == before == counted(again)
     assert again.claim(token="f" * 32) is not None
     assert tallies(again) == counted(again) != before
     again.engine.dispose()
 
 
-def tallies(desk: Desk) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
-    with desk.open() as connection:
+def tallies(timed_ledger: TimedLedger) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
+    with timed_ledger.open() as connection:
         found = connection.execute(job_counts(connection)).all(), connection.execute(attempt_counts(connection)).all()
     return {tuple(row) for row in found[0] if row.jobs}, {tuple(row) for row in found[1] if row.attempts}
 
 
-def counted(desk: Desk) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
+def counted(timed_ledger: TimedLedger) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
     """Counts the rows one by one."""
     cells: dict[tuple[object, ...], int] = {}
     outcomes: dict[str, tuple[int, int]] = {}
-    with desk.open() as connection:
+    with timed_ledger.open() as connection:
         for row in connection.execute(jobs.select()):
             cell = (row.state, row.scene, row.tier, row.split, row.superseded)
             cells[cell] = cells.get(cell, 0) + 1

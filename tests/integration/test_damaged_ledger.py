@@ -47,12 +47,12 @@ WRONG = ("'x'", "-1", "1e300", "x'fffe'", "9223372036854775807", "''", "NULL", "
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> ArchivedRun:
-    """A run with every kind of row: archived, given up and waiting jobs, failed attempts."""
+    """A run with every kind of row: archived, abandoned and pending jobs, failed attempts."""
     return ArchivedRun(tmp_path_factory.mktemp("whole") / "out", planned=4, done=2, misses=3)
 
 
 @pytest.fixture
-def harmed(whole: ArchivedRun, tmp_path: Path) -> Path:
+def damaged_run(whole: ArchivedRun, tmp_path: Path) -> Path:
     """A copy of it, to be damaged."""
     return Path(shutil.copytree(whole.root, tmp_path / "out"))
 
@@ -81,17 +81,17 @@ def flip(path: Path, seed: int, bits: int) -> None:
 
 @pytest.mark.parametrize("bits", [1, 200])
 @pytest.mark.parametrize("seed", range(6))
-def test_every_command_reports_flipped_bits_without_a_traceback(harmed, monkeypatch, capsys, seed, bits):
-    flip(harmed / "ledger.db", seed, bits)
-    damaged = (harmed / "ledger.db").read_bytes()
+def test_every_command_reports_flipped_bits_without_a_traceback(damaged_run, monkeypatch, capsys, seed, bits):
+    flip(damaged_run / "ledger.db", seed, bits)
+    damaged = (damaged_run / "ledger.db").read_bytes()
     for words in (*READING, *WRITING, *(OPENING if (seed, bits) == (0, 200) else ())):
-        (harmed / "ledger.db").write_bytes(damaged)
-        call(monkeypatch, capsys, harmed, words)
+        (damaged_run / "ledger.db").write_bytes(damaged)
+        call(monkeypatch, capsys, damaged_run, words)
 
 
 @pytest.mark.parametrize("table", sorted(METADATA.tables))
-def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(harmed, monkeypatch, capsys, table):
-    ledger, verbs = harmed / "ledger.db", itertools.cycle((*READING, *WRITING))
+def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(damaged_run, monkeypatch, capsys, table):
+    ledger, verbs = damaged_run / "ledger.db", itertools.cycle((*READING, *WRITING))
     sound = ledger.read_bytes()
     for column in METADATA.tables[table].columns:
         for value in WRONG:
@@ -102,11 +102,13 @@ def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(harmed, mon
                 raw.commit()
             with contextlib.suppress(FactoryError):
                 ledger_trouble(f"sqlite:///{ledger}")
-            call(monkeypatch, capsys, harmed, next(verbs))
+            call(monkeypatch, capsys, damaged_run, next(verbs))
 
 
-def _repair_input(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
-    return dataclasses.replace(whole.repair_input(), root=harmed, home=harmed, url=f"sqlite:///{harmed / 'ledger.db'}")
+def _repair_input(whole: ArchivedRun, damaged_run: Path):  # type: ignore[no-untyped-def]
+    return dataclasses.replace(
+        whole.repair_input(), root=damaged_run, home=damaged_run, url=f"sqlite:///{damaged_run / 'ledger.db'}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -127,36 +129,36 @@ def _repair_input(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-
         ("info", "value", "'?'"),
     ],
 )
-def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(harmed, whole, table, column, value):
-    ledger = harmed / "ledger.db"
+def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(damaged_run, whole, table, column, value):
+    ledger = damaged_run / "ledger.db"
     with closing(sqlite3.connect(ledger)) as raw:
         raw.execute(f'UPDATE {table} SET "{column}" = {value}')
         raw.commit()
-    damaged, files = ledger.read_bytes(), sorted(path.name for path in (harmed / "episodes").iterdir())
+    damaged, files = ledger.read_bytes(), sorted(path.name for path in (damaged_run / "episodes").iterdir())
     url = f"sqlite:///{ledger}"
     assert ledger_trouble(url, whole.catalog)
     with pytest.raises(FactoryError, match="factory repair"):
-        gather(_repair_input(whole, harmed), [], whole.desk.now)
+        gather(_repair_input(whole, damaged_run), [], whole.timed_ledger.now)
     with Validator() as validator:
-        report = repair(_repair_input(whole, harmed), validator, whole.desk.now, apply=True)
+        report = repair(_repair_input(whole, damaged_run), validator, whole.timed_ledger.now, apply=True)
     assert "rebuild" in {str(action.kind) for action in report.actions}
     assert ledger_trouble(url, whole.catalog) == ""
     ledger.write_bytes(damaged)
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
     with Coordinator(
-        harmed, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
+        damaged_run, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
     ) as coordinator:
         assert coordinator.progress().jobs["archived"] == 2
     assert ledger_trouble(url, whole.catalog) == ""
-    assert sorted(path.name for path in (harmed / "episodes").iterdir()) == files
+    assert sorted(path.name for path in (damaged_run / "episodes").iterdir()) == files
 
 
-def test_a_running_coordinator_reports_a_removed_ledger_and_exits(harmed, whole):
+def test_a_running_coordinator_reports_a_removed_ledger_and_exits(damaged_run, whole):
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
     with Coordinator(
-        harmed, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
+        damaged_run, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
     ) as coordinator:
-        for path in harmed.glob("ledger.db*"):
+        for path in damaged_run.glob("ledger.db*"):
             path.unlink()
         with pytest.raises(FactoryError, match=r"cannot be read|no ledger"):
             coordinator.progress()

@@ -362,7 +362,7 @@ def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself_before_
         assert task.stdout.readline() == "up\n"
         task.send_signal(number)
         assert task.wait(60) == 0
-    assert left.exists(), "the worker was given its time"
+    assert left.exists(), "the worker had time to exit"
     assert (cluster.told.read_text() if cluster.told.exists() else None) == told
 
 

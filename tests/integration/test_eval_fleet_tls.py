@@ -68,9 +68,9 @@ def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
 def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> list[tuple[str, int]]:
     """Results of two episodes without motion."""
     campaign = standing_still(drives)
-    door = FleetAccess(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
+    access = FleetAccess(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
     with open_store(folder / "results", campaign) as store:
-        assert run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
+        assert run_fleet(campaign, drives.meta.plan, store, access, threading.Event(), lambda _pace: None)
         return [(row.end, row.num_steps) for row in store.results("stop")]
 
 
@@ -108,10 +108,10 @@ def test_an_unauthorised_evaluation_names_the_host_list(drives, hub, pki, tmp_pa
 
 
 def test_an_evaluator_can_neither_claim_jobs_nor_administer_the_run(hub, pki):
-    with WireWorker(hub.endpoints, hub.run, "desk", files_of(pki, "desk")) as greedy:
-        assert greedy.hello(version("minivla-factory")) is None
-        assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token="0" * 32), ClaimReply) is None
-        assert greedy.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
+    with WireWorker(hub.endpoints, hub.run, "desk", files_of(pki, "desk")) as claiming_peer:
+        assert claiming_peer.hello(version("minivla-factory")) is None
+        assert claiming_peer.ask(Verb.CLAIM, Claim(sid=claiming_peer.sid, token="0" * 32), ClaimReply) is None
+        assert claiming_peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
     assert hub.progress().jobs["pending"] == 2000
 
 
@@ -125,17 +125,17 @@ def test_an_evaluator_cannot_read_the_progress_of_a_collection(hub, pki):
 def test_an_evaluator_can_neither_receive_nor_answer_messages_of_the_collection(hub, pki):
     heard: list[str] = []
 
-    def lie(query: zenoh.Query) -> None:
+    def answer_falsely(query: zenoh.Query) -> None:
         with query:
             heard.append(str(query.key_expr))
             query.reply(verb_key(hub.run, "node", Verb.CLAIM), b'{"finished": true}')
 
     with (
-        zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "desk"))) as curious,
+        zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "desk"))) as listener,
         WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker,
     ):
-        curious.declare_queryable(verb_pattern(hub.run), lie)
-        curious.declare_queryable(verb_pattern("*"), lie)
+        listener.declare_queryable(verb_pattern(hub.run), answer_falsely)
+        listener.declare_queryable(verb_pattern("*"), answer_falsely)
         time.sleep(0.3)
         worker.hello(version("minivla-factory"))
         job, lease = worker.job()
@@ -143,9 +143,9 @@ def test_an_evaluator_can_neither_receive_nor_answer_messages_of_the_collection(
         worker.spool[lease.job_id, lease.fence] = done, b"secret" * 100
         for run in (hub.run, "*"):
             selector = bundle_selector(run, worker.sid, lease, Chunk(0, 10))
-            replies = curious.get(selector, zenoh.handlers.FifoChannel(4), timeout=2.0)
+            replies = listener.get(selector, zenoh.handlers.FifoChannel(4), timeout=2.0)
             assert [reply for reply in replies if reply.ok is not None] == []
-        curious.declare_queryable(bundle_key(hub.run, worker.sid), lie)
+        listener.declare_queryable(bundle_key(hub.run, worker.sid), answer_falsely)
         time.sleep(0.3)
         assert worker.deliver(lease, bundle_for(job))
         until(lambda: hub.progress().jobs["archived"] == 1)

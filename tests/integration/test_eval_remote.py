@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.server import ServerConnection, serve
 
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
+from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerUnreachable
 from factory.eval.models.messages import PolicyLimits
 from factory.eval.policies import make_policy
 from factory.eval.policies.remote import RemotePolicy, WireError, pack, unpack
@@ -168,9 +168,9 @@ def test_an_unreachable_server_is_not_a_policy_failure() -> None:
         policy = begin(address)
         with pytest.raises(PolicyFailure):
             policy.act(VIEW)
-    with pytest.raises(ServerAway, match=r"no policy server responded at ws://127.0.0.1:\d+ for 0.3 s"):
+    with pytest.raises(ServerUnreachable, match=r"no policy server responded at ws://127.0.0.1:\d+ for 0.3 s"):
         policy.reset("Go to the chair.", INFO)
-    with pytest.raises(ServerAway):
+    with pytest.raises(ServerUnreachable):
         begin(address)
 
 

@@ -14,7 +14,7 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import until
 
 ENOUGH_S = 5.0
-"""Time for hundreds of tries, were they not more and more seldom."""
+"""Time in which hundreds of tries would happen if the pauses between them did not grow."""
 
 
 def test_a_failed_table_write_is_logged_once_and_retried(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def site(tmp_path: Path, checker: Shared) -> Iterator[Site]:
         yield Site(tmp_path, checker, stack)
 
 
-def bring(worker: WireWorker, count: int = 1) -> list[Job]:
+def deliver_jobs(worker: WireWorker, count: int = 1) -> list[Job]:
     """Claims and delivers a number of episodes; returns their jobs."""
     jobs = []
     for _ in range(count):
@@ -118,10 +118,10 @@ def name_of(job: Job) -> str:
     return f"{job.episode_id}.zip"
 
 
-def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
+def deliver_and_record(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
     """Delivers episodes and waits until the ledger has recorded them."""
     before = site.core.progress().jobs["archived"]
-    jobs = bring(worker, count)
+    jobs = deliver_jobs(worker, count)
     until(lambda: site.core.progress().jobs["archived"] == before + count)
     return jobs
 
@@ -129,7 +129,7 @@ def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
 def test_bundles_delivered_through_a_gateway_are_archived_only_there(site):
     gateway = site.open_gateway("gw1")
     worker = site.open_worker(gateway.endpoints)
-    bring_home(worker, site, EPISODES)
+    deliver_and_record(worker, site, EPISODES)
     assert len(worker.beat().drop) == EPISODES
     assert worker.claim().finished
     assert site.files("out") == []
@@ -142,7 +142,7 @@ def test_bundles_delivered_through_a_gateway_are_archived_only_there(site):
 
 def test_workers_connected_to_the_coordinator_deliver_to_it(site):
     site.open_gateway("gw1")
-    bring_home(site.open_worker((site.endpoint,)), site)
+    deliver_and_record(site.open_worker((site.endpoint,)), site)
     assert site.files("gw1") == []
     assert len(site.files("out")) == 1
     assert site.core.progress().by_gateway == {}
@@ -158,9 +158,9 @@ def test_a_gateway_refuses_a_bundle_of_another_job(site):
 
 def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
     first, second = site.open_gateway("gw1"), site.open_gateway("gw2")
-    (one,) = bring_home(site.open_worker(first.endpoints), site)
-    (two,) = bring_home(site.open_worker(second.endpoints), site)
-    (three,) = bring_home(site.open_worker((site.endpoint,)), site)
+    (one,) = deliver_and_record(site.open_worker(first.endpoints), site)
+    (two,) = deliver_and_record(site.open_worker(second.endpoints), site)
+    (three,) = deliver_and_record(site.open_worker((site.endpoint,)), site)
     assert site.gateway_of_episodes() == {one.index: "gw1", two.index: "gw2"}
     site.core.close()
     some = site.gather("gw1")
@@ -175,7 +175,7 @@ def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
 
 def test_gather_refuses_unknown_files_and_requeues_missing_ones_on_request(site):
     gateway = site.open_gateway("gw1")
-    (job,) = bring_home(site.open_worker(gateway.endpoints), site)
+    (job,) = deliver_and_record(site.open_worker(gateway.endpoints), site)
     gateway.close()
     site.core.close()
     path = site.folder / "gw1" / "episodes" / name_of(job)
@@ -191,7 +191,7 @@ def test_gather_refuses_unknown_files_and_requeues_missing_ones_on_request(site)
 
 def test_a_gather_interrupted_before_the_ledger_commit_is_completed_at_the_next_start(site):
     gateway = site.open_gateway("gw1")
-    (job,) = bring_home(site.open_worker(gateway.endpoints), site)
+    (job,) = deliver_and_record(site.open_worker(gateway.endpoints), site)
     site.core.close()
     whole = (site.folder / "gw1" / "episodes" / name_of(job)).read_bytes()
     (site.folder / "out" / "episodes" / name_of(job)).write_bytes(whole)
@@ -200,7 +200,7 @@ def test_a_gather_interrupted_before_the_ledger_commit_is_completed_at_the_next_
 
 
 def test_a_restarted_coordinator_does_not_requeue_episodes_of_gateways(site):
-    bring_home(site.open_worker(site.open_gateway("gw1").endpoints), site)
+    deliver_and_record(site.open_worker(site.open_gateway("gw1").endpoints), site)
     site.core.close()
     progress = site.open_core().progress()
     assert (progress.jobs["archived"], progress.by_gateway) == (1, {"gw1": 1})
@@ -209,7 +209,7 @@ def test_a_restarted_coordinator_does_not_requeue_episodes_of_gateways(site):
 def test_a_restarted_gateway_reports_its_files_and_releases_missing_ones(site):
     gateway = site.open_gateway("gw1")
     worker = site.open_worker(gateway.endpoints)
-    kept, gone = bring_home(worker, site, 2)
+    kept, gone = deliver_and_record(worker, site, 2)
     worker.close()
     gateway.close()
     (site.folder / "gw1" / "episodes" / name_of(gone)).unlink()
@@ -217,7 +217,7 @@ def test_a_restarted_gateway_reports_its_files_and_releases_missing_ones(site):
     again = site.open_gateway("gw1")
     assert site.core.progress().by_gateway == {"gw1": 1}
     assert site.files("gw1") == [name_of(kept)]
-    bring_home(site.open_worker(again.endpoints), site, 2)
+    deliver_and_record(site.open_worker(again.endpoints), site, 2)
     assert site.core.progress().by_gateway == {"gw1": EPISODES}
 
 
@@ -226,7 +226,7 @@ def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
     worker.is_frozen = True  # the coordinator, which pulls here, gets no bundle
-    (job,) = bring(worker)
+    (job,) = deliver_jobs(worker)
     (bundle,) = (data for _, data in worker.spool.values())
     if lease == "lost":
         worker.close()
@@ -242,7 +242,7 @@ def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_
 def test_a_gateway_quarantines_an_episode_that_another_process_archived(site):
     gateway = site.open_gateway("gw1")
     gateway.close()
-    (job,) = bring_home(site.open_worker((site.endpoint,)), site)
+    (job,) = deliver_and_record(site.open_worker((site.endpoint,)), site)
     (site.folder / "gw1" / "episodes" / name_of(job)).write_bytes(bundle_for(job))
     site.open_gateway("gw1")
     assert site.files("gw1") == []
@@ -252,7 +252,7 @@ def test_a_gateway_quarantines_an_episode_that_another_process_archived(site):
 
 def test_a_second_directory_under_the_name_of_a_gateway_is_refused(site):
     gateway = site.open_gateway("gw1")
-    bring_home(site.open_worker(gateway.endpoints), site)
+    deliver_and_record(site.open_worker(gateway.endpoints), site)
     gateway.close()
     with pytest.raises(WorldError, match="the ledger has 1 episodes at gateway gw1"):
         site.open_gateway("gw1", "another")
@@ -268,7 +268,7 @@ def test_a_directory_of_another_gateway_is_refused(site):
 def test_two_concurrent_pulls_of_one_bundle_end_with_one_owner(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     for number in range(1, EPISODES + 1):
-        bring(worker)  # owned by the gateway
+        deliver_jobs(worker)  # owned by the gateway
         worker.knows_router = False
         worker.beat()  # now also pulled by the coordinator, as after a restart before gateways have reported
         worker.knows_router = True

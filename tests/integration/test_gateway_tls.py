@@ -84,12 +84,12 @@ def test_a_worker_behind_a_gateway_completes_a_job(hub, gateway, pki, tmp_path):
 
 def test_a_gateway_admits_only_workers(hub, gateway, pki):
     for name in ("boss", "gw2"):
-        with WireWorker(gateway.endpoints, hub.run, name, files_of(pki, name)) as stranger:
-            assert stranger.hello(VERSION) is None
-            assert stranger.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
-            assert stranger.ask(Verb.ORDERS, OrdersRequest(router="a", most=9), Orders) is None
-    with WireWorker(gateway.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
-        assert liar.hello(VERSION) is None
+        with WireWorker(gateway.endpoints, hub.run, name, files_of(pki, name)) as foreign_peer:
+            assert foreign_peer.hello(VERSION) is None
+            assert foreign_peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
+            assert foreign_peer.ask(Verb.ORDERS, OrdersRequest(router="a", most=9), Orders) is None
+    with WireWorker(gateway.endpoints, hub.run, "other", files_of(pki, "node")) as false_peer:
+        assert false_peer.hello(VERSION) is None
     assert hub.progress().jobs["pending"] == 2
     assert hub.progress().workers == ()
 
@@ -112,14 +112,14 @@ def test_a_gateway_cannot_send_operator_requests(hub, pki):
 def test_a_gateway_can_neither_answer_as_coordinator_nor_serve_bundles(hub, gateway, pki):
     lies: list[str] = []
 
-    def lie(query: zenoh.Query) -> None:
+    def answer_falsely(query: zenoh.Query) -> None:
         with query:
             lies.append(str(query.key_expr))
             query.reply(str(query.key_expr), b'{"accepted": true}')
 
-    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "gw2"))) as liar:
-        liar.declare_queryable(verb_pattern(hub.run), lie)
-        liar.declare_queryable(bundle_key(hub.run, "*"), lie)
+    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "gw2"))) as false_peer:
+        false_peer.declare_queryable(verb_pattern(hub.run), answer_falsely)
+        false_peer.declare_queryable(bundle_key(hub.run, "*"), answer_falsely)
         time.sleep(0.3)
         with WireWorker(gateway.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
             _, lease = worker.job()

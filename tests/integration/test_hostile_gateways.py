@@ -37,7 +37,7 @@ from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for
-from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
+from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -68,7 +68,7 @@ def hub(url: str, tmp_path: Path) -> Iterator[Coordinator]:
     assert ledger_trouble(url, catalog) == ""
 
 
-def told_of(summary: EpisodeSummary, lease: Lease | None = None) -> Archived:
+def message_about(summary: EpisodeSummary, lease: Lease | None = None) -> Archived:
     return Archived(summary=summary, lease=lease)
 
 
@@ -79,8 +79,8 @@ def attack(peer: WireWorker, number: int) -> list[Any]:
         (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
         (Verb.HOLD, ExtendLease(lease=STRANGE, seconds=600.0), Ack),
         (Verb.REFUSED, Refused(sid="good.1", lease=STRANGE, detail="x" * 2000), Ack),
-        (Verb.ARCHIVED, told_of(foreign.model_copy(update={"run": "other"})), Ack),
-        (Verb.ARCHIVED, told_of(foreign.model_copy(update={"plan_digest": "2" * 64}), STRANGE), Ack),
+        (Verb.ARCHIVED, message_about(foreign.model_copy(update={"run": "other"})), Ack),
+        (Verb.ARCHIVED, message_about(foreign.model_copy(update={"plan_digest": "2" * 64}), STRANGE), Ack),
         (Verb.INVENTORY, Inventory(first=1, last=MAX_COUNT, files=tuple(NOBODYS.items())), InventoryReply),
         (Verb.INVENTORY, Inventory(first=1, last=MAX_COUNT, files=()), InventoryReply),
         (Verb.INVENTORY, b'{"first": 1, "last": 1, "files": [' + b"[1, 1]," * 9000 + b"[1, 1]]}", InventoryReply),
@@ -128,27 +128,27 @@ class Core:
     """The coordinator's handlers of gateway requests, on a ledger in memory."""
 
     def __init__(self, episodes: int) -> None:
-        self.desk = Desk(room_plan(episodes))
-        self.terms = Terms(self.desk.plan, self.desk.catalog, "1", TTL_S, 0.1)
+        self.timed_ledger = TimedLedger(room_plan(episodes))
+        self.terms = Terms(self.timed_ledger.plan, self.timed_ledger.catalog, "1", TTL_S, 0.1)
 
     def ask(self, message: Any, gateway: str = "gw") -> Any:
-        with self.desk.open() as connection:
-            return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.desk.now).reply
+        with self.timed_ledger.open() as connection:
+            return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.timed_ledger.now).reply
 
     def summaries(self) -> dict[int, EpisodeSummary]:
         """Returns the row of each episode of the plan."""
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             rows = connection.execute(select(jobs)).all()
         meta = parts_for().meta
         found = {}
         for row in rows:
-            job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), 1)
+            job = to_job(self.timed_ledger.plan, self.timed_ledger.catalog, planned_of(row), 1)
             meta = meta.model_copy(update={"job": job, "episode_id": job.episode_id})
             found[row.idx] = summary_of(meta, "1" * 64, 7)
         return found
 
     def kept(self) -> int:
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             return count_by_gateway(connection).get("gw", 0)
 
 
@@ -163,23 +163,23 @@ def test_an_episode_of_another_run_is_refused_with_the_field_name(field: str, va
     core = Core(1)
     true = core.summaries()[1]
     false = EpisodeSummary.model_validate(true.model_dump() | {field: value})
-    reply = core.ask(told_of(false))
+    reply = core.ask(message_about(false))
     assert isinstance(reply, Refusal)
     assert field in reply.error
-    assert core.desk.rows()[0].state == "pending"
-    assert core.ask(told_of(true)) == Ack(accepted=True)
+    assert core.timed_ledger.rows()[0].state == "pending"
+    assert core.ask(message_about(true)) == Ack(accepted=True)
 
 
 def test_an_unknown_draw_is_refused() -> None:
     core = Core(1)
     later = core.summaries()[1].model_copy(update={"draw": 3})
-    assert core.ask(told_of(later)) == Ack(accepted=False)
+    assert core.ask(message_about(later)) == Ack(accepted=False)
 
 
 def test_inventories_are_served_in_bounded_steps_until_all_lost_episodes_are_queued_again() -> None:
     core = Core(MAX_LOST + 200)
     for summary in core.summaries().values():
-        assert core.ask(told_of(summary)) == Ack(accepted=True)
+        assert core.ask(message_about(summary)) == Ack(accepted=True)
     first, last = 1, MAX_LOST + 100
     sizes = dict.fromkeys(range(last + 1, MAX_LOST + 201), 7)
     told = Inventory(first=first, last=MAX_COUNT, files=tuple(sizes.items()))
@@ -194,7 +194,7 @@ def test_inventories_are_served_in_bounded_steps_until_all_lost_episodes_are_que
 def test_a_file_outside_the_range_of_its_inventory_is_ignored() -> None:
     core = Core(3)
     for summary in core.summaries().values():
-        core.ask(told_of(summary))
+        core.ask(message_about(summary))
     reply = core.ask(Inventory(first=1, last=1, files=((1, 7), (2, 8), (3, 9))))
     assert (reply.strays, reply.lost) == ((), ())
     assert core.kept() == 3
@@ -203,6 +203,6 @@ def test_a_file_outside_the_range_of_its_inventory_is_ignored() -> None:
 def test_a_gateway_cannot_release_episodes_of_another_gateway() -> None:
     core = Core(2)
     for summary in core.summaries().values():
-        core.ask(told_of(summary))
+        core.ask(message_about(summary))
     assert core.ask(Inventory(first=1, last=MAX_COUNT, files=()), "other").lost == ()
     assert core.kept() == 2

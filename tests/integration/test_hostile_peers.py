@@ -150,7 +150,7 @@ def test_a_host_has_a_bounded_number_of_sessions(hub, peer):
         assert isinstance(other.hello(mine), HelloReply)
 
 
-def test_another_host_can_do_nothing_with_a_token(hub, peer):
+def test_a_token_is_refused_from_another_host(hub, peer):
     job, lease = peer.job()
     with WireWorker(hub.endpoints, hub.run, "thief") as thief:
         assert not thief.fail(lease, FailReason.RELEASED)
@@ -162,7 +162,7 @@ def test_another_host_can_do_nothing_with_a_token(hub, peer):
     until(lambda: hub.progress().jobs["archived"] == 1)
 
 
-def test_a_restarted_worker_of_the_same_host_goes_on_with_its_lease(hub, peer):
+def test_a_restarted_worker_of_the_same_host_continues_its_lease(hub, peer):
     job, lease = peer.job()
     with WireWorker(hub.endpoints, hub.run, sid="host.2") as again:
         assert again.beat([lease]).lost == ()

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 OLDER = "AVX512_ICL X86_V4 X86_V3"
-"""Names of the optional kernels of numpy 2.4 on x86; other versions ignore them."""
+"""Optional kernels of numpy 2.4 on x86; other versions ignore these names."""
 CHOICES = {
     "BLAS of 2008": {"OPENBLAS_CORETYPE": "Nehalem"},
     "BLAS of 2013": {"OPENBLAS_CORETYPE": "Haswell"},

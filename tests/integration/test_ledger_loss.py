@@ -134,17 +134,17 @@ def test_the_write_ahead_log_of_a_lost_ledger_is_not_replayed_into_the_next_ledg
     ledger(run).unlink()
     start(run)
     assert set(run.states().values()) == {"archived"}
-    assert all(row.reason == "" for row in run.desk.rows())
+    assert all(row.reason == "" for row in run.timed_ledger.rows())
     assert quarantined(run) == []
 
 
 def test_failed_attempts_and_abandoned_draws_are_restored_at_a_start_without_a_ledger(tmp_path):
     run = ArchivedRun(tmp_path / "out", planned=2, done=0, misses=3)
-    before = [(row.draw, row.state, row.attempt, row.misses, row.target_id) for row in run.desk.rows(1)]
+    before = [(row.draw, row.state, row.attempt, row.misses, row.target_id) for row in run.timed_ledger.rows(1)]
     failed = pq.read_table(run.root / "attempts.parquet")
     ledger(run).unlink()
     start(run)
-    assert [(row.draw, row.state, row.attempt, row.misses, row.target_id) for row in run.desk.rows(1)] == before
+    assert [(row.draw, row.state, row.attempt, row.misses, row.target_id) for row in run.timed_ledger.rows(1)] == before
     assert pq.read_table(run.root / "attempts.parquet").num_rows == failed.num_rows
     assert ledger_trouble(run.url, run.catalog) == ""
 
@@ -157,7 +157,7 @@ def test_attempts_of_another_run_do_not_move_an_episode(tmp_path):
     pq.write_table(strange, run.root / "attempts.parquet")
     ledger(run).unlink()
     start(run)
-    assert [(row.idx, row.draw, row.attempt) for row in run.desk.rows()] == [(1, 0, 1), (2, 0, 1)]
+    assert [(row.idx, row.draw, row.attempt) for row in run.timed_ledger.rows()] == [(1, 0, 1), (2, 0, 1)]
 
 
 def test_a_damaged_episode_is_simulated_again_and_intact_ones_are_kept(run):
@@ -205,8 +205,8 @@ def test_a_ledger_of_another_plan_is_named_at_the_start_and_set_aside_by_repair(
     files, site = run.digests(), site_of(str(run.root))
     with pytest.raises(WorldError, match=r"is of run room-\w+, and dataset_meta.json of .*`factory repair"):
         plan_of(site)
-    repair_input = dataclasses.replace(run.repair_input(), stranger="is of another run")
-    report = repair(repair_input, validator, run.desk.now, apply=True)
+    repair_input = dataclasses.replace(run.repair_input(), foreign_ledger="is of another run")
+    report = repair(repair_input, validator, run.timed_ledger.now, apply=True)
     assert report.episodes == 3
     assert run.digests() == files
     assert set(run.states().values()) == {"archived"}
@@ -221,7 +221,7 @@ def test_the_episodes_decide_between_the_plans_of_ledger_and_description(tmp_pat
     engine.dispose()
     repair_input = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert repair_input.plan == plan
-    assert "the episodes to run" in repair_input.stranger
+    assert "the episodes to run" in repair_input.foreign_ledger
     with pytest.raises(UsageError, match="the directory contains run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
@@ -248,9 +248,9 @@ def test_repair_restores_intact_episodes_from_quarantine(run, validator):
     (run.root / "quarantine" / "ep_000002.zip.00000000").write_bytes(bad)
     start(run)  # as left by a coordinator without this feature: two episodes queued again
     assert run.states() == {1: "pending", 2: "archived", 3: "pending"}
-    report = repair(run.repair_input(), validator, run.desk.now, apply=True)
+    report = repair(run.repair_input(), validator, run.timed_ledger.now, apply=True)
     assert [str(action.kind) for action in report.actions if action.what.startswith("quarantine")] == ["restore"] * 2
     assert run.digests() == files
     assert set(run.states().values()) == {"archived"}
     assert [path.name for path in (run.root / "quarantine").iterdir()] == ["ep_000002.zip.00000000"]
-    assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound
+    assert repair(run.repair_input(), validator, run.timed_ledger.now, apply=False).is_sound

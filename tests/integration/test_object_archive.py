@@ -60,7 +60,7 @@ def publish(archive: Archive, index: int, data: bytes) -> None:
         archive.publish(staged, index)
 
 
-def said_by(action: Callable[[], object]) -> str:
+def message_of(action: Callable[[], object]) -> str:
     """Returns the message of an error; asserts that the error and its causes contain no secret."""
     with pytest.raises(WorldError) as caught:
         action()
@@ -88,16 +88,16 @@ def test_no_thread_of_arrow_holds_a_python_object_of_a_table_in_a_bucket(store: 
 
 
 def test_missing_bucket_is_named_with_the_remedy(store: ObjectPath, tmp_path: Path) -> None:
-    said = said_by(lambda: open_archive(tmp_path, ObjectPath.at("s3://never-made/run")))
+    said = message_of(lambda: open_archive(tmp_path, ObjectPath.at("s3://never-made/run")))
     assert said.startswith("cannot write s3://never-made/run/.lock: the store answers 404 Not Found (NoSuchBucket)")
     assert "create the bucket" in said
 
 
-def test_refused_access_is_named_without_the_servers_words(
+def test_refused_access_is_named_without_the_text_of_the_server(
     store: ObjectPath, relay: StoreRelay, tmp_path: Path
 ) -> None:
     relay.is_denying = True
-    said = said_by(lambda: open_archive(tmp_path, store))
+    said = message_of(lambda: open_archive(tmp_path, store))
     assert said.startswith(f"cannot write {store}/.lock: the store answers 403 Forbidden")
     assert "check the credentials" in said
 
@@ -106,7 +106,7 @@ def test_absent_credentials_are_named(store: ObjectPath, tmp_path: Path, monkeyp
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:9")
-    said = said_by(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/no-credentials")))
+    said = message_of(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/no-credentials")))
     assert "no credentials were found; set AWS_ACCESS_KEY_ID" in said
 
 
@@ -128,7 +128,7 @@ def test_file_url_is_a_directory() -> None:
 
 def test_an_unreachable_server_is_named(store: ObjectPath, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    said = said_by(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/away")))
+    said = message_of(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/away")))
     assert "the store cannot be reached; check the network and AWS_ENDPOINT_URL" in said
 
 
@@ -137,7 +137,7 @@ def test_an_interrupted_upload_leaves_nothing_and_may_be_repeated(
 ) -> None:
     with open_archive(tmp_path, store) as archive:
         relay.is_cutting = True
-        said = said_by(lambda: publish(archive, 1, BIG))
+        said = message_of(lambda: publish(archive, 1, BIG))
         assert "cannot write" in said
         assert "ep_000001.zip: the store cannot be reached" in said
         assert archive.present() == {}
@@ -175,7 +175,7 @@ def test_an_unfinished_multipart_upload_is_not_listed(
 
 def test_store_that_ignores_conditions_is_refused(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
     relay.ignores_conditions = True
-    assert "ignores conditional writes" in said_by(lambda: open_archive(tmp_path, store))
+    assert "ignores conditional writes" in message_of(lambda: open_archive(tmp_path, store))
     assert list(store.walk()) == []
 
 
@@ -183,12 +183,12 @@ def test_a_dataset_belongs_to_one_coordinator_until_it_is_closed_or_taken_over(
     store: ObjectPath, tmp_path: Path
 ) -> None:
     first = ObjectArchive(store, tmp_path / "first")
-    said = said_by(lambda: open_archive(tmp_path / "second", store))
+    said = message_of(lambda: open_archive(tmp_path / "second", store))
     assert f"{store} is in use by another coordinator, that of {tmp_path / 'first'} on host" in said
     assert f"factory repair --take-over {store}" in said
     with open_archive(tmp_path / "second", store, take_over=True):
         first.close()
-        assert "is in use by another coordinator" in said_by(lambda: open_archive(tmp_path / "first", store))
+        assert "is in use by another coordinator" in message_of(lambda: open_archive(tmp_path / "first", store))
     with open_archive(tmp_path / "first", store):
         pass
     assert list(store.walk()) == []
@@ -256,7 +256,7 @@ def test_a_run_resumes_after_an_outage_of_its_store(store: ObjectPath, relay: St
     assert (tmp_path / "home/ledger.db").is_file()
 
 
-def lose_home(ledger: Path) -> None:
+def delete_state_directory(ledger: Path) -> None:
     shutil.rmtree(ledger.parent)
 
 
@@ -274,7 +274,7 @@ def truncate_ledger(ledger: Path) -> None:
     ledger.write_bytes(ledger.read_bytes()[: ledger.stat().st_size // 2])
 
 
-@pytest.mark.parametrize("accident", [lose_home, delete_ledger, flip_bits_of_ledger, truncate_ledger])
+@pytest.mark.parametrize("accident", [delete_state_directory, delete_ledger, flip_bits_of_ledger, truncate_ledger])
 def test_a_start_after_losing_the_ledger_keeps_every_whole_episode_of_a_bucket(
     accident: Callable[[Path], None], store: ObjectPath, tmp_path: Path
 ) -> None:
@@ -342,8 +342,8 @@ def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_quarantines_damaged_f
     home = tmp_path / "home"
     repair_input = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
     with Validator() as validator:
-        report = repair(repair_input, validator, run.desk.now, apply=True)
-        again = repair(repair_input, validator, run.desk.now, apply=False)
+        report = repair(repair_input, validator, run.timed_ledger.now, apply=True)
+        again = repair(repair_input, validator, run.timed_ledger.now, apply=False)
     assert sorted(str(action.kind) for action in report.actions) == [
         "adopt",
         "adopt",
@@ -363,11 +363,11 @@ def test_an_unreachable_store_is_not_reported_as_damage(store: ObjectPath, relay
     copy_to(store, run.root)
     found = Dataset(str(store))
     relay.is_denying = True
-    assert "403" in said_by(lambda: verify(store))
-    assert "403" in said_by(lambda: found[0].rgb(0))
+    assert "403" in message_of(lambda: verify(store))
+    assert "403" in message_of(lambda: found[0].rgb(0))
     repair_input = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
     with Validator() as validator:
-        assert "403" in said_by(lambda: repair(repair_input, validator, run.desk.now, apply=False))
+        assert "403" in message_of(lambda: repair(repair_input, validator, run.timed_ledger.now, apply=False))
 
 
 @pytest.mark.parametrize("kind", ["directory", "bucket"])

@@ -68,12 +68,12 @@ def flip(path: PackedPath) -> None:
 
 
 def mend(run: ArchivedRun, validator: Validator) -> RepairReport:
-    foreseen = repair(run.repair_input(), validator, run.desk.now, apply=False)
-    report = repair(run.repair_input(), validator, run.desk.now, apply=True)
+    foreseen = repair(run.repair_input(), validator, run.timed_ledger.now, apply=False)
+    report = repair(run.repair_input(), validator, run.timed_ledger.now, apply=True)
     assert [(action.kind, action.what) for action in foreseen.actions] == [
         (action.kind, action.what) for action in report.actions
     ]
-    assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound
+    assert repair(run.repair_input(), validator, run.timed_ledger.now, apply=False).is_sound
     return report
 
 
@@ -113,7 +113,7 @@ def test_a_packed_dataset_is_valid_and_has_the_content_of_its_files(run: Archive
         assert isinstance(episode.path, PackedPath)
         assert np.array_equal(late.poses, expected)
     assert findings(run.root, deep=True) == []
-    assert repair(run.repair_input(), validator, run.desk.now, apply=True).is_sound
+    assert repair(run.repair_input(), validator, run.timed_ledger.now, apply=True).is_sound
     assert [row.index for row in read_rows(run.root).episodes] == [1, 2, 3, 4, 5]
     assert ", 3 in total" in (run.root / "README.md").read_text(encoding="utf-8")
     pushed = {file.name for file in plan_push(run.root, "manifest.json").files}
@@ -182,8 +182,8 @@ def test_a_start_finds_a_lost_shard_and_queues_its_episodes(packed: ArchivedRun,
     lost.shard.unlink()
     terms = Terms(packed.plan, packed.catalog, "test", TTL_S, 1.0)
     with open_archive(packed.root) as archive:
-        result = reconcile(archive, packed.desk.engine, terms, validator, packed.desk.now)
-    packed.desk.engine.dispose()
+        result = reconcile(archive, packed.timed_ledger.engine, terms, validator, packed.timed_ledger.now)
+    packed.timed_ledger.engine.dispose()
     assert (result.requeued, result.adopted, result.quarantined) == ([1, 2], [], [])
 
 
@@ -194,12 +194,12 @@ def test_gather_packs_what_it_copies_from_files_and_from_shards(run: ArchivedRun
     if is_packed:
         with open_archive(source) as archive:
             archive.pack(digests, 1, 10)
-    with run.desk.engine.begin() as connection:
+    with run.timed_ledger.engine.begin() as connection:
         for index in digests:
             record_at_gateway(connection, index, "gw1")
-    run.desk.engine.dispose()
+    run.timed_ledger.engine.dispose()
     for gathered in (EPISODES, 0):
-        report = gather(run.repair_input(), [source], run.desk.now, shard_episodes=SIZE)
+        report = gather(run.repair_input(), [source], run.timed_ledger.now, shard_episodes=SIZE)
         assert (report.gathered, report.missing, report.episodes) == (gathered, (), EPISODES)
     assert len(after_names(run)) == 3
     assert findings(run.root) == []

@@ -110,7 +110,7 @@ def packed(files: Path, tmp_path: Path) -> Path:
     return root
 
 
-def test_a_packing_killed_at_any_step_loses_and_doubles_nothing(files: Path, tmp_path: Path) -> None:
+def test_a_packing_killed_at_any_step_loses_and_duplicates_nothing(files: Path, tmp_path: Path) -> None:
     kills = kill_at_each_step(tmp_path / "kills", files, f"archive = open_archive(root); {_PACK}")
     assert kills > len(EPISODES)
     shards = set()
@@ -126,7 +126,7 @@ def test_a_packing_killed_at_any_step_loses_and_doubles_nothing(files: Path, tmp
     assert len(shards) == 1
 
 
-def test_a_start_after_a_kill_that_is_killed_itself_loses_and_doubles_nothing(
+def test_a_start_after_a_kill_that_is_killed_itself_loses_and_duplicates_nothing(
     files: Path, packed: Path, tmp_path: Path
 ) -> None:
     for number in EPISODES:
@@ -187,7 +187,7 @@ digests = {digests}
 
 @pytest.mark.parametrize("moment", [Moment.BEGUN, Moment.PASSED_ON])
 @pytest.mark.parametrize(("method", "key"), [("PUT", "/shard_"), ("POST", "delete"), ("PUT", "/shards.parquet")])
-def test_a_packing_killed_at_a_request_to_the_store_loses_and_doubles_nothing(
+def test_a_packing_killed_at_a_request_to_the_store_loses_and_duplicates_nothing(
     bucket_url: Callable[[], str], object_store: ObjectServer, tmp_path: Path, moment: Moment, method: str, key: str
 ) -> None:
     store = ObjectPath.at(f"{bucket_url()}/run")

@@ -134,7 +134,7 @@ def test_a_drive_by_surface_stops_a_metre_from_the_footprint():
 
 
 def test_a_contact_beyond_the_limit_ends_the_attempt_and_is_only_counted_without_limit():
-    plank = Box((-2.6, 0.245, 0.0), (-1.0, 0.4, 0.6))  # overlaps the robot by 5 mm; the planner's map lacks it
+    plank = Box((-2.6, 0.245, 0.0), (-1.0, 0.4, 0.6))  # overlaps the robot by 5 mm; it is not on the map of the planner
     scene, start, known = box_room([plank]), (-2.0, 0.0, 0.0), Grid.from_scene(box_room())
     free = drive_from(scene, start, known)
     assert free.contact_steps > 0

@@ -178,7 +178,7 @@ def test_a_lost_file_is_produced_again_under_the_same_attempt(tmp_path):
         until(opened.is_finished)
 
 
-def test_a_full_disk_gives_out_no_jobs(tmp_path):
+def test_no_jobs_are_leased_while_the_disk_is_full(tmp_path):
     greedy = settings(reserve_bytes=1 << 60)
     with (
         Coordinator(
@@ -192,7 +192,7 @@ def test_a_full_disk_gives_out_no_jobs(tmp_path):
         assert not reply.finished
 
 
-def test_drain_sends_workers_away_and_gives_out_no_jobs(opened, worker):
+def test_drain_ends_the_workers_and_leases_no_jobs(opened, worker):
     assert worker.ask(Verb.ADMIN, AdminRequest(action=AdminAction.DRAIN), AdminReply) == AdminReply(changed=())
     assert worker.beat().drain
     assert worker.claim().job is None

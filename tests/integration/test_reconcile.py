@@ -23,7 +23,7 @@ from schemas.protocol.messages import Lease
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children
 from tests.builders.bundle import parts_for
-from tests.builders.ledger import TTL_S, Desk
+from tests.builders.ledger import TTL_S, TimedLedger
 
 
 @pytest.fixture(scope="module")
@@ -36,21 +36,21 @@ class Scene:
     """A ledger and an archive between two runs of a coordinator."""
 
     def __init__(self, home: Path, validator: Validator, store: ObjectPath | None = None) -> None:
-        self.desk = Desk()
+        self.timed_ledger = TimedLedger()
         self.home, self.store = home, store
         self.root: Place = store or home
         self.validator = validator
-        self.terms = Terms(self.desk.plan, self.desk.catalog, "test", TTL_S, 1.0)
+        self.terms = Terms(self.timed_ledger.plan, self.timed_ledger.catalog, "test", TTL_S, 1.0)
 
     def announce(self) -> tuple[Lease, bytes]:
         """Claims a job and announces its bundle."""
-        row = self.desk.claim()
+        row = self.timed_ledger.claim()
         assert row is not None
-        job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), row.attempt)
+        job = to_job(self.timed_ledger.plan, self.timed_ledger.catalog, planned_of(row), row.attempt)
         bundle = parts_for(job).write()
         lease = claims.lease_of(row)
-        self.desk.done(lease, sha256=hashlib.sha256(bundle).hexdigest())
-        with self.desk.open() as connection:
+        self.timed_ledger.done(lease, sha256=hashlib.sha256(bundle).hexdigest())
+        with self.timed_ledger.open() as connection:
             connection.execute(jobs.update().where(jobs.c.id == row.id).values(size=len(bundle)))
         return lease, bundle
 
@@ -66,10 +66,10 @@ class Scene:
 
     def start(self):
         with open_archive(self.home, self.store) as archive:
-            return reconcile(archive, self.desk.engine, self.terms, self.validator, self.desk.now)
+            return reconcile(archive, self.timed_ledger.engine, self.terms, self.validator, self.timed_ledger.now)
 
     def states(self) -> list[str]:
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             return list(connection.execute(select(jobs.c.state).order_by(jobs.c.idx)).scalars())
 
 
@@ -87,7 +87,7 @@ def test_a_published_bundle_whose_commit_was_lost_is_adopted(scene):
     assert scene.start().adopted == [1]
     assert scene.states() == ["archived", "pending", "pending"]
     assert path.read_bytes() == bundle
-    with scene.desk.open() as connection:
+    with scene.timed_ledger.open() as connection:
         assert is_owned(connection, 1)
     assert scene.start().adopted == []
 
@@ -111,7 +111,7 @@ def test_a_torn_bundle_is_quarantined_and_its_worker_asked_again(scene):
     assert len(scene.start().quarantined) == 1
     assert not path.exists()
     assert scene.states()[0] == "submitted"
-    assert scene.desk.row(lease.job_id).lease_until == scene.desk.now.timestamp() + 1.5 * TTL_S
+    assert scene.timed_ledger.row(lease.job_id).lease_until == scene.timed_ledger.now.timestamp() + 1.5 * TTL_S
 
 
 def test_a_bundle_with_a_flipped_bit_is_quarantined(scene):

@@ -28,7 +28,7 @@ def until(condition: Callable[[], object], process: Started) -> None:
     deadline = time.monotonic() + 300
     while not condition():
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline, "waited too long"
+        assert time.monotonic() < deadline, "timed out waiting"
         time.sleep(0.02)
 
 

@@ -61,9 +61,9 @@ def flip_thumbnail(table: Path) -> None:
 
 
 def mend(run: ArchivedRun, validator: Validator, **options: bool) -> RepairReport:
-    report = repair(run.repair_input(), validator, run.desk.now, apply=options.get("apply", True))
+    report = repair(run.repair_input(), validator, run.timed_ledger.now, apply=options.get("apply", True))
     if report.applied:  # a second repair finds nothing
-        assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound
+        assert repair(run.repair_input(), validator, run.timed_ledger.now, apply=False).is_sound
     return report
 
 
@@ -86,11 +86,11 @@ def test_a_dry_run_reports_and_changes_nothing(run, validator):
 
 @pytest.mark.parametrize("harm", [flip, Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-7])])
 def test_a_damaged_or_missing_episode_is_queued_again_under_its_attempt(run, validator, harm):
-    attempt = run.desk.rows(2)[-1].attempt
+    attempt = run.timed_ledger.rows(2)[-1].attempt
     harm(run.file(2))
     assert kinds(mend(run, validator))["requeue"] == 1
     assert run.states() == {1: "archived", 2: "pending", 3: "archived"}
-    assert run.desk.rows(2)[-1].attempt == attempt
+    assert run.timed_ledger.rows(2)[-1].attempt == attempt
     assert pq.read_table(run.root / "metadata.parquet")["episode_id"].to_pylist() == ["ep_000001", "ep_000003"]
 
 
@@ -106,15 +106,15 @@ def test_a_lost_ledger_is_rebuilt_from_plan_and_archive(run, validator):
 
 def test_a_rebuilt_ledger_contains_abandoned_draws_and_failed_attempts(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=2, done=1, misses=3)
-    before = [(row.draw, row.state, row.attempt, row.superseded, row.target_id) for row in run.desk.rows(1)]
+    before = [(row.draw, row.state, row.attempt, row.superseded, row.target_id) for row in run.timed_ledger.rows(1)]
     assert before[0][:4] == (0, "failed", 3, True)
     failed = pq.read_table(run.root / "attempts.parquet")
     (run.root / "ledger.db").unlink()
     mend(run, validator)
-    after = [(row.draw, row.state, row.attempt, row.superseded, row.target_id) for row in run.desk.rows(1)]
+    after = [(row.draw, row.state, row.attempt, row.superseded, row.target_id) for row in run.timed_ledger.rows(1)]
     assert [row[0::2] for row in after] == [row[0::2] for row in before]
     assert run.states() == {1: "archived", 2: "pending"}
-    with run.desk.open() as connection:
+    with run.timed_ledger.open() as connection:
         outcomes = [(a.attempt, a.outcome) for a in read_attempts(connection, 1)]
     assert outcomes == [(1, "timeout"), (2, "timeout"), (3, "timeout"), (4, "success")]
     assert pq.read_table(run.root / "attempts.parquet").num_rows == failed.num_rows
@@ -124,7 +124,7 @@ def test_an_unfinished_episode_resumes_with_its_attempt_and_budget(tmp_path, val
     run = ArchivedRun(tmp_path / "out", planned=2, done=0, misses=1)
     (run.root / "ledger.db").unlink()
     mend(run, validator)
-    row = run.desk.rows(1)[-1]
+    row = run.timed_ledger.rows(1)[-1]
     assert (row.draw, row.attempt, row.misses, row.state) == (0, 2, 1, "pending")
 
 
@@ -141,7 +141,7 @@ def test_a_lost_ledger_without_an_attempt_log_is_rebuilt_from_the_files(tmp_path
     for name in ("ledger.db", "attempts.parquet"):
         (run.root / name).unlink()
     mend(run, validator)
-    assert [(row.draw, row.state) for row in run.desk.rows(1)] == [(0, "failed"), (1, "archived")]
+    assert [(row.draw, row.state) for row in run.timed_ledger.rows(1)] == [(0, "failed"), (1, "archived")]
 
 
 def test_a_ledger_from_an_old_backup_adopts_newer_episodes(tmp_path, validator):

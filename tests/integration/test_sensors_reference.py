@@ -1,4 +1,4 @@
-"""Sensors against references that are not ours: PyBullet's ray test and wheel joints, and OpenCV's stereo matcher.
+"""Sensors compared with independent references: PyBullet's ray test and wheel joints, and OpenCV's stereo matcher.
 
 `-s` prints the shares of agreeing rays and the error of the matcher.
 """
@@ -89,7 +89,7 @@ def bullet_with(triangles: NDArray[np.float32]) -> Iterator[int]:
 
 
 def facing(triangles: NDArray[np.float32], eye: Floats) -> NDArray[np.float32]:
-    """Returns the triangles whose front side is towards a point; a renderer draws no other ones."""
+    """Returns the triangles whose front side faces a point; a renderer draws only these."""
     a, b, c = triangles.astype(np.float64).transpose(1, 0, 2)
     return triangles[(np.cross(b - a, c - a) * (eye - a)).sum(axis=1) > 0]
 
@@ -171,7 +171,7 @@ def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_withi
 
 
 def test_encoder_ticks_follow_the_wheel_joints_of_pybullet() -> None:
-    """The joints turn as commanded, although the robot slips: its way is shorter than theirs."""
+    """The joints turn as commanded although the robot slips, so that it drives less far than its wheels roll."""
     robot, command = RobotConfig(), Twist(0.0, 0.0)
     wanted = [Twist(0.7, 0.0)] * 60 + [Twist(0.6, 0.8)] * 90 + [Twist(0.0, -1.2)] * 60 + [Twist(1.0, 0.0)] * 90
     scene = box_room()

@@ -62,27 +62,30 @@ def unchecked(root: Path) -> list[int]:
 
 
 def test_a_host_with_a_false_claim_is_barred_and_its_invalid_episodes_are_generated_again(tmp_path: Path) -> None:
-    with started(tmp_path, 0.0) as coordinator, WireWorker(coordinator.endpoints, coordinator.run, "liar") as liar:
-        hello = liar.hello(version("minivla-factory"))
+    with (
+        started(tmp_path, 0.0) as coordinator,
+        WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,
+    ):
+        hello = false_peer.hello(version("minivla-factory"))
         assert isinstance(hello, HelloReply)
         assert hello.validates
         for number, make in enumerate((bundle_for, forged_for), 1):
-            job, lease = liar.job()
-            assert liar.deliver(lease, make(job), is_validated=True)
+            job, lease = false_peer.job()
+            assert false_peer.deliver(lease, make(job), is_validated=True)
             until(lambda number=number: archived(coordinator) == number)  # type: ignore[misc]
         accepted = unchecked(tmp_path)
         assert len(accepted) == 1  # the first bundle of a host is validated completely
     with (
         started(tmp_path, 0.0) as coordinator,
-        WireWorker(coordinator.endpoints, coordinator.run, "liar") as liar,
+        WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,
         WireWorker(coordinator.endpoints, coordinator.run, "honest") as honest,
     ):
         assert unchecked(tmp_path) == accepted
-        job, lease = liar.job()
-        assert liar.deliver(lease, forged_for(job), is_validated=True)
+        job, lease = false_peer.job()
+        assert false_peer.deliver(lease, forged_for(job), is_validated=True)
         until(lambda: archived(coordinator) == 1 and unchecked(tmp_path) == [])
         (barred,) = coordinator.progress().hosts
-        assert barred.host == "liar"
+        assert barred.host == "false-peer"
         assert barred.barred_at is not None
         assert "announced as valid" in barred.reason
         for _ in range(2):
@@ -103,17 +106,17 @@ def test_workers_do_not_validate_and_their_claims_are_ignored_without_spot_check
     with (
         capture_logs() as lines,
         started(tmp_path, None) as coordinator,
-        WireWorker(coordinator.endpoints, coordinator.run, "liar") as liar,
+        WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,
     ):
         for _ in range(2):
-            hello = liar.hello(version("minivla-factory"))
+            hello = false_peer.hello(version("minivla-factory"))
             assert isinstance(hello, HelloReply)
             assert not hello.validates
         joined = [(line["host"], line["worker"], line["cores"]) for line in lines if line["event"] == "worker_joined"]
-        assert joined == [("liar", liar.sid, 2)]
+        assert joined == [("false-peer", false_peer.sid, 2)]
         for make in (bundle_for, forged_for):
-            job, lease = liar.job()
-            assert liar.deliver(lease, make(job), is_validated=True)
+            job, lease = false_peer.job()
+            assert false_peer.deliver(lease, make(job), is_validated=True)
         until(lambda: bool(coordinator.progress().hosts))
         assert archived(coordinator) == 1
         assert unchecked(tmp_path) == []

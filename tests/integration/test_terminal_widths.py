@@ -62,7 +62,7 @@ def on_terminal(calls: list[tuple[int, list[str]]]) -> list[str]:
 def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folder = tmp_path_factory.mktemp("terminal")
     run = ArchivedRun(folder / "run", planned=5, done=3, misses=2)
-    run.desk.engine.dispose()
+    run.timed_ledger.engine.dispose()
     make_dataset(folder / "data", 2)
     return {"RUN": str(Path(run.root)), "DATA": str(folder / "data")}
 

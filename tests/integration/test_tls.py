@@ -142,9 +142,9 @@ def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_pa
 
 
 def test_a_host_cannot_send_requests_under_another_name(hub, pki):
-    with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
-        assert liar.hello(version("minivla-factory")) is None
-        assert liar.ask(Verb.CLAIM, Claim(sid=liar.sid, token=secrets.token_hex(16)), ClaimReply) is None
+    with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as false_peer:
+        assert false_peer.hello(version("minivla-factory")) is None
+        assert false_peer.ask(Verb.CLAIM, Claim(sid=false_peer.sid, token=secrets.token_hex(16)), ClaimReply) is None
     assert hub.progress().workers == ()
     assert hub.progress().jobs["pending"] == 2
 
@@ -163,15 +163,15 @@ def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub,
         job, lease = honest.job()
         asked: list[str] = []
 
-        def lie(query: zenoh.Query) -> None:
+        def answer_falsely(query: zenoh.Query) -> None:
             with query:
                 asked.append(str(query.key_expr))
                 query.reply(bundle_key(hub.run, honest.sid), b"x" * 100)
 
-        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as liar:
-            liar.declare_queryable(bundle_key(hub.run, honest.sid), lie)
-            liar.declare_queryable(bundle_key(hub.run, "*"), lie)
-            token = liar.liveliness().declare_token(alive_key(hub.run, honest.sid))
+        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as false_peer:
+            false_peer.declare_queryable(bundle_key(hub.run, honest.sid), answer_falsely)
+            false_peer.declare_queryable(bundle_key(hub.run, "*"), answer_falsely)
+            token = false_peer.liveliness().declare_token(alive_key(hub.run, honest.sid))
             time.sleep(0.3)
             token.undeclare()  # if accepted, it would shorten the leases of the honest worker
             before = hub.progress()
@@ -189,21 +189,21 @@ def test_a_host_cannot_read_bundles_of_another(hub, pki):
         honest.deliver(lease, b"secret" * 100)
         honest.is_frozen = False
         where = f"?job={lease.job_id};fence={lease.fence};off=0;n=10"
-        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as curious:
-            assert answers(curious, bundle_key(hub.run, honest.sid) + where) == []
+        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as listener:
+            assert answers(listener, bundle_key(hub.run, honest.sid) + where) == []
 
 
 def test_only_the_coordinator_can_answer_coordinator_requests(hub, pki):
     lies: list[str] = []
 
-    def lie(query: zenoh.Query) -> None:
+    def answer_falsely(query: zenoh.Query) -> None:
         with query:
             lies.append(str(query.key_expr))
             query.reply(verb_key(hub.run, "other", Verb.CLAIM), b'{"finished": true}')
 
-    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as liar:
-        liar.declare_queryable(verb_pattern(hub.run), lie)
-        liar.declare_queryable(verb_key(hub.run, "other", Verb.CLAIM), lie)
+    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as false_peer:
+        false_peer.declare_queryable(verb_pattern(hub.run), answer_falsely)
+        false_peer.declare_queryable(verb_key(hub.run, "other", Verb.CLAIM), answer_falsely)
         time.sleep(0.3)
         with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "other"))) as honest:
             claim = Claim(sid="other.1", token=secrets.token_hex(16)).model_dump_json()
@@ -225,8 +225,10 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
     assert ask_progress(hub.endpoints, "boss", files).planned == 2
     request = AdminRequest(action=AdminAction.CANCEL, indices=(1,))
     assert administer(tmp_path / "out", request, datetime.now(UTC), name="boss", tls=files).changed == (1,)
-    with WireWorker(hub.endpoints, hub.run, "boss", files) as greedy:
-        assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token=secrets.token_hex(16)), ClaimReply) is None
+    with WireWorker(hub.endpoints, hub.run, "boss", files) as claiming_peer:
+        assert (
+            claiming_peer.ask(Verb.CLAIM, Claim(sid=claiming_peer.sid, token=secrets.token_hex(16)), ClaimReply) is None
+        )
     with pytest.raises(TransientError, match=r"hosts\.txt"):
         ask_progress(hub.endpoints, "stranger", files)
     with pytest.raises(WorldError, match="another coordinator"):  # no coordinator is reachable without a certificate

@@ -86,7 +86,7 @@ def test_without_torch_the_extra_is_named(root: Path, tmp_path: Path) -> None:
         make_policy(f"bc:{tmp_path}", PolicyLimits())
 
 
-def test_a_trained_policy_is_known_to_read_its_instruction() -> None:
+def test_a_trained_policy_declares_that_it_reads_its_instruction() -> None:
     assert find_policy("bc:anything").reads_instruction
 
 
@@ -157,7 +157,7 @@ def test_the_policy_returns_actions_for_the_hold_time(root: Path, tmp_path: Path
 @needs_torch
 def test_the_instruction_changes_the_action_except_in_the_ablated_model(root: Path, tmp_path: Path) -> None:
     for name, ablate in (("reads", False), ("blind", True)):
-        train(root, tmp_path / name, options(epochs=2, ablate_language=ablate))
+        train(root, tmp_path / name, options(epochs=2, ablate_language=ablate, positions=not ablate))
         policy = make_policy(f"bc:{tmp_path / name}", PolicyLimits())
         answers = []
         for instruction in ("Go to the chair.", "Approach the red sofa and stop."):
@@ -167,7 +167,7 @@ def test_the_instruction_changes_the_action_except_in_the_ablated_model(root: Pa
 
 
 @needs_torch
-def test_another_clock_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
+def test_another_control_rate_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(epochs=1))
     policy = make_policy(f"bc:{tmp_path}", PolicyLimits())
     with pytest.raises(UsageError, match=r"trained at 60 Hz .* the episodes have 30 Hz"):

@@ -58,7 +58,7 @@ def run(tmp_path: Path) -> Iterator[tuple[Coordinator, WebClient]]:
 
 
 def flood(host: str, count: int) -> None:
-    """Sends requests that must not change anything, over one connection after the other."""
+    """Sends requests that must not change anything, over consecutive connections."""
     name, _, port = host.rpartition(":")
     attacks = (
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nContent-Length: 17\r\n\r\nall=1&confirm=1&k",

@@ -28,13 +28,15 @@ from factory.eval.results.publish import RESULTS_FILE, VIDEOS
 from factory.eval.results.store import EvalManifest, Store
 from factory.relabel.route import STEPS_SCHEMA
 from schemas.language.route.model import RouteStep
+from schemas.plan import Plan
 from schemas.protocol.messages import Hello, HostMemory
 from schemas.storage.dataset_files import STEPS_FILE
 from schemas.terms import FailReason
 from tests.builders.bundle import GOAL_M
+from tests.builders.catalog import make_catalog
 from tests.builders.dataset import make_dataset
 from tests.builders.eval_results import evaluation_of, result_of, spec_of, specs_of
-from tests.builders.ledger import Desk, room_plan
+from tests.builders.ledger import TimedLedger, room_plan
 from tests.builders.web import WebClient, web_page
 
 SPECS = specs_of(*(spec_of(number) for number in range(1, 7)))
@@ -158,15 +160,15 @@ def test_the_3d_view_has_the_mesh_of_the_scene_and_the_trajectory(client, data):
 
 def test_failures_are_drawn_at_the_robot_or_at_their_target(tmp_path):
     make_dataset(tmp_path / "data", 1)
-    desk = Desk(room_plan(2), ledger_url_of(tmp_path / "data"))
+    timed_ledger = TimedLedger(room_plan(2), ledger_url_of(tmp_path / "data"))
     details = ("collision after 7 steps at (1.25, -0.75) m, 3.00 m from chair_001", "timeout <after> 9 steps")
     for reason, detail in zip((FailReason.COLLISION, FailReason.TIMEOUT), details, strict=True):
-        assert desk.fail(desk.lease(), reason, detail=detail)
-    with desk.open() as connection:
+        assert timed_ledger.fail(timed_ledger.lease(), reason, detail=detail)
+    with timed_ledger.open() as connection:
         connection.execute(update(jobs).values(scene="office", target_id="chair_001"))
         write_memory(connection, {"host": HostMemory(used_bytes=3 * 10**9, total_bytes=8 * 10**9)})
-        hosts.register(connection, Hello(sid="host.1", host="host", slots=2, version="1.2"), desk.now)
-    desk.engine.dispose()
+        hosts.register(connection, Hello(sid="host.1", host="host", slots=2, version="1.2"), timed_ledger.now)
+    timed_ledger.engine.dispose()
     with web_page(tmp_path / "data") as client:
         farm = client.ask("/").text
         assert '<a href="/scenes/office#map">office</a> 2' in farm
@@ -179,3 +181,24 @@ def test_failures_are_drawn_at_the_robot_or_at_their_target(tmp_path):
         drawn = client.ask("/scenes/office/failures.svg")
         assert drawn.text.count("<circle") == 2
         assert "script-src" not in drawn.headers["content-security-policy"]
+
+
+def test_layouts_that_are_not_built_are_named_and_their_builds_are_no_episodes(tmp_path):
+    make_dataset(tmp_path / "data", 1)
+    home = {"name": "home", "layouts": 3, "episodes": 3, "seed": 10}
+    shares = {"tiers": {"near": 1}, "splits": {"train_id": 1}}
+    plan = Plan.model_validate({"name": "x", "scenes": [home], **shares})
+    first = {"home_00010": make_catalog(plan)["home_00010"]}
+    ledger = TimedLedger(plan, ledger_url_of(tmp_path / "data"), first)
+    assert [ledger.claim().scene for _ in range(2)] == ["home_00010", "home_00011"]
+    with ledger.open() as connection:
+        hosts.register(connection, Hello(sid="host-1", host="host", slots=2, version="1.2"), ledger.now)
+    ledger.engine.dispose()
+    with web_page(tmp_path / "data") as client:
+        farm = client.ask("/").text
+        assert "2 episodes are in layouts that are not built yet" in farm
+        assert "builds home_00011" in farm
+        assert re.findall(r"<td>(ep_\w+|home_\w+)</td>", farm) == ["home_00011", "ep_000001"]
+        assert "home_00011, home_00012" in client.ask("/scenes?family=home").text
+        reply = client.ask("/scenes/home_00012")
+        assert (reply.status, "home_00012 is not built yet" in reply.text) == (404, True)

@@ -123,7 +123,7 @@ def test_flags_and_notes_are_stored_with_the_key_of_the_form_only(data, tmp_path
         assert (tmp_path / "data" / "marks.json").read_bytes() == before
 
 
-def test_a_dataset_without_tables_has_a_farm_page_and_names_the_trouble(tmp_path):
+def test_a_dataset_without_tables_has_a_farm_page_that_names_the_error(tmp_path):
     run = ArchivedRun(tmp_path / "run", planned=2, done=1, misses=1)
     (run.root / "metadata.parquet").unlink()
     with web_page(run.root) as client:

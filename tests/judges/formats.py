@@ -74,7 +74,7 @@ class Measured(NamedTuple):
 
 def main(dataset: Path, out: Path, places: dict[str, str]) -> int:
     out.mkdir(parents=True)
-    say("| export | frames | MB | kB a frame | CPU ms a frame | frames/s of one core | largest process, MiB |")
+    say("| export | frames | MB | kB per frame | CPU ms per frame | frames/s of one core | largest process, MiB |")
     say("|---|---|---|---|---|---|---|")
     for folder, words in RUNS.items():
         say(row(" ".join(words), export(dataset, out / folder, words)))

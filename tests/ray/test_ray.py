@@ -60,7 +60,7 @@ def until(condition: Callable[[], bool], process: subprocess.Popen[bytes], withi
     end = time.monotonic() + within_s
     while not condition():
         assert process.poll() is None, "the run ended early"
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "timed out waiting"
         time.sleep(0.2)
 
 
@@ -81,7 +81,9 @@ def parent_of(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-def test_killed_actors_workers_and_nodes_change_no_episode_and_count_as_no_crash(cluster: Any, tmp_path: Path) -> None:
+def test_killed_actors_workers_and_nodes_change_no_episode_and_are_not_counted_as_crashes(
+    cluster: Any, tmp_path: Path
+) -> None:
     one, other = sorted(cluster.worker_nodes, key=lambda node: node.node_id)
     out = tmp_path / "ray"
     command = factory("run", *PLAN, "--out", out, "--engine", "ray", "--address", cluster.address)

@@ -1,4 +1,4 @@
-"""The summary of pip-audit's reports in `make audit`: a package without a result does not count as safe."""
+"""Summary of pip-audit's reports in `make audit`: a package without a result is not reported as safe."""
 
 from __future__ import annotations
 

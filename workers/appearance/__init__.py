@@ -1,4 +1,7 @@
-"""Appearance of an episode: draws light, materials, camera and clutter, and applies them to a compiled scene. Pure."""
+"""Appearance of an episode: draws light, materials, camera and clutter, and applies them to a compiled scene.
+
+Pure functions.
+"""
 
 from workers.appearance.apply import apply_appearance, clutter_instances
 from workers.appearance.cameras import changed_camera, changed_sensor, recorded_camera

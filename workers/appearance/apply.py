@@ -1,4 +1,4 @@
-"""Applies the drawn appearance of an episode to its compiled scene: light, materials and clutter. Pure.
+"""Applies the drawn appearance of an episode to its compiled scene: light, materials and clutter. Pure functions.
 
 Geometry, instance ids and the order of the parts stay; clutter is added at the end. The result is a compiled scene
 that every renderer and ray caster takes.

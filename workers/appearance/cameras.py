@@ -1,4 +1,4 @@
-"""Draws a change of the cameras, and applies it to a camera of a rig or to the recorded camera. Pure."""
+"""Draws a change of the cameras, and applies it to a camera of a rig or to the recorded camera. Pure functions."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from schemas.appearance import CameraChange, CameraRanges
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 from schemas.rig import Camera, FisheyeCamera, Lidar2d, Lidar3d, Mount, PinholeCamera
-from workers.appearance.chance import Chance
+from workers.appearance.factor_stream import FactorStream
 
 Scan = Lidar2d | Lidar3d
 _LEAST_HEIGHT_M = 0.02
 
 
-def draw_camera(ranges: CameraRanges, chance: Chance) -> CameraChange:
+def draw_camera(ranges: CameraRanges, stream: FactorStream) -> CameraChange:
     """Returns the change of the cameras of an episode."""
     names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "focal", "exposure_stops")
-    return CameraChange.model_validate({name: chance.between(getattr(ranges, name)) for name in names})
+    return CameraChange.model_validate({name: stream.between(getattr(ranges, name)) for name in names})
 
 
 def recorded_camera(config: CameraConfig, size: int) -> PinholeCamera:

@@ -1,6 +1,6 @@
-"""Places small objects on the floor beside the path of the robot. Pure.
+"""Places small objects on the floor beside the path of the robot. Pure functions.
 
-An object keeps a clearance from the footprint at every pose, because the drive was made without it, and it stands
+An object keeps a clearance from the footprint at every pose, because the robot drove without it, and it stands
 outside of the triangle of views to the target from the first and the last pose, so that it hides no pixel of it there.
 """
 
@@ -15,8 +15,8 @@ from schemas.appearance import ClutterObject, ClutterRanges
 from schemas.scene import CompiledScene, Target
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats
-from workers.appearance.chance import Chance
 from workers.appearance.clutter_shapes import RADII
+from workers.appearance.factor_stream import FactorStream
 from workers.appearance.floor import FloorUnder
 from workers.geometry.grid import DISC_OFFSETS_M, DISC_RADIUS_M, Grid
 
@@ -46,13 +46,13 @@ _VIEW_MARGIN_M = 0.15
 
 
 def place_clutter(
-    ranges: ClutterRanges, chance: Chance, scene: CompiledScene, target: Target, poses: Floats
+    ranges: ClutterRanges, stream: FactorStream, scene: CompiledScene, target: Target, poses: Floats
 ) -> tuple[ClutterObject, ...]:
     """Returns the objects of an episode.
 
     Args:
         ranges: number, kinds and sizes of the objects.
-        chance: random numbers.
+        stream: random numbers.
         scene: compiled scene.
         target: object that stays in view.
         poses: (T, 7) poses of base_link: x, y, z in metres and the quaternion w, x, y, z.
@@ -63,9 +63,9 @@ def place_clutter(
     room[(swept > ranges.reach_m) | _in_view(grid, target, poses)] = 0.0
     placed: list[ClutterObject] = []
     low, high = ranges.count
-    for _ in range(low + chance.below(high - low + 1)):
-        kind, size, colour = chance.choose(ranges.kinds), chance.between(ranges.size_m, 3), chance.choose(COLOURS)
-        yaw, pick = chance.between((-180.0, 180.0), 1), chance.share()
+    for _ in range(low + stream.below(high - low + 1)):
+        kind, size, colour = stream.choose(ranges.kinds), stream.between(ranges.size_m, 3), stream.choose(COLOURS)
+        yaw, pick = stream.between((-180.0, 180.0), 1), stream.share()
         radius = RADII[kind] * size + _GAP_M
         cells = np.flatnonzero(room.ravel() >= radius)
         if not len(cells):

@@ -1,4 +1,7 @@
-"""Shapes of small objects as triangles with shades, for a largest side of 1, and the shadow around their foot. Pure."""
+"""Shapes of small objects as triangles with shades, for a largest side of 1, and the shadow around their foot.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Draws the appearance of an episode from ranges: a function of seed, episode and factor, and of the scene. Pure."""
+"""Draws the appearance of an episode from ranges: a function of seed, episode and factor, and of the scene.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from schemas.appearance.light_groups import SCREENS, LightGroups
 from schemas.scene import CompiledScene, Target
 from schemas.support.numpy_types import Floats
 from workers.appearance.cameras import draw_camera
-from workers.appearance.chance import Chance, Factor
 from workers.appearance.clutter import place_clutter
+from workers.appearance.factor_stream import Factor, FactorStream
 from workers.appearance.materials import SceneSurfaces, draw_materials
 from workers.appearance.relight import LAMP_K
 
@@ -48,40 +51,40 @@ def draw_appearance(
         ValueError: the light is varied, and `place` has no light groups.
     """
 
-    def chance(factor: Factor) -> Chance:
-        return Chance(seed, episode, factor)
+    def stream(factor: Factor) -> FactorStream:
+        return FactorStream(seed, episode, factor)
 
     light, materials, camera, clutter = ranges.light, ranges.materials, ranges.camera, ranges.clutter
     return DrawnAppearance(
         name=ranges.name,
         episode=episode,
-        light=None if light is None else _draw_light(light, chance(Factor.LIGHT), place.light),
+        light=None if light is None else _draw_light(light, stream(Factor.LIGHT), place.light),
         materials=()
         if materials is None
-        else draw_materials(materials, chance(Factor.SURFACES), chance(Factor.FURNITURE), place.surfaces),
-        camera=None if camera is None else draw_camera(camera, chance(Factor.CAMERA)),
-        clutter=() if clutter is None else place_clutter(clutter, chance(Factor.CLUTTER), place.scene, target, poses),
+        else draw_materials(materials, stream(Factor.SURFACES), stream(Factor.FURNITURE), place.surfaces),
+        camera=None if camera is None else draw_camera(camera, stream(Factor.CAMERA)),
+        clutter=() if clutter is None else place_clutter(clutter, stream(Factor.CLUTTER), place.scene, target, poses),
     )
 
 
-def _draw_light(ranges: LightRanges, chance: Chance, light: LightGroups | None) -> LightMix:
+def _draw_light(ranges: LightRanges, stream: FactorStream, light: LightGroups | None) -> LightMix:
     """Returns the light of each group; screens keep theirs, and one other group is always on."""
     if light is None:
         raise ValueError("the light groups of the scene are missing")
     kept = LampLight(gain=1.0, temperature_k=LAMP_K)
     lamps, is_on = [], []
     for group in light.info.groups:
-        gain, kelvin = chance.between(ranges.lamps), chance.between(ranges.temperature_k, 0)
-        is_on.append(chance.share() >= ranges.off_share)
+        gain, kelvin = stream.between(ranges.lamps), stream.between(ranges.temperature_k, 0)
+        is_on.append(stream.share() >= ranges.off_share)
         lamps.append(kept if group.kind == SCREENS else LampLight(gain=gain, temperature_k=kelvin))
     varied = [number for number, group in enumerate(light.info.groups) if group.kind != SCREENS]
     if varied:
-        is_on[chance.choose(varied)] = True
+        is_on[stream.choose(varied)] = True
     off = {number for number in varied if not is_on[number]}
     return LightMix(
         lamps=tuple(
             lamp.model_copy(update={"gain": 0.0}) if number in off else lamp for number, lamp in enumerate(lamps)
         ),
-        sky=LampLight(gain=chance.between(ranges.sky), temperature_k=chance.between(ranges.sky_temperature_k, 0)),
+        sky=LampLight(gain=stream.between(ranges.sky), temperature_k=stream.between(ranges.sky_temperature_k, 0)),
         adaption=ranges.adaption,
     )

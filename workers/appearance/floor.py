@@ -1,4 +1,4 @@
-"""The floor beneath a point: its triangle, and the values of its corners there. Pure."""
+"""Finds the floor triangle below a point, and interpolates vertex values at the point. Pure functions."""
 
 from __future__ import annotations
 

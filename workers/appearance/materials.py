@@ -1,4 +1,4 @@
-"""Draws materials for the surfaces of a scene, and applies them. Pure.
+"""Draws materials for the surfaces of a scene, and applies them. Pure functions.
 
 Objects keep the name of their colour, so that instructions stay true; walls, floors and ceilings change freely.
 """
@@ -16,7 +16,7 @@ from schemas.appearance.colour_names import dominant_name, linear_of, name_indic
 from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Floats, Ints
 from schemas.terms import COLOUR_NAMES
-from workers.appearance.chance import Chance
+from workers.appearance.factor_stream import FactorStream
 from workers.appearance.palettes import CEILINGS, FLOORS, WALLS, Material, paints_named
 from workers.appearance.surfaces import SurfaceSlot, find_slots, hex_of, rgb_of
 
@@ -77,7 +77,7 @@ class SceneSurfaces:
 
 
 def draw_materials(
-    ranges: MaterialRanges, surfaces: Chance, furniture: Chance, scene: SceneSurfaces
+    ranges: MaterialRanges, surfaces: FactorStream, furniture: FactorStream, scene: SceneSurfaces
 ) -> tuple[SurfaceChange, ...]:
     """Returns the changed materials of an episode.
 
@@ -99,27 +99,29 @@ def draw_materials(
     return tuple(change for change in changes if change.to_colour != change.colour or change.texture)
 
 
-def _surface_changes(kind: str, materials: list[Material], chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
+def _surface_changes(
+    kind: str, materials: list[Material], stream: FactorStream, scene: SceneSurfaces
+) -> list[SurfaceChange]:
     """Returns changes of walls or floors: one material for all surfaces with one texture, whose trims stay."""
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
     total = sum(scene.area[number] for number in own)
     for layer in sorted({scene.slots[number].layer for number in own}):
         group = [number for number in own if scene.slots[number].layer == layer]
-        material = chance.choose(materials)
+        material = stream.choose(materials)
         largest = max(scene.area[number] for number in group)
         if largest < _MAIN_SHARE * total / 4:
             continue
         for number in group:
-            slot, colour = scene.slots[number], chance.choose(material.colours)
+            slot, colour = scene.slots[number], stream.choose(material.colours)
             kept = colour if scene.area[number] >= _MAIN_SHARE * largest else slot.colour
             changes.append(_change(slot, kept, material))
     return changes
 
 
-def _furniture(chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
+def _furniture(stream: FactorStream, scene: SceneSurfaces) -> list[SurfaceChange]:
     """Returns changes of objects that keep the colour name of each object of a category."""
-    drawn = {slot: _repainted(slot, chance) for slot in scene.slots if slot.surface == "object"}
+    drawn = {slot: _repainted(slot, stream) for slot in scene.slots if slot.surface == "object"}
     before = scene.names()
     while True:
         after = scene.names(tuple(drawn.values()))
@@ -132,9 +134,9 @@ def _furniture(chance: Chance, scene: SceneSurfaces) -> list[SurfaceChange]:
             del drawn[slot]
 
 
-def _repainted(slot: SurfaceSlot, chance: Chance) -> SurfaceChange:
+def _repainted(slot: SurfaceSlot, stream: FactorStream) -> SurfaceChange:
     """Returns another colour of the same name, or for a texture a darker tint."""
-    pick, tint = chance.share(), chance.between(_TINTS)
+    pick, tint = stream.share(), stream.between(_TINTS)
     if slot.layer >= 0:
         return _tinted(slot, np.full(3, tint))
     name = int(name_indices(np.array(rgb_of(slot.colour)) / 255))

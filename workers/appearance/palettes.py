@@ -1,4 +1,4 @@
-"""Believable colours of walls, floors and objects, and the patterns that they are combined with. Data only."""
+"""Realistic colours of walls, floors and objects, and the patterns that they are combined with. Data only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seamless patterns of surfaces, near white, which a colour multiplies: 512 x 512 px. Pure; the noise is integer hash.
+"""Seamless patterns of surfaces, near white, which a colour multiplies: 512 x 512 pixels. The noise is an integer hash.
 
 The patterns are part of the bytes of a dataset, so they use no generator and no transform of a library.
 """

@@ -1,4 +1,4 @@
-"""Mixes the light map of an episode from the baked light and the light groups of its scene. Pure.
+"""Mixes the light map of an episode from the baked light and the light groups of its scene. Pure functions.
 
 With factor 1 and the neutral colour temperatures, the mix is the baked light map, bit for bit. Uses tables and integers
 where a result could depend on the processor.

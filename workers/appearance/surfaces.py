@@ -1,4 +1,7 @@
-"""Slots of a scene: all surfaces of one kind, texture and colour, which change their material together. Pure."""
+"""Slots of a scene: all surfaces of one kind, texture and colour, which change their material together.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

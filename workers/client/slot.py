@@ -48,7 +48,7 @@ class Slot:
         self._host = host
         self._simulation = Simulation(host.command, host.settings.hang_s)
         self._builder = Simulation(host.settings.build_command, _BUILD_S)
-        self._backoff = Backoff(1.0, 60.0)
+        self._backoff = Backoff(host.settings.pause_s, 60.0)
         self._failing = Repeated(log, "attempts_failing")
 
     def run(self) -> None:

@@ -11,7 +11,7 @@ from functools import cached_property
 
 from schemas.job import Job
 from schemas.terms import EndReason
-from workers.experts.sight import Sighting, are_near, foreground_window, is_obstacle_near, see
+from workers.experts.image_measures import Sighting, are_near, foreground_window, is_obstacle_near, measure_mask
 from workers.geometry.pose import Pose
 from workers.render import DepthAndIds, PartialRenderer, RenderedFrame, Renderer, as_partial
 
@@ -50,7 +50,7 @@ class LazyFrame:
             image = self.depth_and_ids
         else:
             (_, left, _, _), image = renderer.render_instance(self._pose, self._instance_id)
-        return see(image.ids, image.depth, self._instance_id, self._job.gains.min_mask_px, left)
+        return measure_mask(image.ids, image.depth, self._instance_id, self._job.gains.min_mask_px, left)
 
     @cached_property
     def obstacle_near(self) -> bool:
@@ -59,7 +59,7 @@ class LazyFrame:
         window, renderer = foreground_window(task), self._partial
         if renderer is not None:
             near = renderer.count_within(self._pose, window, task.near_obstacle_depth_m)
-            if near == 0 or are_near(near, window.pixels):  # at most so many pixels are valid
+            if near == 0 or are_near(near, window.pixels):  # the window has at most `window.pixels` valid pixels
                 return near > 0
         return is_obstacle_near(self.depth_and_ids.cut(window).depth, task)
 

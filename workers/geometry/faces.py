@@ -58,7 +58,7 @@ class Face(NamedTuple):
 
 
 class Sampling(NamedTuple):
-    """Where an image of H x W pixels reads the atlas; indices are those of the flat atlas."""
+    """Places in the atlas that an image of H x W pixels reads; indices are those of the flat atlas."""
 
     nearest: NDArray[np.int32]
     """(H * W,) index of the nearest pixel; 0 for void pixels."""
@@ -90,7 +90,7 @@ def plan_faces(camera: Camera) -> FacePlan:
     """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
     The faces have at least as many pixels per radian as the image: along its coarser direction everywhere, and along
-    rows and columns where these are coarsest. Only the oversampling of the poles of a panorama is not followed.
+    rows and columns where these are coarsest. Near its poles, a panorama has more pixels per radian than the faces.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.
@@ -142,13 +142,13 @@ def _on_sides(rays: Floats, sides: NDArray[np.int8]) -> Floats:
 
 
 def _sharpest(rays: Floats) -> float:
-    """Returns the pixels per radian along rows or columns, whichever has more, where they are coarsest."""
+    """Returns the smallest number of pixels per radian along rows or along columns, whichever is larger."""
     steps = [np.linalg.norm(np.diff(rays, axis=axis), axis=-1) for axis in (0, 1)]
     return float(1 / min(np.nanmax(step) for step in steps))
 
 
 def _finest(plane: Floats, sides: NDArray[np.int8]) -> float:
-    """Returns the focal length with which no step between pixels, along the coarser direction, is below a pixel."""
+    """Returns the focal length with which adjacent pixels are at least a face pixel apart along rows or columns."""
     across = np.linalg.norm(np.diff(plane, axis=1), axis=-1)[:-1]
     down = np.linalg.norm(np.diff(plane, axis=0), axis=-1)[:, :-1]
     corner = sides[:-1, :-1]

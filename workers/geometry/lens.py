@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from schemas.rig import Camera, EquirectangularCamera, FisheyeCamera, PinholeCamera
-from schemas.rig.distortion import bend, distort, unbend, undistort
+from schemas.rig.distortion import distort, fisheye_angles, fisheye_radii, undistort
 from schemas.support import portable
 from schemas.support.numpy_types import Floats
 from workers.geometry.camera import OpticalPose
@@ -42,7 +42,7 @@ def unproject(camera: Camera, pixels: Floats) -> Floats:
         rays = np.concatenate((plane, np.ones((*plane.shape[:-1], 1))), axis=-1)
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
     radii = np.linalg.norm(plane, axis=-1)
-    angles = unbend(radii, camera.half_fov_rad, camera.distortion)
+    angles = fisheye_angles(radii, camera.half_fov_rad, camera.distortion)
     share = portable.sin(angles) / np.where(radii > 0, radii, 1.0)
     return np.stack((plane[..., 0] * share, plane[..., 1] * share, portable.cos(angles)), axis=-1)
 
@@ -96,7 +96,7 @@ def _project_pinhole(camera: PinholeCamera, points: Floats) -> Floats:
 def _project_fisheye(camera: FisheyeCamera, points: Floats) -> Floats:
     aside = np.hypot(points[..., 0], points[..., 1])
     angles = np.arctan2(aside, points[..., 2])
-    radii = np.where(angles <= camera.half_fov_rad, bend(angles, camera.distortion), np.nan)
+    radii = np.where(angles <= camera.half_fov_rad, fisheye_radii(angles, camera.distortion), np.nan)
     share = np.where(aside > 0, radii / aside, 0.0)
     share = np.where(np.isnan(radii), np.nan, share)
     return points[..., :2] * share[..., None] * camera.focal_px + camera.centre_px

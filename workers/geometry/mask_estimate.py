@@ -42,8 +42,10 @@ class MaskEstimate:
         self._faces: Floats = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
         """Normal vectors whose length is the area, square metres."""
 
-    def look(self, x: float, y: float, yaw: float) -> tuple[float, float]:
-        """Returns the size of the target's mask and its mean column.
+    def evaluate(self, x: float, y: float, yaw: float) -> tuple[float, float]:
+        """Returns an estimate of the size and mean column of the target's mask.
+
+        `workers.experts.image_measures` computes both from a rendered image.
 
         Args:
             x: x of base_link in the world, metres.

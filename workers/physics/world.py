@@ -49,7 +49,7 @@ class ColliderMesh:
 
     pieces: tuple[MeshLists, ...]
     """Pieces within the limits of one collision shape."""
-    idle: list[_Rig] = field(default_factory=list, repr=False, compare=False)
+    idle: list[_Bodies] = field(default_factory=list, repr=False, compare=False)
     """At most one physics client with these obstacles that no world uses."""
 
     @classmethod
@@ -60,9 +60,9 @@ class ColliderMesh:
         return mesh
 
 
-def _discard(pieces: tuple[MeshLists, ...], idle: list[_Rig]) -> None:
-    for rig in idle:
-        rig.client.close()
+def _discard(pieces: tuple[MeshLists, ...], idle: list[_Bodies]) -> None:
+    for bodies in idle:
+        bodies.client.close()
     recycle(pieces)
 
 
@@ -81,7 +81,7 @@ class World(Closing):
         self._hz = control_hz
         self._floor_height = scene.info.floor_height_m
         self._stance = _resting_stance(robot, control_hz)
-        self._rig = _take_rig(robot, control_hz, collider, self._floor_height)
+        self._bodies = _take_bodies(robot, control_hz, collider, self._floor_height)
         self._collider = collider
         self._is_open = True
         self.place(0.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ class World(Closing):
         """Frees the physics client, or keeps it for the next world of these obstacles; further calls have no effect."""
         if self._is_open:
             self._is_open = False
-            _leave_rig(self._rig, self._collider)
+            _keep_bodies(self._bodies, self._collider)
 
     def place(self, x: float, y: float, yaw: float) -> None:
         """Places the robot at rest and settled on the floor.
@@ -103,8 +103,8 @@ class World(Closing):
             yaw: heading, radians.
         """
         height = self._floor_height + self._stance.height_m
-        self._rig.put(ShapePlacement((x, y, height), _heading_and_pitch(yaw, self._stance.pitch)))
-        self._pose = self._previous = self._rig.pose().levelled(LEVEL_TILT_RAD)
+        self._bodies.put(ShapePlacement((x, y, height), _heading_and_pitch(yaw, self._stance.pitch)))
+        self._pose = self._previous = self._bodies.pose().levelled(LEVEL_TILT_RAD)
 
     def command(self, v_mps: float, w_rps: float) -> None:
         """Sets the wheel speeds for a twist from the next step on, without slew limit.
@@ -113,12 +113,12 @@ class World(Closing):
             v_mps: forward speed, m/s.
             w_rps: yaw rate, rad/s, counter-clockwise positive.
         """
-        self._rig.drive(v_mps, w_rps)
+        self._bodies.drive(v_mps, w_rps)
 
     def step(self) -> None:
         """Simulates one control period."""
-        self._rig.client.step()
-        self._previous, self._pose = self._pose, self._rig.pose().levelled(LEVEL_TILT_RAD)
+        self._bodies.client.step()
+        self._previous, self._pose = self._pose, self._bodies.pose().levelled(LEVEL_TILT_RAD)
 
     def pose(self) -> Pose:
         """Returns the pose of base_link in the world, exactly level if its tilt is less than `LEVEL_TILT_RAD`."""
@@ -133,15 +133,15 @@ class World(Closing):
 
     def has_obstacle_contact(self) -> bool:
         """Returns whether the robot is within `CONTACT_DISTANCE_M` of any body other than the floor."""
-        return any(distance <= CONTACT_DISTANCE_M for distance in self._rig.obstacle_distances())
+        return any(distance <= CONTACT_DISTANCE_M for distance in self._bodies.obstacle_distances())
 
     def deepest_penetration(self) -> float:
         """Returns the largest overlap of the robot with any body other than the floor at its pose, metres, >= 0.
 
         Simulates no step. Colliders are surfaces, so a robot completely inside a hollow body has no overlap.
         """
-        self._rig.client.detect_collisions()
-        return max(0.0, -min(self._rig.obstacle_distances(), default=0.0))
+        self._bodies.client.detect_collisions()
+        return max(0.0, -min(self._bodies.obstacle_distances(), default=0.0))
 
 
 def _heading_and_pitch(yaw: float, pitch: float) -> tuple[float, float, float, float]:
@@ -151,7 +151,7 @@ def _heading_and_pitch(yaw: float, pitch: float) -> tuple[float, float, float, f
     return cos_yaw * cos_pitch, -sin_yaw * sin_pitch, cos_yaw * sin_pitch, sin_yaw * cos_pitch
 
 
-class _Rig:
+class _Bodies:
     """Bodies of a world in one physics client, with collision groups and motors."""
 
     def __init__(self, robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> None:
@@ -212,22 +212,22 @@ class _Rig:
         return [contact.distance_m for contact in self.client.contacts(self._body) if contact.other != self._floor]
 
 
-def _take_rig(robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> _Rig:
-    """Returns the idle rig of a collider with a new robot, or a new rig."""
+def _take_bodies(robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> _Bodies:
+    """Returns the idle bodies of a collider with a new robot, or new bodies."""
     if collider.idle and collider.idle[0].key == (robot, control_hz, floor_height):
-        rig = collider.idle.pop()
-        rig.renew()
-        return rig
-    return _Rig(robot, control_hz, collider, floor_height)
+        bodies = collider.idle.pop()
+        bodies.renew()
+        return bodies
+    return _Bodies(robot, control_hz, collider, floor_height)
 
 
-def _leave_rig(rig: _Rig, collider: ColliderMesh) -> None:
-    """Keeps a rig for the next world, unless another one is kept or it cannot be used again."""
-    robot, _, _ = rig.key
-    if collider.idle or rig.uses >= _MOST_USES or robot.physics_substeps not in _EXACT_SUBSTEPS:
-        rig.client.close()
+def _keep_bodies(bodies: _Bodies, collider: ColliderMesh) -> None:
+    """Keeps bodies for the next world, unless others are kept or they cannot be used again."""
+    robot, _, _ = bodies.key
+    if collider.idle or bodies.uses >= _MOST_USES or robot.physics_substeps not in _EXACT_SUBSTEPS:
+        bodies.client.close()
     else:
-        collider.idle.append(rig)
+        collider.idle.append(bodies)
 
 
 @dataclass(frozen=True)
@@ -243,9 +243,9 @@ class _Stance:
 @functools.cache
 def _resting_stance(robot: RobotConfig, control_hz: int) -> _Stance:
     """Simulates a robot on an empty floor until it settles, so that `place` needs no steps among obstacles."""
-    rig = _Rig(robot, control_hz, ColliderMesh(()), 0.0)
-    with rig.client:
+    bodies = _Bodies(robot, control_hz, ColliderMesh(()), 0.0)
+    with bodies.client:
         for _ in range(_SETTLE_STEPS):
-            rig.client.step()
-        pose = rig.pose()
+            bodies.client.step()
+        pose = bodies.pose()
     return _Stance(pose.z, 2 * math.atan2(pose.qy, pose.qw))

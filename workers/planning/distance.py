@@ -176,7 +176,7 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     for limit_m in (_NEAR_M, math.inf) if is_near else (math.inf,):  # a short search suffices for most starts
         field = _field_within(grid, target, task, limit_m)
         if math.isfinite(float(grid.values_at(field.metres, start_xy, np.inf))):
-            return _taut_length(grid, _way(grid, field, start_xy), target, goal)
+            return _shortened_length(grid, _cell_path(grid, field, start_xy), target, goal)
     return None
 
 
@@ -185,7 +185,7 @@ def is_way_straight(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskC
     return _straight_m(grid, np.asarray(start_xy, float), target, Goal.of(target, task)) is not None
 
 
-def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
+def _cell_path(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
     """Returns the points (N, 2) of the path of cells; the first point is the start."""
     start = np.asarray(start_xy, float)
     row, column = grid.cell_of(start)
@@ -198,7 +198,7 @@ def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
     return points
 
 
-def _taut_length(grid: Grid, way: Floats, target: Target, goal: Goal) -> float:
+def _shortened_length(grid: Grid, way: Floats, target: Target, goal: Goal) -> float:
     """Returns the length of the path after shortening to straight segments, up to its entry into the goal, metres."""
     length, at = 0.0, 0
     while at < len(way) - 1:

@@ -15,7 +15,7 @@ from schemas.support.extras import require_package
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.render import Renderer
-from workers.render.shelf import KEPT_SCENES
+from workers.render.prepared_scenes import KEPT_SCENES
 
 if TYPE_CHECKING:
     from workers.render.process import ProcessRenderer

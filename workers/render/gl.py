@@ -30,7 +30,7 @@ from workers.render.compose import compose_image
 from workers.render.cull import edges_of
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
-from workers.render.shelf import KEPT_SCENES, PreparedSceneCache
+from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
 
 _KEPT_TARGETS = 16
@@ -146,7 +146,7 @@ class GlRenderer(Closing):
     def render_instance(self, pose: Pose, instance_id: int) -> tuple[Window, DepthAndIds]:
         """Returns a window that contains all pixels of an instance, and that part of the image.
 
-        Draws what is in the window and not behind the instance.
+        Draws only the parts that are in the window and not behind the instance.
 
         Raises:
             UsageError: no scene was loaded.
@@ -162,7 +162,7 @@ class GlRenderer(Closing):
     def count_within(self, pose: Pose, window: Window, depth_m: float) -> int:
         """Returns the number of pixels in a window of the image with a depth above 0 and below `depth_m`.
 
-        Draws what may be so near, usually nothing.
+        Draws only the parts that may be closer than `depth_m`; usually there are none.
 
         Raises:
             UsageError: no scene was loaded.

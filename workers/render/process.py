@@ -19,9 +19,9 @@ from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedFrame
+from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind
-from workers.render.shelf import KEPT_SCENES, PreparedSceneCache
 
 
 class ProcessRenderer(Closing):

@@ -18,8 +18,8 @@ from schemas.support.jsonl_process import describe_exit
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
 from workers.process.one_core import one_core
+from workers.render.prepared_scenes import KEPT_SCENES
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
-from workers.render.shelf import KEPT_SCENES
 
 _ANSWER_S = 300.0
 _REAP_S = 3.0

@@ -16,7 +16,7 @@ _HAZE = 0.08
 
 
 class SkyPainter:
-    """Painter of one sky; keeps the last image, because most poses have the same lean."""
+    """Painter of one sky; keeps the last image, because most poses have the same tilt."""
 
     def __init__(self, sky: Sky | None) -> None:
         """Prepares the painter; `None` leaves frames as they are."""

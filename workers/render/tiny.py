@@ -27,7 +27,7 @@ from workers.physics.bullet import BulletClient, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame
 from workers.render.compose import compose_image
-from workers.render.shelf import KEPT_SCENES, PreparedSceneCache
+from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
 
 _TEXTURE_PX = 128

@@ -41,7 +41,7 @@ def noisy_depth(
     """
     scale = np.float32(focal_px * noise.baseline_m)
     seen = shifted(depth, noise.shift_std_px, key, step)
-    exact = np.empty_like(depth) if seen is depth else seen  # returned memory would be requested again
+    exact = np.empty_like(depth) if seen is depth else seen  # reuses the array, as new memory takes time
     lost = np.empty(seen.shape, np.bool_)
     for rows in _bands(len(seen)):
         np.divide(scale, np.where(seen[rows] > 0, seen[rows], np.float32(np.inf)), out=exact[rows])
@@ -185,7 +185,7 @@ def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Boo
 
 
 def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
-    """Returns (H, W) random values between which is interpolated: whole numbers below 2^24, which float32 adds
+    """Returns (H, W) values interpolated between random numbers: whole numbers below 2^24, which float32 adds
     exactly."""
     height, width = shape
     coarse = key.bits(Effect.HOLES, (-(-height // _HOLE_BLOCKS) + 1, -(-width // _HOLE_BLOCKS) + 1), step) >> 8
@@ -201,6 +201,6 @@ def _interpolated(values: Singles, side: int) -> Singles:
 
 @functools.lru_cache(maxsize=64)
 def _hole_level(share: float) -> float:
-    """Returns the value of `_smooth_noise` below which is this share of a large image."""
+    """Returns the threshold below which this share of the values of `_smooth_noise` is."""
     values = np.sort(_smooth_noise((512, 512), NoiseKey(0, 0, ""), 0), axis=None)
     return float(values[round(share * (values.size - 1))]) + (share == 1)

@@ -56,7 +56,7 @@ def poses_at(poses: Floats, steps: Floats) -> Floats:
 
     Positions and quaternions are interpolated linearly and normalised; between two control steps the robot turns by
     less than 0.03 rad, for which this differs from the great arc by less than 1e-6 rad. Before the first step the
-    robot stands.
+    robot is at rest.
     """
     last = len(poses) - 1
     times = np.clip(steps, 0, last)

@@ -79,7 +79,7 @@ def specific_forces(positions: Floats, frames: Floats, rate_hz: float) -> Floats
 
     The acceleration is the second difference of the positions (N, 3) of the sensor, so that it contains the centripetal
     and tangential acceleration of the lever arm; it belongs to the previous measurement, with whose rotation (N, 3, 3)
-    it is turned. Before the first pose the robot stands.
+    it is turned. Before the first pose the robot is at rest.
     """
     start = positions[:1]
     path = np.concatenate((start, start, positions))

@@ -33,11 +33,11 @@ def sense_odometry(odometry: WheelOdometry, twists: Floats, control_hz: int, key
     """Returns the measurements of the wheel encoders in an episode.
 
     The motors turn the wheels as commanded, and the tyres slip on the floor: in PyBullet the wheel joints follow the
-    commands to 2 mm over a drive of 4 m, while the robot stays behind by 0.4 %. So the commands give the ticks, and the
+    commands to 2 mm over a drive of 4 m, while the robot drives 0.4 % less far. So the commands give the ticks, and the
     recorded poses contain the slip of the simulation.
 
     Args:
-        odometry: measures of the drive and of the encoders, as the odometry knows them.
+        odometry: nominal dimensions of the drive, ticks of the encoders, and noise.
         twists: (T, 2) commanded forward speed, m/s, and yaw rate, rad/s, of each step, as recorded.
         control_hz: control rate, steps per second.
         key: identity of the sensor in the episode, which determines the noise.

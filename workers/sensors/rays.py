@@ -18,7 +18,7 @@ _BEHIND_M = np.geomspace(1e-4, 1e-2, 16)
 """Distance behind the first, second, ... back face from which a ray continues, metres. It grows, so that a ray that
 grazes a face leaves it; a ray that meets more of them hits nothing."""
 _TILTED = np.array((0.58, 0.21, 0.79))
-"""A direction to which the face of no usual object is parallel."""
+"""Direction that is not parallel to the faces of usual objects."""
 
 
 class SceneRays:

@@ -1,6 +1,6 @@
 """Motion blur and rolling shutter: the images at several poses during an exposure, mixed in linear light.
 
-Names the times at which to render, and mixes the images. Renders nothing.
+Computes the times at which to render, and mixes the images. Renders nothing.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def row_weights(noise: ColourNoise, rows: int) -> Singles:
     """Returns the weights (K, rows) of the images in each row; the weights of a row add up to 1.
 
     A row is exposed for `motion_blur_s`, and each row begins later than the one above it (C. Geyer, M. Meingast and S.
-    Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 2005). Image k has the share of the exposure that is
-    in part k of the whole duration.
+    Sastry, "Geometric models of rolling-shutter cameras", OMNIVIS 2005). The duration of the
+    image is divided into K equal parts; the weight of image k is the share of the row's exposure within part k.
     """
     count = noise.shutter_images
     duration = noise.motion_blur_s + noise.rolling_shutter_s

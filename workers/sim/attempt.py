@@ -99,7 +99,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
                 continue
             said = write_instruction(job, place, world.pose())
             if said is None and job.language is not None:
-                continue  # no sentence fits the target only from here
+                continue  # from this start, every sentence also fits other objects
             expert = make_expert(job)
             planned = expert.begin(world.pose(), place.grid, target)
             if planned is None:
@@ -117,7 +117,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
 
 
 def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
-    """Returns whether heading and image of a pose meet the job's conditions; renders only what decides."""
+    """Returns whether heading and image of a pose meet the job's conditions; renders only what is needed."""
     view, own, least = job.start_view, target.instance_id, job.gains.min_mask_px
     if view is None:
         return True
@@ -136,7 +136,7 @@ def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> b
 
 
 def _shows_target(attempt: _Attempt, planned: tuple[Waypoint, ...]) -> bool:
-    """Returns whether the target is in view at the end of a path: a frame instead of a drive that has to fail."""
+    """Returns whether the target is in view at the end of a path; if not, the drive would fail."""
     job, target = attempt.job, attempt.target
     goal = Goal.of(target, job.task)
     x, y, yaw = arrival_pose(planned, goal, goal.radius_m - STOPPED_M)

@@ -28,7 +28,7 @@ class ClosedLoop:
     """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.
 
     Frame t and pose t are taken before action t; the last action is recorded, not carried out, so that every array
-    has the length T and the poses alone prove the end (docs/design/data.md#bundle).
+    has the length T and the end can be verified from the poses alone (docs/design/data.md#bundle).
 
     Args:
         job: task, robot and camera settings.
@@ -98,7 +98,8 @@ class ClosedLoop:
         return self._termination.judge(x, y, self._distance_m(view), blocked, v)
 
     def _distance_m(self, view: Observation) -> float:
-        """Returns the distance to the goal, metres; at a false premise that to the start, or infinity in a turn."""
+        """Returns the distance to the goal, metres; at a false premise the distance to the start, or infinity while the
+        robot turns."""
         if not self._job.is_false_premise:
             return view.distance_m
         return math.inf if abs(self.command.w_rps) > STOPPED_RPS else math.dist(self._poses[0][:2], self._poses[-1][:2])

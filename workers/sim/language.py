@@ -19,7 +19,7 @@ def write_instruction(job: Job, place: LoadedScene, start: Pose) -> Instruction 
         start: pose of base_link at rest.
 
     Returns:
-        The instruction; `None` if the job has a template, or if no sentence fits its target only.
+        The instruction; `None` if the job has a template, or if every sentence also fits other objects.
     """
     if job.language is None:
         return None

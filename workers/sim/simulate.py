@@ -107,7 +107,7 @@ def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, progress:
 
 
 class _Progress:
-    """Step callback that reports progress at most four times a second."""
+    """Step callback that reports progress at most four times per second."""
 
     def __init__(self, send: SendReport) -> None:
         self.step = 0

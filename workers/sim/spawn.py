@@ -23,7 +23,7 @@ from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import geodesic_field, geodesic_m, pose_table
-from workers.sim.foresight import predict_path
+from workers.sim.predicted_path import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97

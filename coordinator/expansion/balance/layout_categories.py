@@ -1,7 +1,7 @@
 """Gives each cell of a layout its exact quota of categories, from the plan only. Reads no scene.
 
 The family has one sequence of categories for seen and one for held-out ones: random permutations of all categories, one
-after another. Its counts differ by at most one, and each layout takes the places that the plan deals to it.
+after another. Its counts differ by at most one, and each layout takes the places that the plan assigns to it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Distributes episodes over categories so that the totals of all categories are as equal as the scenes permit.
 
-The result is exact: no other distribution has a smaller sum of squared totals. Pure functions without chance.
+The result is exact: no other distribution has a smaller sum of squared totals. Pure functions without random numbers.
 """
 
 from __future__ import annotations

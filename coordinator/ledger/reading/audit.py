@@ -119,7 +119,7 @@ def ledger_trouble(url: str, catalog: Catalog | None = None) -> str:
     if make_url(url).get_backend_name() == "sqlite" and not any(
         path.name == (make_url(url).database or "").rpartition("/")[2] for path in sqlite_files(url)
     ):
-        return "is not there"
+        return "is missing"
     engine = open_reader(url)
     try:
         with engine.connect() as connection:

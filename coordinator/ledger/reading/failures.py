@@ -15,7 +15,8 @@ from schemas.terms import FailReason
 
 _RECENT_ATTEMPTS = 20_000
 _PLACE = re.compile(r"\((-?\d{1,6}\.\d{1,4}), (-?\d{1,6}\.\d{1,4})\) m")
-_NOT_SHOWN = (SUCCESS, str(FailReason.RELEASED), "cancelled")
+_NOT_SHOWN = (SUCCESS, str(FailReason.RELEASED), str(FailReason.LAYOUT), "cancelled")
+"""Outcomes without a location; a refused layout has no map."""
 
 
 @dataclass(frozen=True)

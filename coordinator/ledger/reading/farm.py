@@ -17,7 +17,7 @@ from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.host_memory import read_memory
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
-from coordinator.ledger.tables import attempts, events, jobs, workers
+from coordinator.ledger.tables import BUILD, attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts
 from schemas.protocol.messages import HostMemory
 
@@ -37,6 +37,8 @@ class RunningJob:
     """Episode number."""
     scene: str
     """Name of the scene."""
+    is_build: bool
+    """Whether the job builds the scene; then `index` is not an episode."""
     step: int
     """Number of simulated steps according to the last heartbeat."""
     state: str
@@ -45,10 +47,14 @@ class RunningJob:
 
 @dataclass(frozen=True)
 class FarmEvent:
-    """Event of a job, with its episode."""
+    """Event of a job, with its episode or the layout that it builds."""
 
     index: int
     """Episode number."""
+    scene: str
+    """Name of the scene."""
+    is_build: bool
+    """Whether the job builds the scene; then `index` is not an episode."""
     event: str
     """Name of the event."""
     state: str
@@ -130,19 +136,30 @@ def _cells(connection: Connection) -> dict[tuple[str, str, str], dict[str, int]]
 
 
 def _running(connection: Connection) -> dict[str, tuple[RunningJob, ...]]:
-    columns = (jobs.c.sid, jobs.c.idx, jobs.c.scene, jobs.c.step, jobs.c.state)
+    columns = (jobs.c.sid, jobs.c.idx, jobs.c.scene, jobs.c.tier, jobs.c.step, jobs.c.state)
     held = select(*columns).where(jobs.c.state.in_(HELD_STATES)).order_by(jobs.c.idx).limit(_MOST_RUNNING)
     found: defaultdict[str, list[RunningJob]] = defaultdict(list)
     for row in connection.execute(held):
-        found[row.sid or ""].append(RunningJob(row.idx, row.scene, row.step, row.state))
+        found[row.sid or ""].append(RunningJob(row.idx, row.scene, row.tier == BUILD, row.step, row.state))
     return {sid: tuple(rows) for sid, rows in found.items()}
 
 
 def _events(connection: Connection) -> tuple[FarmEvent, ...]:
-    columns = (jobs.c.idx, events.c.event, events.c.state, events.c.attempt, events.c.sid, events.c.detail, events.c.at)
+    of_job = (jobs.c.idx, jobs.c.scene, jobs.c.tier)
+    columns = (*of_job, events.c.event, events.c.state, events.c.attempt, events.c.sid, events.c.detail, events.c.at)
     query = select(*columns).join(jobs, jobs.c.id == events.c.job_id).order_by(events.c.id.desc()).limit(_EVENTS)
     return tuple(
-        FarmEvent(row.idx, row.event, row.state, row.attempt, row.sid, row.detail, datetime.fromtimestamp(row.at, UTC))
+        FarmEvent(
+            row.idx,
+            row.scene,
+            row.tier == BUILD,
+            row.event,
+            row.state,
+            row.attempt,
+            row.sid,
+            row.detail,
+            datetime.fromtimestamp(row.at, UTC),
+        )
         for row in connection.execute(query)
     )
 

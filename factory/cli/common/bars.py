@@ -60,7 +60,7 @@ class Bars(Progress):
         self._counts = counts or (MofNCompleteColumn(), TimeElapsedColumn())
         super().__init__(console=console, transient=transient, refresh_per_second=refresh_per_second)
         self._pause_s = pause_s
-        self._said = time.monotonic()
+        self._last_line_at = time.monotonic()
 
     def add_task(self, description: str, *args: Any, note: str = "", **fields: Any) -> TaskID:
         """Adds a task with a note; the default is an empty note."""
@@ -69,12 +69,12 @@ class Bars(Progress):
     def update(self, task_id: TaskID, **changes: Any) -> None:
         """Updates a task; without a terminal, prints a line."""
         super().update(task_id, **changes)
-        self._say()
+        self._print_line()
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:
         """Advances a task; without a terminal, prints a line."""
         super().advance(task_id, advance)
-        self._say()
+        self._print_line()
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """Yields the bars, then the notes that do not fit on the lines of the bars."""
@@ -109,11 +109,11 @@ class Bars(Progress):
             table.add_row(*(column(task) for column in columns))
         return table
 
-    def _say(self) -> None:
+    def _print_line(self) -> None:
         now = time.monotonic()
-        if self.console.is_terminal or now - self._said < self._pause_s:
+        if self.console.is_terminal or now - self._last_line_at < self._pause_s:
             return
-        self._said = now
+        self._last_line_at = now
         under_way = [task for task in self.tasks if task.started and not task.finished and task.total]
         if under_way:
             self.console.print(self._table(under_way, None, with_notes=True))

@@ -19,7 +19,7 @@ from schemas.storage.disk import translated
 from schemas.storage.place import children
 
 
-class Beginning(NamedTuple):
+class RunStart(NamedTuple):
     """The plan of a run, and whether the run is new."""
 
     plan: Plan
@@ -27,7 +27,7 @@ class Beginning(NamedTuple):
     """True when the dataset has neither a ledger nor episodes."""
 
 
-def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning:
+def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
     """Returns the plan to run in a dataset directory.
 
     Args:
@@ -50,7 +50,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
             _note_foreign_files(site.home)
     with translated("look into", site.home):
         has_episodes = bool(children(site.place / EPISODES))
-    return Beginning(plan, begun is None and not has_episodes)
+    return RunStart(plan, begun is None and not has_episodes)
 
 
 def _load(name: str, begun: Plan | None) -> Plan:
@@ -60,9 +60,9 @@ def _load(name: str, begun: Plan | None) -> Plan:
 
 def _note_foreign_files(out: Path) -> None:
     """Prints a note about files that do not belong to a dataset."""
-    strange = sorted(entry.name for entry in out.iterdir() if not is_part(entry.name)) if out.is_dir() else []
-    if strange:
-        some = ", ".join(strange[:3]) + (", ..." if len(strange) > 3 else "")
+    foreign = sorted(entry.name for entry in out.iterdir() if not is_part(entry.name)) if out.is_dir() else []
+    if foreign:
+        some = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         click.echo(
             f"note: {out} contains files that do not belong to a dataset; `factory verify` will report them: {some}",
             err=True,

@@ -31,7 +31,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 _PILOT = 50
 """First attempts per scene, as in the paper."""
 _MIN_SUCCESS = 0.8
-_WORTH_A_PILOT = 4 * _PILOT
+_MIN_EPISODES_FOR_PILOT = 4 * _PILOT
 """Least number of episodes for which `auto` runs a pilot. Below it, a pilot costs over a quarter of the run."""
 _MEANINGS = (
     f"Pilot before a new run: {_PILOT} first attempts in each scene. enforce: exit with 1 if less than "
@@ -45,7 +45,7 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     if default == "auto":
         modes.insert(0, default)
     auto = (
-        f"; auto: report for scenes with at least {_WORTH_A_PILOT} episodes, otherwise skip"
+        f"; auto: report for scenes with at least {_MIN_EPISODES_FOR_PILOT} episodes, otherwise skip"
         if default == "auto"
         else ""
     )
@@ -57,7 +57,9 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
 def pilots(plan: Plan, mode: GateMode) -> Iterator[Plan]:
     """Yields the plan of each pilot that a mode requires; `auto` omits families, whose layouts are not built yet."""
     for scene in plan.scenes:
-        if mode == "skip" or (mode == "auto" and (scene.layouts is not None or scene.episodes < _WORTH_A_PILOT)):
+        if mode == "skip" or (
+            mode == "auto" and (scene.layouts is not None or scene.episodes < _MIN_EPISODES_FOR_PILOT)
+        ):
             continue
         yield shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
 

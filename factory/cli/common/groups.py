@@ -89,7 +89,7 @@ class DefaultGroup(CommandGroup):
         return found
 
 
-def say_no_option(error: click.NoSuchOption) -> click.UsageError:
+def no_option_error(error: click.NoSuchOption) -> click.UsageError:
     """Returns the error for an unknown option, with suggestions of visible options of the command."""
     known = _visible_options(error.ctx.command.params if error.ctx is not None else ())
     return click.UsageError(

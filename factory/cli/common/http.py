@@ -1,8 +1,8 @@
-"""`--http` and `--http-token`: status pages of long-running commands, and the web page of a run."""
+"""`--http`, `--http-token` and `--eval`: status pages of long-running commands, and the web page of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -44,6 +44,23 @@ def http_options(command: Command) -> Command:
     return command
 
 
+def run_http_options(command: Command) -> Command:
+    """`--http HOST:PORT --http-token FILE --eval DIR` of a run."""
+    return http_options(evaluations_option(command))
+
+
+def evaluations_option(command: Command) -> Command:
+    """`--eval DIR`."""
+    return click.option(
+        "--eval",
+        "evaluations",
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="DIR",
+        multiple=True,
+        help="Output directory of `factory eval` to show on the web page; repeatable. Default: none.",
+    )(command)
+
+
 def _require_pages(context: click.Context, param: click.Parameter, http: str | None) -> str | None:  # noqa: ARG001
     if http is not None:
         require_package("prometheus_client", "--http")
@@ -78,7 +95,12 @@ def status_pages(source: StatusSource, http: str | None, token_file: Path | None
 
 @contextmanager
 def run_pages(
-    coordinator: Coordinator, site: Site, http: str | None, token_file: Path | None, ledger: str | None = None
+    coordinator: Coordinator,
+    site: Site,
+    http: str | None,
+    token_file: Path | None,
+    ledger: str | None,
+    evaluations: Sequence[Path],
 ) -> Iterator[None]:
     """Serves the web page and the status pages of a run while the context is open, if `--http` is given.
 
@@ -90,6 +112,7 @@ def run_pages(
         http: value of `--http`.
         token_file: value of `--http-token`.
         ledger: URL of the ledger; `None` for the ledger of the dataset.
+        evaluations: values of `--eval`; directories that do not exist yet are shown when they do.
 
     Raises:
         UsageError: the address is malformed or unprotected, or the extra `metrics` is missing.
@@ -106,9 +129,25 @@ def run_pages(
 
     token = read_token(token_file) if token_file is not None else None
     more = routes(coordinator.health)
-    with serve(site, http, token, ledger=ledger, administer=coordinator.administer, more_routes=more) as url:
+    with serve(site, http, token, None, ledger, coordinator.administer, more, evaluations) as url:
         click.echo(f"web page and /metrics: {url}", err=True)
         yield
+
+
+def check_run_evaluations(http: str | None, evaluations: Sequence[Path]) -> None:
+    """Checks `--eval` of a run before the run starts.
+
+    Raises:
+        UsageError: evaluations are given without `--http`.
+        WorldError: a directory exists and is not an evaluation.
+    """
+    if evaluations and http is None:
+        raise UsageError("--eval requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
+    if evaluations:
+        from factory.eval.results.store import read_manifest
+
+        for folder in filter(Path.exists, evaluations):
+            read_manifest(folder)
 
 
 def _require_http(http: str | None, token_file: Path | None) -> None:

@@ -115,7 +115,7 @@ def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, ga
     return pieces
 
 
-def say_building(name: str) -> None:
+def print_building(name: str) -> None:
     """Prints on stderr that a scene is built."""
     click.echo(f"building {name}; this is done once and takes some seconds, for a large stage minutes", err=True)
 

@@ -36,7 +36,7 @@ def summarise(root: Place, progress: Progress) -> dict[str, Any]:
     }
 
 
-def say_missing(site: object, progress: Progress) -> None:
+def print_missing(site: object, progress: Progress) -> None:
     """Prints on stderr how many episodes of a finished run are missing and what to do; nothing if none is missing.
 
     Args:

@@ -59,7 +59,7 @@ def splits_of(dataset: Dataset, asked: tuple[str, ...] | None) -> tuple[Split, .
 
 
 @dataclass(frozen=True)
-class Asked:
+class EvalOptions:
     """The values of the options of `factory eval`; see the help of the command."""
 
     root: Path
@@ -77,7 +77,7 @@ class Asked:
     appearance: str | None = None
 
 
-def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
+def make_campaign(asked: EvalOptions, drives_here: bool = True) -> Campaign:
     """Returns the campaign that the options describe.
 
     Args:
@@ -151,7 +151,7 @@ def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
         return publish(campaign, store, videos, tell)
 
 
-def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
+def _specs(dataset: Dataset, asked: EvalOptions) -> SpecSet:
     """Returns the specs in the file, or creates them from the dataset."""
     if asked.specs_path is not None:
         splits = frozenset(map(Split, asked.splits)) if asked.splits else None

@@ -29,7 +29,7 @@ from factory.cli.common.options import (
 )
 from factory.cli.common.output import json_option, print_result
 from factory.cli.common.places import DIRECTORY
-from factory.cli.eval.campaign import Asked, draw_up, eval_split_filter, open_store, pace_bars, published
+from factory.cli.eval.campaign import EvalOptions, eval_split_filter, make_campaign, open_store, pace_bars, published
 from factory.cli.eval.compare import command as compare_command
 from factory.cli.eval.specs import command as specs_command
 from factory.cli.eval.tables import print_evaluation
@@ -114,13 +114,13 @@ def run(
     Writes episodes.parquet, results.json and index.html to --out. The same command continues an interrupted evaluation.
     """
     configure_logs()
-    door = _door(listen, connect, tls, out, options["workers"])
-    campaign = draw_up(Asked(**options), drives_here=door is None)
+    access = _network_access(listen, connect, tls, out, options["workers"])
+    campaign = make_campaign(EvalOptions(**options), drives_here=access is None)
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))
-        if not _drive(campaign, store, door):
-            kept = "run the same command again to continue" if out else "results were not kept; keep them with -o DIR"
+        if not _drive(campaign, store, access):
+            kept = "run the same command again to continue" if out else "the results were not stored: use -o DIR"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
         evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
@@ -128,7 +128,7 @@ def run(
         if out:
             click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
             _print_repeat_command(evaluation, store)
-    return _judged(evaluation)
+    return _exit_code_of(evaluation)
 
 
 def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
@@ -138,7 +138,7 @@ def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
         click.echo(f"note: episodes with policy faults are kept; to repeat a corrected policy, {again}", err=True)
 
 
-def _judged(evaluation: Evaluation) -> int:
+def _exit_code_of(evaluation: Evaluation) -> int:
     """Returns the exit code: 1 if a policy had a fault in every episode, because it was then not evaluated."""
     lost = [policy.policy for policy in evaluation.policies if policy.only_failed]
     for name in lost:
@@ -146,7 +146,7 @@ def _judged(evaluation: Evaluation) -> int:
     return 1 if lost else 0
 
 
-def _door(
+def _network_access(
     listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
 ) -> FleetAccess | None:
     """Returns how workers are reached; `None` if this machine runs the episodes."""
@@ -167,22 +167,22 @@ def _door(
                 "of them"
             )
         require_tls_endpoints(connect)
-        return FleetAccess((), connect, Guard(tls, listens=False), _invite)
+        return FleetAccess((), connect, Guard(tls, listens=False), _print_worker_command)
     require_loopback(connect)
     guard, endpoints = choose_listening(tls, listen) if listen else (None, ())
-    return FleetAccess(endpoints, connect, guard, _invite)
+    return FleetAccess(endpoints, connect, guard, _print_worker_command)
 
 
-def _invite(endpoints: tuple[str, ...]) -> None:
+def _print_worker_command(endpoints: tuple[str, ...]) -> None:
     for endpoint in endpoints:
         click.echo(f"factory worker --cores 2 --connect {endpoint}", err=True)
 
 
-def _drive(campaign: Campaign, store: Store, door: FleetAccess | None) -> bool:
+def _drive(campaign: Campaign, store: Store, access: FleetAccess | None) -> bool:
     with stop_on_signals() as (stop, _), pace_bars(campaign) as tell:
-        if door is None:
+        if access is None:
             return run_campaign(campaign, store, stop, tell)
-        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, door, stop, tell)
+        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, access, stop, tell)
 
 
 command.set_default(run)

@@ -19,7 +19,7 @@ from factory.cli.common.admission import choose_listening, find_hosts
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
@@ -32,9 +32,9 @@ from factory.cli.common.options import (
     tls_option,
     verbose_option,
 )
-from factory.cli.common.output import say_building
+from factory.cli.common.output import print_building
 from factory.cli.common.places import PLACE
-from factory.cli.common.summary import say_missing
+from factory.cli.common.summary import print_missing
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run, write_target_lists
 from factory.runs.render import prepare_rendering
@@ -79,7 +79,7 @@ def command() -> None:
 )
 @click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
-@http_options
+@run_http_options
 @gate_option("skip")
 @click.option(
     "--states",
@@ -101,6 +101,7 @@ def start(
     tls: Path | None,
     http: str | None,
     http_token: Path | None,
+    evaluations: tuple[Path, ...],
     gate_mode: GateMode,
     states: Place | None,
     verbose: bool,
@@ -113,6 +114,7 @@ def start(
     is stopped earlier. The pilot of --gate runs on this host before the first job is assigned.
     """
     configure_logs(verbose)
+    check_run_evaluations(http, evaluations)
     guard, listen = choose_listening(tls, listen)
     if states is not None and plan_name is not None:
         raise UsageError(f"--states {states}: the plan is that of the dataset; omit PLAN {plan_name}")
@@ -141,19 +143,19 @@ def start(
         )
         with (
             Coordinator(site.home, plan, catalog, options) as coordinator,
-            run_pages(coordinator, site, http, http_token, ledger),
+            run_pages(coordinator, site, http, http_token, ledger, evaluations),
         ):
             write_target_lists(catalog, site.place)
-            _say_endpoints(coordinator, plan, site, guard)
+            _print_endpoints(coordinator, plan, site, guard)
             progress = _wait(coordinator, stop, stay)
-    return _say_end(site, progress)
+    return _print_end(site, progress)
 
 
 def _build(plan: Plan, site: Site, stop: threading.Event, gate_mode: GateMode) -> Catalog:
     """Returns the scenes that are needed before the run; builds missing ones until `stop` is set."""
     before = scenes_before_run(plan, pilots(plan, gate_mode))
     with building_layouts(os.cpu_count() or 1, stop) as builds:
-        return open_catalog(plan, site.place, scene_cache(), say_building, builds, only=before)
+        return open_catalog(plan, site.place, scene_cache(), print_building, builds, only=before)
 
 
 def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:
@@ -166,17 +168,17 @@ def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progre
     return coordinator.progress()
 
 
-def _say_end(site: Site, progress: Progress) -> int:
+def _print_end(site: Site, progress: Progress) -> int:
     """Prints the result of the run and returns the exit code."""
     if not progress.finished:
         click.echo(f"stopped; continue with: factory coordinator start --out {site}", err=True)
         return 0
     click.echo("finished", err=True)
-    say_missing(site, progress)
+    print_missing(site, progress)
     return 1 if progress.missing else 0
 
 
-def _say_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guard | None) -> None:
+def _print_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guard | None) -> None:
     """Prints where the coordinator listens, and the command that starts a worker."""
     where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)

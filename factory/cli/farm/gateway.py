@@ -62,7 +62,7 @@ def start(
     stopped. When the run has finished, copy the episodes of all gateways into one dataset with `factory gather`.
     """
     configure_logs(verbose)
-    guard, name, listen = _door(tls, name, connect, listen)
+    guard, name, listen = _choose_identity(tls, name, connect, listen)
     connect = find_endpoints(connect)
     settings = CoordinatorSettings()
     require_room(root, settings.reserve_bytes)
@@ -86,7 +86,7 @@ def start(
     return 0
 
 
-def _door(
+def _choose_identity(
     tls: Path | None, name: str | None, connect: tuple[str, ...], listen: tuple[str, ...]
 ) -> tuple[Guard | None, str, tuple[str, ...]]:
     """Returns the access control, `None` without TLS, the name of the gateway, and the endpoints to listen on."""

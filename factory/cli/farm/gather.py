@@ -15,7 +15,7 @@ from coordinator.recovery.join_shards import JoinReport, JoinTarget, join_shards
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option, shrink_options, shrunk_plan
-from factory.cli.common.output import json_option, print_result, print_table, say_building
+from factory.cli.common.output import json_option, print_building, print_result, print_table
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog
@@ -81,7 +81,7 @@ def command(
         raise UsageError(f"options that change PLAN ({', '.join(given)}) need --out, the dataset of the joined shards")
     root, folders = _directory(first), tuple(map(_directory, sources))
     with one_bar("gathering") as tell:
-        found = inspect_dataset(root, root, None, ledger, scene_cache(), say_building)
+        found = inspect_dataset(root, root, None, ledger, scene_cache(), print_building)
         report = gather(found, folders, datetime.now(UTC), requeue_missing=requeue_missing, on_progress=tell)
     print_result(report, as_json, _print)
     return 1 if report.missing and not report.requeued else 0
@@ -97,7 +97,7 @@ def _join(
     found = [one for source in sources for one in find_shards(source)]
     require_joinable(found, plan, partial=is_partial)
     require_outside_datasets(site)
-    catalog = open_catalog(plan, site.place, scene_cache(), say_building, packages=found[0][0] / SCENES)
+    catalog = open_catalog(plan, site.place, scene_cache(), print_building, packages=found[0][0] / SCENES)
     target = JoinTarget(site.place, site.home, ledger_url_of(site.home, ledger), plan, catalog)
     with one_bar("gathering shards") as tell, Validator() as checker:
         report = join_shards(target, found, checker, datetime.now(UTC), tell)

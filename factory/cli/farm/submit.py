@@ -16,7 +16,7 @@ from coordinator.expansion.file import load_plan
 from coordinator.expansion.plan_toml import plan_to_toml
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import count_option, plan_argument, shrink_options, shrunk_plan, write_option
-from factory.cli.common.output import json_option, print_json, say_building
+from factory.cli.common.output import json_option, print_building, print_json
 from factory.keys import admit, create_authority
 from factory.runs.catalog import open_catalog
 from factory.submit.slurm import Mode, SlurmJob, submit_all, write_scripts
@@ -112,7 +112,7 @@ def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
     """Creates the folder of a run with its plan, its scenes and, for workers, its certificates."""
     if job.run.exists():
         raise UsageError(f"{job.run} exists: choose another --out, or submit the scripts in {job.run / 'slurm'} again")
-    catalog = open_catalog(plan, job.dataset, scene_cache(), say_building)
+    catalog = open_catalog(plan, job.dataset, scene_cache(), print_building)
     with translated("write", job.run):
         job.plan.parent.mkdir(parents=True)
         (job.run / "shards").mkdir()

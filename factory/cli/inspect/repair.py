@@ -13,7 +13,7 @@ from coordinator.recovery.stray_files import count_plans
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import one_bar
 from factory.cli.common.options import ledger_option, site_argument
-from factory.cli.common.output import json_option, print_result, print_table, say_building
+from factory.cli.common.output import json_option, print_building, print_result, print_table
 from factory.dataset.site import Site
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -51,7 +51,7 @@ def command(
     configure_logs()
     plan = _plan_of(plan_name, site) if plan_name is not None else None
     with one_bar("checking files") as tell, Validator() as validator:
-        found = inspect_dataset(site.place, site.home, plan, ledger, scene_cache(), say_building)
+        found = inspect_dataset(site.place, site.home, plan, ledger, scene_cache(), print_building)
         report = repair(
             found,
             validator,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from factory.cli.common.http import read_token
+from factory.cli.common.http import evaluations_option, read_token
 from factory.cli.common.options import ledger_option, site_argument, tls_option, verbose_option
 from factory.dataset.site import Site
 from factory.support.logs import configure_logs
@@ -35,14 +35,7 @@ _DEFAULT = "127.0.0.1:8080"
     help="File whose first line is the token that every request requires. Default: a random token, which only changes "
     "require.",
 )
-@click.option(
-    "--eval",
-    "evaluations",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    multiple=True,
-    help="Output directory of `factory eval` to show; repeatable. Default: none.",
-)
+@evaluations_option
 @tls_option
 @ledger_option
 @verbose_option

@@ -13,6 +13,7 @@ from factory.cli.common.options import count_option, place_argument, rig_option,
 from factory.cli.common.output import json_option, print_json
 from factory.cli.common.places import episode_path
 from factory.dataset.bundle import EpisodeBundle
+from factory.dataset.steps import read_steps
 from factory.runs.catalog import find_package
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from factory.visualize.panels import draw_contact_sheet
@@ -41,7 +42,8 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
 
     EPISODE is a name or number: ep_000001 or 1. A .png file is a contact sheet. An .mp4 or .gif file is a real-time
     video of colour, depth, instance ids and a map with the trajectory, with the instruction below. RIG is a built-in
-    rig or a TOML file, see `factory rig list`.
+    rig or a TOML file, see `factory rig list`. The sub-instructions of an episode with a route are printed with their
+    frames.
     """
     path = episode_path(root, episode)
     target = out or Path(f"{path.stem}.png")
@@ -61,7 +63,15 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
             scene = decode_scene(package)
         with translated("create", target.parent):
             target.parent.mkdir(parents=True, exist_ok=True)
-        facts = {"file": str(target), "kind": kind[1:], "episode": job.episode_id, "frames": bundle.length}
+        facts: dict[str, object] = {
+            "file": str(target),
+            "kind": kind[1:],
+            "episode": job.episode_id,
+            "frames": bundle.length,
+        }
+        steps = read_steps(root, job.episode_id)
+        if steps:
+            facts["steps"] = [{"text": each.text, "start": each.start, "end": each.end} for each in steps]
         if kind == ".png":
             sheet = draw_contact_sheet(bundle, scene, columns) if rig is None else _rig_sheet(bundle, rig, columns)
             with translated("write", target):
@@ -72,6 +82,8 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
         print_json(facts | {"bytes": target.stat().st_size})
     else:
         click.echo(str(target))
+        for each in steps:
+            click.echo(f"{each.number}. frames {each.start} to {each.end - 1}: {each.text}")
 
 
 def _rig_sheet(bundle: EpisodeBundle, reference: str, columns: int) -> Image.Image:

@@ -20,7 +20,7 @@ from factory.cli.inspect.shard_status import draw_shards, shards_as_json
 from factory.dataset.site import Site
 from factory.runs.ledger import progress_of
 from factory.support.listen import require_endpoints
-from factory.support.text import say_duration
+from factory.support.text import format_duration
 from schemas.dataset.run_shard import find_shards
 from schemas.errors import TransientError, UsageError
 from schemas.protocol.status import HostStatus, Progress, WorkerStatus
@@ -107,7 +107,7 @@ def watch_progress(source: Callable[[], Progress], pause_s: float = _PAUSE_S, pa
                 silence_s = time.monotonic() - heard
                 if silence_s > patience_s:
                     raise
-                remark = Text(f"no answer for {say_duration(silence_s)}; retrying", style="yellow")
+                remark = Text(f"no answer for {format_duration(silence_s)}; retrying", style="yellow")
                 live.update(Group(draw_progress(progress), remark), refresh=True)
             else:
                 heard = time.monotonic()
@@ -118,7 +118,9 @@ def draw_progress(progress: Progress) -> Group:
     """Returns the progress of a run as text and tables."""
     done = progress.jobs.get("archived", 0)
     rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
-    head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {say_duration(progress.eta_s)}"
+    head = (
+        f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {format_duration(progress.eta_s)}"
+    )
     tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
     back = f"; returned jobs: {progress.given_back}" if progress.given_back else ""
     packed = [Text(f"shards of packed episodes: {progress.shards}")] if progress.shards else []

@@ -23,7 +23,7 @@ from factory.cli.common.output import json_option, print_result, print_table
 from factory.cli.common.places import PLACE
 from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
-from factory.support.text import say_duration
+from factory.support.text import format_duration
 from factory.train import BcOptions, EpochMeasures, TrainReport
 from factory.train.preprocess import SIZES
 from factory.train.run import TrainCallbacks, TrainOrder, train_bc
@@ -70,6 +70,11 @@ def command() -> None:
     help="Output head. continuous: linear and angular velocity; tokens: tokens of the action grid.",
 )
 @click.option("--ablate-language", is_flag=True, help="Replace each instruction with one constant token.")
+@click.option(
+    "--positions",
+    is_flag=True,
+    help="Give the features that locate the target their position in the image, for instructions with left and right.",
+)
 @click.option(
     "--size",
     type=click.Choice([str(size) for size in SIZES]),
@@ -123,6 +128,7 @@ def bc(
     seed: int,
     head: str,
     ablate_language: bool,
+    positions: bool,
     size: str,
     antialias: int | None,
     memory: float,
@@ -146,6 +152,7 @@ def bc(
     options = _options(
         head=head,
         ablate_language=ablate_language,
+        positions=positions,
         epochs=epochs,
         seed=seed,
         size=int(size),
@@ -229,6 +236,6 @@ def _print(report: TrainReport) -> None:
     seconds = sum(epoch.seconds for epoch in report.epochs)
     click.echo(
         f"{report.parameters} parameters on {report.device}: {report.train_episodes} episodes, {report.train_frames} "
-        f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {say_duration(seconds)}"
+        f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {format_duration(seconds)}"
     )
     click.echo(f"policy: bc:{report.out}")

@@ -23,7 +23,7 @@ from factory.cli.common.output import print_table
 
 def show_serve(report: ServeBench) -> None:
     """Prints the times of pages and frames, and the cost of open tabs."""
-    _say_machine(report.machine)
+    _print_machine(report.machine)
     pages: dict[str, RequestCost] = {"/": report.first_page, **report.table_page, "first frame": report.first_frame}
     rows = [
         (path, *(round(value, 1) for value in (cost.first_ms, cost.wall_ms.median)), _range(cost.wall_ms), cost.cpu_ms)
@@ -31,14 +31,14 @@ def show_serve(report: ServeBench) -> None:
     ]
     columns = ("request", "first, ms", "median, ms", "range", "CPU, ms")
     print_table(f"Web page of {report.episodes} episodes", columns, rows)
-    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time a frame")
+    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time per frame")
     share, idle = 100 * report.tabs_core_share, 100 * report.idle_core_share
     click.echo(f"{report.tabs} open tabs for {report.tabs_s:.0f} s: {share:.2f} % of a core, {idle:.2f} % without tabs")
 
 
 def show_rollout(report: RolloutBench) -> None:
     """Prints the speed of collection in each scene, the time of each stage, and the size of the output."""
-    _say_machine(report.machine, report.renderer)
+    _print_machine(report.machine, report.renderer)
     columns = (
         "scene",
         "frames/s",
@@ -79,7 +79,7 @@ def show_rollout(report: RolloutBench) -> None:
 
 def show_collect(report: CollectBench) -> None:
     """Prints the pace of whole runs."""
-    _say_machine(report.machine)
+    _print_machine(report.machine)
     rows = [
         (
             *(name, pace.episodes, pace.attempts),
@@ -95,7 +95,7 @@ def show_collect(report: CollectBench) -> None:
 
 def show_render(report: RenderBench) -> None:
     """Prints the speed of rendering in each scene and the time of each stage."""
-    _say_machine(report.machine, report.renderer)
+    _print_machine(report.machine, report.renderer)
     rows = [
         (
             *(name, _round(found.frames_per_s.median), _range(found.frames_per_s)),
@@ -115,7 +115,7 @@ def show_render(report: RenderBench) -> None:
 
 def show_memory(report: MemoryBench) -> None:
     """Prints the memory of a simulation process over many short episodes."""
-    _say_machine(report.machine, report.renderer)
+    _print_machine(report.machine, report.renderer)
     rows = [
         ("episodes", report.episodes),
         ("successful episodes, the others ended early", report.succeeded),
@@ -130,7 +130,7 @@ def show_memory(report: MemoryBench) -> None:
 
 def show_dataset(report: DatasetBench) -> None:
     """Prints the costs of a large dataset."""
-    _say_machine(report.machine)
+    _print_machine(report.machine)
     reader, verification, checkpoint = report.reader, report.verification, report.checkpoint
     rows = [
         ("generating, s", report.generate_s, ""),
@@ -157,7 +157,7 @@ def _peak(memory: Memory) -> str:
 
 def show_coordinator(report: CoordinatorBench) -> None:
     """Prints the results of the coordinator benchmark."""
-    _say_machine(report.machine)
+    _print_machine(report.machine)
     rows = [
         ("lease + announce + archive, cycles/s", report.cycles_per_s.median, _range(report.cycles_per_s)),
         ("reopening the ledger, s", report.reopen_s.median, _range(report.reopen_s)),
@@ -203,7 +203,7 @@ def show_coordinator(report: CoordinatorBench) -> None:
 
 def show_read(report: ReadBench) -> None:
     """Prints the results of the reader benchmark."""
-    _say_machine(report.machine)
+    _print_machine(report.machine)
     rows = [
         (
             "random frames, all three images, frames/s",
@@ -239,7 +239,7 @@ def _describe_size(size: int, antialias: int) -> str:
     return f"{size} x {size} pixels" + (f", {antialias} x {antialias} samples each" if antialias > 1 else "")
 
 
-def _say_machine(machine: Machine, renderer: str | None = None) -> None:
+def _print_machine(machine: Machine, renderer: str | None = None) -> None:
     click.echo(f"{machine.cpu}, {machine.cores} cores, {machine.memory_gib:g} GiB; initial load {machine.load_1m:g}")
     if renderer is not None:
         click.echo(renderer)

@@ -24,7 +24,7 @@ from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.execution.selection import parse_episodes
 from factory.export.registry import EXPORTERS, check_format, find_exporter
 from factory.support.logs import configure_logs
-from factory.support.text import say_duration
+from factory.support.text import format_duration
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from workers.client.stopping import stop_on_signals
@@ -172,7 +172,7 @@ def _estimate(order: ExportOrder, as_json: bool) -> int:
 def _print_estimate(estimate: ExportEstimate) -> None:
     click.echo(f"{estimate.format}: {estimate.episodes} episodes, {estimate.frames} frames")
     click.echo(f"size: about {_megabytes(estimate.bytes)}, during the export {_megabytes(estimate.peak_bytes)}")
-    click.echo(f"time: about {say_duration(estimate.seconds)} with {estimate.workers} processes")
+    click.echo(f"time: about {format_duration(estimate.seconds)} with {estimate.workers} processes")
     sample = f"{estimate.sample_frames} frames, {_megabytes(estimate.sample_bytes)}, {estimate.sample_seconds:.1f} s"
     click.echo(f"measured with {estimate.sample}: {sample}")
     fits = "enough" if estimate.fits else "NOT enough: free some space, or choose another --out"
@@ -185,7 +185,7 @@ def _print(report: ExportReport) -> None:
     what = f"{report.episodes} episodes{resumed}, {report.frames} frames, {_megabytes(report.bytes)}"
     lacking = {"skipped": len(report.skipped), "missing in the dataset": len(report.absent)}
     state = ", ".join(f"{count} episodes {what}" for what, count in lacking.items() if count) or "complete"
-    click.echo(f"{report.out}: {report.format}, {what}, {say_duration(report.seconds)}{speed}; {state}")
+    click.echo(f"{report.out}: {report.format}, {what}, {format_duration(report.seconds)}{speed}; {state}")
 
 
 def _megabytes(size: int) -> str:

@@ -22,7 +22,7 @@ from factory.cli.common.options import (
     verbose_option,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, print_table, say_building
+from factory.cli.common.output import json_option, print_building, print_result, print_table
 from factory.runs.catalog import open_catalog
 from factory.runs.gate import GateReport
 from factory.stats.model import Share
@@ -92,7 +92,7 @@ def command(
 
 def _try(plan: Plan, renderer: RendererKind, processes: int, min_success: float) -> GateReport | None:
     with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as folder:
-        catalog = open_catalog(plan, Path(folder), scene_cache(), say_building)
+        catalog = open_catalog(plan, Path(folder), scene_cache(), print_building)
         return try_scene(plan, catalog, min_success, renderer, processes, stop)
 
 

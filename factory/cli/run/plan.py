@@ -16,11 +16,11 @@ from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
-from coordinator.expansion.sentences import find_unsayable
+from coordinator.expansion.sentences import find_missing_instructions
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
-from factory.cli.common.output import json_option, print_json, print_table, print_text, say_building, stderr
+from factory.cli.common.output import json_option, print_building, print_json, print_table, print_text, stderr
 from factory.runs.catalog import collect_scenes, find_built
 from factory.runs.corners import corner_shares
 from factory.runs.plan_files import require_files
@@ -59,7 +59,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     mistakes = None if unknown else find_impossible(_without_families(plan), found)
     content = summarise(plan, found) if mistakes == [] and not families else None
     in_layouts = dict(planned_categories(plan).most_common())
-    mistakes = find_unsayable(_without_families(plan), found) if mistakes == [] else mistakes
+    mistakes = find_missing_instructions(_without_families(plan), found) if mistakes == [] else mistakes
     corners = {} if content is None else corner_shares(plan, found)
     if as_json:
         told: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
@@ -72,7 +72,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         seen, held_out = scene.categories
         print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")
         if scene.layouts is not None:
-            print_text(f"    {_say_layouts(plan, scene)}")
+            print_text(f"    {_describe_layouts(plan, scene)}")
     _print_cells(plan)
     if content is not None:
         _print_content(plan, content)
@@ -115,7 +115,7 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
     plan = shrunk_plan(load_plan(plan_name), changes)
     fixed = _without_families(plan)
     with tempfile.TemporaryDirectory(prefix="plan-") as folder:
-        catalog = collect_scenes(fixed, Path(folder), scene_cache(), say_building)
+        catalog = collect_scenes(fixed, Path(folder), scene_cache(), print_building)
     mistakes, found = find_impossible(fixed, catalog), find_nearest(plan, catalog)
     if found.plan is None:
         raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)
@@ -146,7 +146,7 @@ def _without_families(plan: Plan) -> Plan:
     return plan.model_copy(update={"scenes": tuple(scene for scene in plan.scenes if scene.layouts is None)})
 
 
-def _say_layouts(plan: Plan, scene: ScenePlan) -> str:
+def _describe_layouts(plan: Plan, scene: ScenePlan) -> str:
     """Returns the layouts of a family in one line, such as `6 layouts home_00000 to home_00005, 4 episodes each`."""
     parts = [part for part in plan.parts if family_of(part.name) == scene.name]
     counts = sorted({part.episodes for part in parts})

@@ -18,7 +18,7 @@ from factory.cli.common.options import (
     workers_option,
 )
 from factory.cli.common.output import json_option, print_json
-from factory.cli.common.summary import print_summary, say_missing, summarise
+from factory.cli.common.summary import print_missing, print_summary, summarise
 from factory.cli.run.run import RunBar
 from factory.dataset.site import Site, site_of
 from factory.runs.local import LocalRun, run_locally
@@ -77,7 +77,7 @@ def command(
             summaries[str(out)] = summarise(out.place, progress)
             if not as_json:
                 print_summary(summaries[str(out)])
-            say_missing(out, progress)
+            print_missing(out, progress)
     if as_json:
         print_json(list(summaries.values()) if len(rigs) > 1 else summaries[str(site)])
     return 1 if any(summary["missing"] for summary in summaries.values()) else 0

@@ -17,7 +17,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
 from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
-from factory.cli.common.http import http_options, run_pages
+from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
     ledger_option,
@@ -29,9 +29,9 @@ from factory.cli.common.options import (
     warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_result, say_building
+from factory.cli.common.output import json_option, print_building, print_result
 from factory.cli.common.places import PLACE, SHARD
-from factory.cli.common.summary import print_summary, say_missing, summarise
+from factory.cli.common.summary import print_missing, print_summary, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run
 from factory.runs.local import LocalRun, run_locally
@@ -39,7 +39,7 @@ from factory.runs.ray_engine import RayCluster
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from factory.support.text import say_duration
+from factory.support.text import format_duration
 from schemas.dataset.run_shard import RunShard
 from schemas.errors import UsageError
 from schemas.plan import Plan
@@ -85,7 +85,7 @@ from workers.experts import require_expert
 )
 @ledger_option
 @shrink_options
-@http_options
+@run_http_options
 @json_option
 @verbose_option
 def command(
@@ -101,6 +101,7 @@ def command(
     ledger: str | None,
     http: str | None,
     http_token: Path | None,
+    evaluations: tuple[Path, ...],
     as_json: bool,
     verbose: bool,
     **changes: Any,
@@ -115,6 +116,7 @@ def command(
     require_package("pybullet", "`factory run`")
     if address is not None and engine != "ray":
         raise UsageError(f"--address {address} needs --engine ray")
+    check_run_evaluations(http, evaluations)
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
@@ -127,7 +129,7 @@ def command(
         stop, _ = stack.enter_context(stop_on_signals())
         before = None if all_before else scenes_before_run(plan, pilots(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
-            catalog = open_catalog(plan, site.place, scene_cache(), say_building, builds, packages, before)
+            catalog = open_catalog(plan, site.place, scene_cache(), print_building, builds, packages, before)
         gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
         if gate is None:
             click.echo("interrupted during the gate; no result was kept", err=True)
@@ -147,13 +149,15 @@ def command(
             take_over=shard is not None and may_take_over(site, stop),
             cluster=cluster,
         )
-        progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token))
+        progress = _run(
+            run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token, ledger, evaluations)
+        )
     if not progress.finished:
         click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
     summary = summarise(site.place, progress)
     print_result(summary, as_json, print_summary)
-    say_missing(site, progress)
+    print_missing(site, progress)
     return 1 if progress.missing else 0
 
 
@@ -198,7 +202,7 @@ class RunBar(Bars):
         """Updates the bar."""
         failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
-        left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
+        left = "" if progress.eta_s is None else f"{format_duration(progress.eta_s)} left, "
         layouts = f", {progress.built_layouts}" if progress.layouts else ""
         note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{layouts}"
         self.update(self._task, total=progress.planned, completed=progress.jobs.get("archived", 0), note=note)

@@ -85,14 +85,14 @@ def _package_called(name: str, seed: int) -> Path:
         return build_scene(name, seed, scene_cache())
     imported = find_imported(scene_cache())
     if name not in imported:
-        raise UsageError(_say_unknown(name, imported))
+        raise UsageError(_unknown_scene_error(name, imported))
     package, *older = imported[name]
     if older:
         click.echo(f"note: {name} was imported {len(older) + 1} times; the last import is used: {package}", err=True)
     return package
 
 
-def _say_unknown(name: str, imported: Collection[str]) -> str:
+def _unknown_scene_error(name: str, imported: Collection[str]) -> str:
     return (
         f"{name!r} is neither a scene nor an existing file; built-in scenes: {', '.join(BUILTIN_CATEGORIES)}; "
         f"imported scenes: {', '.join(imported) or 'none'}; import a file with "

@@ -10,7 +10,7 @@ import click
 from factory.cli.common.options import write_option
 from factory.cli.common.output import json_option, print_result, print_table, print_text
 from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
-from factory.cli.scene.package import say_counts, say_rest
+from factory.cli.scene.package import describe_counts, describe_rest
 from schemas.storage.disk import translated
 
 _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
@@ -48,8 +48,8 @@ def _print(facts: dict[str, Any]) -> None:
     for key, value in facts.items():
         if key not in _LISTED:
             print_text(f"{key}: {_words(value)}")
-    print_text(f"categories: {say_counts(facts['categories'])}")
-    for line in say_rest(facts["no_target"], facts["instances"]):
+    print_text(f"categories: {describe_counts(facts['categories'])}")
+    for line in describe_rest(facts["no_target"], facts["instances"]):
         print_text(line)
     click.echo("")
     columns = ("id", "category", "colour", "centroid m", *(f"{kind} from" for kind in _TIERS), "prim")

@@ -10,7 +10,7 @@ import click
 
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.cli.common.places import PLACE
-from factory.cli.scene.package import say_counts
+from factory.cli.scene.package import describe_counts
 from factory.dataset.packages import find_package_file
 from factory.runs.catalog import find_imported
 from factory.support.settings import scene_cache
@@ -102,4 +102,4 @@ def _facts(package: Path) -> dict[str, str]:
             info = read_scene_info(file)
     except (FactoryError, OSError) as error:
         return {"summary": f"cannot be read: {' '.join(str(error).split())}", "targets": "-"}
-    return {"summary": info.source, "targets": say_counts(Counter(target.category for target in info.targets))}
+    return {"summary": info.source, "targets": describe_counts(Counter(target.category for target in info.targets))}

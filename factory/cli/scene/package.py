@@ -51,25 +51,25 @@ def print_package(facts: dict[str, Any]) -> None:
     for key, value in facts.items():
         if key not in _IN_WORDS:
             print_text(f"{key}: {value}")
-    print_text(f"targets: {say_counts(facts['targets'])}")
+    print_text(f"targets: {describe_counts(facts['targets'])}")
     for note in facts["notes"]:
         click.echo(f"note: {note}", err=True)
 
 
 def print_others(facts: dict[str, Any]) -> None:
     """Prints which instances are not targets, and how to make them targets."""
-    for line in say_rest(facts["no_target"], facts["instances"]):
+    for line in describe_rest(facts["no_target"], facts["instances"]):
         print_text(line)
     if any(thing["category"] is None for thing in facts["no_target"]):
-        print_text(say_rules())
+        print_text(describe_rules())
 
 
-def say_counts(categories: Mapping[str, int]) -> str:
+def describe_counts(categories: Mapping[str, int]) -> str:
     """Returns counts such as `6 shelf, 1 trash_can`, ordered by name; `none` if there are none."""
     return ", ".join(f"{categories[name]} {name}" for name in sorted(categories)) or "none"
 
 
-def say_rest(others: Sequence[Mapping[str, str | None]], instances: int) -> Iterator[str]:
+def describe_rest(others: Sequence[Mapping[str, str | None]], instances: int) -> Iterator[str]:
     """Yields lines about the instances that are not targets, with the names of some of them.
 
     Args:
@@ -84,7 +84,7 @@ def say_rest(others: Sequence[Mapping[str, str | None]], instances: int) -> Iter
             yield f"  {len(names)} {why}: {_some(names)}"
 
 
-def say_rules() -> str:
+def describe_rules() -> str:
     """Returns how to make an instance without a category a target."""
     from factory.scenes.rules import BUILTIN_RULES
 

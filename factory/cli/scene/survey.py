@@ -55,7 +55,7 @@ def command(
     if as_json:
         print_json(asdict(report))
     else:
-        for line in say_survey(report):
+        for line in describe_survey(report):
             print_text(line)
         click.echo("")
         print_table(
@@ -66,7 +66,7 @@ def command(
     return 1 if report.shortcomings else 0
 
 
-def say_survey(report: SurveyReport) -> Iterator[str]:
+def describe_survey(report: SurveyReport) -> Iterator[str]:
     """Yields the measures, one line each."""
     from factory.scenes.navigation.reach import SEE_RANGE_M
 

@@ -124,7 +124,7 @@ class PolicyFailure(Exception):
         self.detail = detail
 
 
-class ServerAway(Exception):
+class ServerUnreachable(Exception):
     """The server of a policy cannot be reached; the evaluation stops and can be resumed."""
 
 

@@ -27,7 +27,7 @@ from factory.eval.driving.policy import (
     PolicyInput,
     PrivilegedPolicy,
     PrivilegedState,
-    ServerAway,
+    ServerUnreachable,
     kind_of_actions,
     uses_camera,
 )
@@ -70,7 +70,7 @@ def run_episode(
 
     Raises:
         WorldError: The spec does not match its scene.
-        ServerAway: The server of the policy cannot be reached; the episode has no result.
+        ServerUnreachable: The server of the policy cannot be reached; the episode has no result.
     """
     start_s = time.monotonic()
     drive = _EpisodeRun(task, policy, simulator, observer)
@@ -170,7 +170,7 @@ class _EpisodeRun:
         start_s = time.monotonic()
         try:
             yield
-        except (PolicyFailure, ServerAway):
+        except (PolicyFailure, ServerUnreachable):
             raise
         except Exception as error:
             raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error

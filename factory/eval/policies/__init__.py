@@ -146,7 +146,7 @@ def make_policy(name: str, limits: PolicyLimits, file: Path | None = None) -> Po
 
     Raises:
         UsageError: The name is not valid, or creating the policy failed; the message contains the reason.
-        ServerAway: The server of the policy cannot be reached.
+        ServerUnreachable: The server of the policy cannot be reached.
     """
     entry = find_policy(name)
     rest = name if entry is _USER_CLASS else name.partition(":")[2]

@@ -1,4 +1,5 @@
-"""Policy with a trained behaviour cloning network: infers every few steps, holds the twist, and stops at the target.
+"""Policy with a trained behaviour cloning network: runs the network every few steps, holds the twist, and stops at the
+target.
 
 Loads the checkpoint on construction. Uses camera and instruction only.
 """
@@ -19,7 +20,7 @@ from factory.train.vocabulary import encode
 from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 
-LOOKS_TO_STAND = 2
+STOPS_REQUIRED = 2
 """Consecutive stop predictions after which the robot stops. It continues to drive until then: after a single wrong
 prediction, a stopped robot would see the same view again and never move."""
 _STOP_CELL = 3
@@ -97,7 +98,7 @@ class BcPolicy:
             answer = self._network(self._torch.from_numpy(picture), self._words)
         twist, is_stop = self._decide(answer)
         self._stops = self._stops + 1 if is_stop else 0
-        if self._stops >= LOOKS_TO_STAND:
+        if self._stops >= STOPS_REQUIRED:
             twist = np.zeros(2, np.float32)
         return np.tile(twist, (self.meta.options.hold, 1))
 

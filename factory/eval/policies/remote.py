@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
+from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerUnreachable
 from factory.eval.models.messages import PolicyLimits
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package
@@ -168,7 +168,7 @@ class RemotePolicy:
         """Connects to the server and reads its metadata.
 
         Raises:
-            ServerAway: The server did not accept a connection within `patience_s`.
+            ServerUnreachable: The server did not accept a connection within `patience_s`.
         """
         deadline = time.monotonic() + patience_s
         while True:
@@ -179,7 +179,9 @@ class RemotePolicy:
             except (OSError, TimeoutError, EOFError) as error:
                 reason = f"{type(error).__name__}: {error}"
             if time.monotonic() >= deadline:
-                raise ServerAway(f"no policy server responded at {self._address} for {patience_s:g} s ({reason})")
+                raise ServerUnreachable(
+                    f"no policy server responded at {self._address} for {patience_s:g} s ({reason})"
+                )
             time.sleep(_RETRY_S)
 
     def _open(self) -> Any:

@@ -22,7 +22,7 @@ import traceback
 from collections.abc import Callable
 
 from factory.dataset.packages import light_file
-from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerAway
+from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerUnreachable
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
@@ -94,7 +94,7 @@ class _Driver:
         number = order.task.number
         try:
             result = self._drive(order)
-        except ServerAway as error:
+        except ServerUnreachable as error:
             self._tell(EvalReport(kind=EvalReportKind.AWAY, number=number, detail=str(error)))
         except FactoryError as error:
             code = _exit_code(error)

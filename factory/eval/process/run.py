@@ -22,7 +22,7 @@ from schemas.errors import UsageError, WorldError
 
 _POLL_S = 0.05
 _TRIES = 2
-"""Number of attempts at an episode when the simulation, not the policy, dies."""
+"""Number of attempts at an episode when the simulation process dies outside of policy calls."""
 
 
 @dataclass(frozen=True)

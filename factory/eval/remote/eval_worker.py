@@ -20,7 +20,7 @@ from factory.eval.models.result import EpisodeResult
 from factory.eval.policies import is_user_class
 from factory.eval.policies.note import note_of
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
-from factory.eval.remote.driven import Driven, write_driven
+from factory.eval.remote.result_bundle import ResultBundle, write_result_bundle
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker
 from workers.process.messages import SimulationOrder, failure
@@ -82,7 +82,7 @@ class _EvalWorker:
             self.tell(result)
         else:
             note = note_of(task.policy, driver.made[task.policy], driver.renderer)
-            self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
+            self.tell(_seal(ResultBundle(result=result, note=note), order.bundle_path, time.monotonic() - begun))
 
     def _wait(self) -> Outcome | DriverEnded:
         """Returns the outcome of the current task; meanwhile, sends progress reports to the worker."""
@@ -111,12 +111,12 @@ def _result(
     return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, heard.detail)
 
 
-def _seal(driven: Driven, path: Path, seconds: float) -> worker.SimulationReport:
+def _seal(driven: ResultBundle, path: Path, seconds: float) -> worker.SimulationReport:
     """Writes a bundle atomically."""
     part = Path(f"{path}.part")
     try:
         with part.open("w+b") as file:
-            write_driven(driven, file)
+            write_result_bundle(driven, file)
             size = file.seek(0, os.SEEK_END)
             file.seek(0)
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()

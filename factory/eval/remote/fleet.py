@@ -28,7 +28,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.eval.models.messages import EvalTask
 from factory.eval.process.run import Pace
-from factory.eval.remote.driven import read_driven
+from factory.eval.remote.result_bundle import read_result_bundle
 from factory.eval.remote.result_validator import ResultValidator
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
@@ -61,7 +61,12 @@ class FleetAccess:
 
 
 def run_fleet(
-    campaign: Campaign, plan: Plan, store: Store, door: FleetAccess, stop: threading.Event, tell: Callable[[Pace], None]
+    campaign: Campaign,
+    plan: Plan,
+    store: Store,
+    access: FleetAccess,
+    stop: threading.Event,
+    tell: Callable[[Pace], None],
 ) -> bool:
     """Runs every unfinished episode on workers; returns whether all are finished, false when `stop` was set earlier.
 
@@ -69,7 +74,7 @@ def run_fleet(
         campaign: Campaign to run.
         plan: Plan of the dataset.
         store: Store of the results.
-        door: Network access to the workers.
+        access: Network access to the workers.
         stop: Event that stops the campaign gracefully; results received so far are kept.
         tell: Progress callback, called for each policy.
 
@@ -79,7 +84,7 @@ def run_fleet(
         WorldError: Episodes failed; the message contains the reasons.
     """
     tasks = number_tasks(campaign)
-    intake = Intake(store, tasks, tell)
+    intake = ResultCollector(store, tasks, tell)
     if not intake.left:
         return True
     attached = attachments_of(campaign)
@@ -93,19 +98,19 @@ def run_fleet(
 
     planned = tuple(map(planned_of, intake.left.values()))
     evaluation = EvalJobs(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
-    if door.connect:
-        _look_for_coordinator(door)
+    if access.connect:
+        _require_coordinator(access)
     _try_failed_again(root)
     options = CoordinatorOptions(
-        listen=door.listen,
+        listen=access.listen,
         settings=_SETTINGS,
-        guard=door.guard,
+        guard=access.guard,
         checker=ResultValidator(tasks),
         evaluation=evaluation,
-        connect=door.connect,
+        connect=access.connect,
     )
     with Coordinator(root, run_plan, catalog, options) as coordinator:
-        door.tell(coordinator.endpoints)
+        access.tell(coordinator.endpoints)
         is_over = _take_results(coordinator, intake, root, stop)
     if is_over:
         _require_whole(root, store)
@@ -115,7 +120,7 @@ def run_fleet(
     return is_over
 
 
-def _take_results(coordinator: Coordinator, intake: Intake, root: Path, stop: threading.Event) -> bool:
+def _take_results(coordinator: Coordinator, intake: ResultCollector, root: Path, stop: threading.Event) -> bool:
     """Stores results until all episodes are finished or `stop` is set; returns whether all are finished."""
     while not stop.is_set():
         is_over = coordinator.wait(_POLL_S, stop)
@@ -126,12 +131,12 @@ def _take_results(coordinator: Coordinator, intake: Intake, root: Path, stop: th
     return False
 
 
-def _look_for_coordinator(door: FleetAccess) -> None:
+def _require_coordinator(access: FleetAccess) -> None:
     """Raises an error if no coordinator replies."""
-    if door.guard is None:
-        ask_presence(door.connect)
+    if access.guard is None:
+        ask_presence(access.connect)
     else:
-        ask_presence(door.connect, door.guard.name, door.guard.files)
+        ask_presence(access.connect, access.guard.name, access.guard.files)
 
 
 def _try_failed_again(root: Path) -> None:
@@ -158,7 +163,7 @@ def _require_whole(root: Path, store: Store) -> None:
         )
 
 
-class Intake:
+class ResultCollector:
     """Record of the finished tasks, including those of earlier runs.
 
     Args:
@@ -194,7 +199,7 @@ class Intake:
             archived = read_archived(connection)
         for index in sorted(archived - self._done.keys()):
             with (root / file_name_of(episode_id(index))).open("rb") as file:
-                driven = read_driven(file)
+                driven = read_result_bundle(file)
             policy = driven.result.policy
             if self._store.note_of(policy) is None:
                 self._store.note(driven.note)

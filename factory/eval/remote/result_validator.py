@@ -20,7 +20,7 @@ from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
 from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
-from factory.eval.remote.driven import read_driven
+from factory.eval.remote.result_bundle import read_result_bundle
 from schemas.base import Model, Sha256
 from schemas.errors import InvalidBundle
 from schemas.job import Job
@@ -75,7 +75,7 @@ class ResultValidator:
         with path.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
-            driven = read_driven(file)
+            driven = read_result_bundle(file)
         task = self._tasks[job.index]
         findings = [] if target is None else result_findings(driven.result, task, target)
         if driven.note.policy != task.policy:

@@ -1,4 +1,7 @@
-"""Computes the tables of an evaluation: metrics with intervals, by split, scene, tier, category and template. Pure."""
+"""Computes the tables of an evaluation: metrics with intervals, by split, scene, tier, category and template.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Creates specs with unfiltered start poses in the scenes of a dataset, whether or not an expert can reach the target.
 
 Archived episodes contain only starts that their tier allows and from which the expert succeeded; these specs do not
-(field notes, point 25). The conditions of an instruction on the start view hold here, too. Renders the first view of
+have this selection. The conditions of an instruction on the start view hold here, too. Renders the first view of
 each start; runs no policies.
 """
 

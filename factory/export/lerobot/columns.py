@@ -1,4 +1,4 @@
-"""Computes the numeric columns of LeRobot from an episode: state, action, tokens, pose, time. Pure.
+"""Computes the numeric columns of LeRobot from an episode: state, action, tokens, pose, time. Pure functions.
 
 With a stride of n, an action is the mean of the n commands from its frame to the next exported frame; applied for one
 step of the lower rate, it covers the same distance and angle. Tokens are the grid points nearest to the mean.

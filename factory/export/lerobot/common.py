@@ -28,7 +28,7 @@ ROBOT = "nova_carter"
 _RIG_FILE = f"meta/{RIG_FILE}"
 OptionsT = TypeVar("OptionsT", bound=Decimated)
 _TEXT = """\
-A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, {fps} frames a second{decimated}.
+A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, {fps} frames per second{decimated}.
 
 ```python
 {example}

@@ -1,4 +1,4 @@
-"""12-bit codes of metric depth, with steps that grow with the distance, as LeRobot 0.6 decodes them. Pure."""
+"""12-bit codes of metric depth, with steps that grow with the distance, as LeRobot 0.6 decodes them. Pure functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Describes the features of a LeRobot dataset for `info.json` and the parquet schemas. Pure. Computes no values."""
+"""Describes the features of a LeRobot dataset for `info.json` and the parquet schemas.
+
+Pure functions. Computes no values.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Layout of a LeRobot dataset: its image features and numeric columns, of the recorded camera or of a rig. Pure.
+"""Layout of a LeRobot dataset: its image features and numeric columns, of the recorded camera or of a rig.
 
 LeRobot policies use every column whose name begins with `observation` or `action`; therefore tokens and the world pose
 have other names.
+
+Pure functions.
 """
 
 from __future__ import annotations

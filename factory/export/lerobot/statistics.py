@@ -1,4 +1,4 @@
-"""Computes statistics of features in the format of LeRobot, per episode and over all episodes. Pure.
+"""Computes statistics of features in the format of LeRobot, per episode and over all episodes. Pure functions.
 
 Quantiles of images are computed from histograms. Quantiles of the dataset are computed from all values; LeRobot
 averages the quantiles of the episodes instead.

@@ -1,4 +1,4 @@
-"""Text of the card of an MCAP export: topics and message types of a profile. Pure."""
+"""Text of the card of an MCAP export: topics and message types of a profile. Pure functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Converts an episode to messages of Foxglove: topics, frames and values. Pure. Does not encode messages.
+"""Converts an episode to messages of Foxglove: topics, frames and values. Pure functions. Does not encode messages.
 
 Frames: `world` (REP 103, z up), `base_link`, `front_optical` (z forward, x right, y down). Times count from frame 0.
 """

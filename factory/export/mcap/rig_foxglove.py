@@ -1,4 +1,4 @@
-"""Converts the measurements of a rig to messages of Foxglove. Pure. Does not encode messages.
+"""Converts the measurements of a rig to messages of Foxglove. Pure functions. Does not encode messages.
 
 Foxglove has no message of an IMU; `minivla.Imu` has its values.
 """

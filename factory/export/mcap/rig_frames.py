@@ -1,4 +1,4 @@
-"""Frames of the sensors of a rig in MCAP files: names and transforms from base_link. Pure.
+"""Frames of the sensors of a rig in MCAP files: names and transforms from base_link. Pure functions.
 
 A sensor has the frame `<name>_link` (x forward, y left, z up); a camera also has `<name>_optical_frame` (z forward, x
 right, y down), which images refer to.

@@ -1,4 +1,4 @@
-"""Packs a scan of a 3D lidar into the points of PointCloud messages. Pure."""
+"""Packs a scan of a 3D lidar into the points of PointCloud messages. Pure functions."""
 
 from __future__ import annotations
 

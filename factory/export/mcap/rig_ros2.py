@@ -1,4 +1,4 @@
-"""Converts the measurements of a rig to messages of ROS 2. Pure. Does not encode messages."""
+"""Converts the measurements of a rig to messages of ROS 2. Pure functions. Does not encode messages."""
 
 from __future__ import annotations
 

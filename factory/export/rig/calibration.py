@@ -1,4 +1,7 @@
-"""Calibration of the sensors of a rig for other programs: camera matrices of OpenCV and mounting quaternions. Pure."""
+"""Calibration of the sensors of a rig for other programs: camera matrices of OpenCV and mounting quaternions.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Describes a rig for the readers of an export: `rig.json` and the table of the dataset card. Pure."""
+"""Describes a rig for the readers of an export: `rig.json` and the table of the dataset card. Pure functions."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Converts one episode to the conventions of VLN-CE and Habitat: axes, reference path, instruction tokens. Pure.
+"""Converts one episode to the conventions of VLN-CE and Habitat: axes, reference path, instruction tokens.
 
 The world of Habitat is x right, y up, z backward (towards the viewer); an agent faces its local -z. The world of this
 project is x forward, y left, z up (REP 103); the robot faces +x. The rotation is (x, y, z) -> (x, z, -y).
+
+Pure functions.
 """
 
 from __future__ import annotations

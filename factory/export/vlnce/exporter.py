@@ -41,10 +41,10 @@ _CARD = """
   `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/60 s), for nDTW and SDTW.
 - Positions are in Habitat's world: x right, y up, z backward. A point (x, y, z) of our world (x forward, y left, z up)
   is (x, z, -y) there. `start_rotation` is a quaternion (x, y, z, w); an agent looks along its own -z.
-- `goals` has the target's centroid, put on the floor, with the success radius; in a dataset with `task.success =
+- `goals` has the target's centroid, projected to the floor, with the success radius; in a dataset with `task.success =
   "surface"`, points every 0.25 m or less along the edge of the target's footprint, the one nearest to the end first.
-  `reference_path` is the driven track, a point every 0.25 m. `info.geodesic_distance` goes to the success region, along
-  the floor (null where it is unknown).
+  `reference_path` is the driven track, a point every 0.25 m. `info.geodesic_distance` is the distance along the
+  floor to the success region (null where it is unknown).
 - `info.sub_instructions` of a dataset with routes has the text of each step and its span of `locations`, from `start`
   to before `end`.
 - `instruction_tokens` are indices into `instruction_vocab.word_list`, padded with 0 to {length}; one vocabulary for all

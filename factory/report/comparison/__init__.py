@@ -1,1 +1,4 @@
-"""Compares the statistics of a dataset with the numbers of the paper, with reasons for the differences. Pure."""
+"""Compares the statistics of a dataset with the numbers of the paper, with reasons for the differences.
+
+Pure functions.
+"""

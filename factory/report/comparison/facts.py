@@ -1,4 +1,4 @@
-"""Computes means that explain the trajectory lengths of a group: start distance, detour and speed. Pure.
+"""Computes means that explain the trajectory lengths of a group: start distance, detour and speed. Pure functions.
 
 The detour of an episode is its trajectory length minus the straight line from its start to its end, which is at
 distance NE from the target.

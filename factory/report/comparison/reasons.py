@@ -1,4 +1,4 @@
-"""Explains differences from the paper in one or two sentences with numbers. Pure."""
+"""Explains differences from the paper in one or two sentences with numbers. Pure functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compares the numbers of a dataset with the paper, with a reason for each noticeable difference. Pure.
+"""Compares the numbers of a dataset with the paper, with a reason for each noticeable difference. Pure functions.
 
 Takes numbers from `factory.stats` and reasons from `reasons`.
 """
@@ -95,7 +95,7 @@ def _lengths(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         yield from _length(material, "lengths", row, _facts(material, row.group))
         if said := row.paper:
-            ours, published, same = row.tl_median_m, said.tl_median_m, "The reason is that of the mean."
+            ours, published, same = row.tl_median_m, said.tl_median_m, "The reason is the same as for the mean."
             yield from _compare("lengths", "TL median, all", "TL", ours, published, said.source, str, same)
 
 

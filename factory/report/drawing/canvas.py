@@ -108,7 +108,9 @@ def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: fl
 
 
 def write_legend(axes: Axes, columns: int = 3, **more: Any) -> None:
-    """Draws the legend above the axes."""
+    """Draws the legend above the axes, if anything on them has a label."""
+    if not axes.get_legend_handles_labels()[0]:
+        return
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2, **more)
 
 

@@ -1,4 +1,4 @@
-"""Formats names and numbers of figures, captions and tables. Pure."""
+"""Formats names and numbers of figures, captions and tables. Pure functions."""
 
 from __future__ import annotations
 

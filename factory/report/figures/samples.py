@@ -30,7 +30,7 @@ def draw(material: ReportInput) -> Figure:
     scenes = len({sample.row.scene for sample in samples})
     caption = (
         f"Front RGB frames, 640 × 640 pixels as recorded, of {count(len(samples), 'episode')} in "
-        f"{count(scenes, 'scene')}, selected in turn from each scene and category. The yellow outline shows the "
+        f"{count(scenes, 'scene')}, selected alternately from each scene and category. The yellow outline shows the "
         "target's pixels in the recorded instance ids; it is not part of the recorded frames."
     )
     rows = -(-len(samples) // _COLUMNS)

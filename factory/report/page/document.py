@@ -1,4 +1,4 @@
-"""Builds the values of the template `report.html` of `factory.html`: texts, tables and drawings. Pure."""
+"""Builds the values of the template `report.html` of `factory.html`: texts, tables and drawings. Pure functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Formats the tables of the page: comparisons with the paper, and tables of figures. Pure. Does not escape text."""
+"""Formats the tables of the page: comparisons with the paper, and tables of figures.
+
+Pure functions. Does not escape text.
+"""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class BuiltinScene:
 
 
 _SCENES = (
-    BuiltinScene("office", "24 x 16 m office floor off a corridor, authored in centimetres", 0.01, lay_out_office),
+    BuiltinScene("office", "24 x 16 m office: rooms along a corridor, authored in centimetres", 0.01, lay_out_office),
     BuiltinScene("hospital", "30 x 20 m hospital floor: wards, waiting hall, reception", 1.0, lay_out_hospital),
     BuiltinScene(
         "full_warehouse",
@@ -65,9 +65,9 @@ _SCENES = (
         1.0,
         lay_out_multiple_shelves,
     ),
-    BuiltinScene("home", "90-170 m2 home of 5 to 9 rooms, open or off a hall", 1.0, lay_out_home),
+    BuiltinScene("home", "90-170 m2 home: 5 to 9 rooms, with or without a hall", 1.0, lay_out_home),
     BuiltinScene("shop", "140-250 m2 shop: sales floor, store, office, wash room", 1.0, lay_out_shop),
-    BuiltinScene("school", "190-330 m2 school: class rooms, library, staff room off a hall", 1.0, lay_out_school),
+    BuiltinScene("school", "190-330 m2 school: class rooms, library, staff room along a hall", 1.0, lay_out_school),
 )
 
 BUILTIN_SCENES: Mapping[str, BuiltinScene] = MappingProxyType({scene.name: scene for scene in _SCENES})

@@ -16,7 +16,7 @@ from factory.scenes.author.style import Palette
 
 _WALL_ROW_DEPTH_M = 0.66
 _THING_M = 0.34
-"""Width that a small thing on furniture has, metres."""
+"""Width reserved for each small object on furniture, metres."""
 _VARIANTS = 32_760
 """Common multiple of the numbers of variants, so that each variant is equally probable."""
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
@@ -32,7 +32,7 @@ class Furnisher:
         self.plan, self.room, self.area, self.palette = plan, room, room.area, palette
         self.rng = plan.rng
         self.to_hang: list[str] = []
-        """Things that `hang_all` hangs, after all furniture has its place."""
+        """Wall objects that `hang_all` mounts after all furniture is placed."""
 
     def length(self, side: str) -> float:
         """Returns the length of a wall, metres."""
@@ -71,14 +71,15 @@ class Furnisher:
         return None
 
     def on_top(self, name: str, variant: int | None, below: PropPlacement, height: float, along: float = 0.0) -> None:
-        """Places a small thing on furniture, `along` metres off its centre."""
+        """Places a small object on furniture, `along` metres from its centre."""
         c, s = math.cos(below.yaw), math.sin(below.yaw)
         self.plan.add(self.model(name, variant), below.x + c * along, below.y + s * along, below.yaw, height)
 
     def dress(
         self, piece: PropPlacement | None, names: Sequence[str], most: int = 2, top_m: float | None = None
     ) -> None:
-        """Places up to `most` different small things side by side on furniture; its height is used without `top_m`."""
+        """Places up to `most` different small objects side by side on furniture; `top_m` is the height of the surface,
+        by default that of the furniture."""
         if piece is None:
             return
         low, high = (float(bound[0]) for bound in (piece.model.low, piece.model.high))
@@ -89,7 +90,7 @@ class Furnisher:
             self.on_top(name, None, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
 
     def carpet(self, centre: tuple[float, float], width: float, depth: float, design: int = 0) -> None:
-        """Lays a rug if the room has the floor; `design` is its number in the palette."""
+        """Lays a rug if the room has enough floor; `design` is its number in the palette."""
         (x, y), rugs = centre, self.palette.rugs
         area = Rectangle(x - width / 2, y - depth / 2, x + width / 2, y + depth / 2)
         if self.area.contains(area):
@@ -115,16 +116,16 @@ class Furnisher:
         return self.plan.in_some_corner(self.model(name, variant), self.area, clearance)
 
     def small(self, names: Sequence[str], clearance: float = 0.45) -> None:
-        """Places small things along the walls where they fit."""
+        """Places small objects along the walls where they fit."""
         for name in names:
             self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance)
 
     def hang(self, name: str, count: int = 1) -> None:
-        """Notes things for `hang_all`."""
+        """Records wall objects for `hang_all`."""
         self.to_hang += [name] * count
 
     def hang_all(self) -> None:
-        """Hangs the noted things on free parts of the walls, away from the openings."""
+        """Mounts the recorded wall objects on free parts of the walls, away from the openings."""
         for name in self.to_hang:
             model = self.model(name)
             for side in self.sides() * 3:

@@ -1,6 +1,6 @@
 """Builds the vertex arrays of the renderer: unwelded vertices, sorted into runs of one instance and one texture.
 
-Pure. Bakes the light map. Does not assign instance ids.
+Pure functions. Bakes the light map. Does not assign instance ids.
 """
 
 from __future__ import annotations

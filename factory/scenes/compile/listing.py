@@ -1,6 +1,6 @@
 """Selects the targets of a scene from the candidates: reachable objects with stable names, colours and tiers.
 
-Pure. Adds a note for every candidate that is left out.
+Pure functions. Adds a note for every candidate that is left out.
 """
 
 from __future__ import annotations

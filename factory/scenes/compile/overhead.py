@@ -1,4 +1,7 @@
-"""Adds a ceiling or a floor to a scene without one, and finds whether the sky is visible from the floor. Pure."""
+"""Adds a ceiling or a floor to a scene without one, and finds whether the sky is visible from the floor.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,10 @@ _DIRECTIONS = 48
 _MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
 """Number of back faces, which are not visible, that a ray passes at most, and the step behind each, metres."""
 _SIDES = (0.62, 0.54, 0.57)
-"""Direction by which the two faces of a double-sided wall are cast apart: a ray meets either of them first."""
+"""Direction that separates the two coincident faces of a double-sided wall; rays are cast against each set, because a
+ray may hit either face first."""
 _OPEN_SHARE = 0.005
-"""Share of the views upwards that end at no surface above which a stage is open."""
+"""Share of upward rays without a hit above which a stage counts as open."""
 
 
 def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
@@ -86,7 +90,8 @@ def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> b
 
 
 def _leave(caster: Caster, origins: Singles, directions: Singles) -> NDArray[np.bool_]:
-    """Returns for N rays whether they meet no front face; a ray that passes too many back faces counts as stopped."""
+    """Returns for each of N rays whether it leaves the scene without hitting a front face; a ray that passes too many
+    back faces counts as a hit."""
     left, rest = np.zeros(len(origins), bool), np.arange(len(origins))
     for _ in range(_MOST_BACKS):
         distance, is_back = caster.first_hits(origins[rest], directions[rest], _REACH_M)

@@ -1,6 +1,6 @@
 """Computes vertex colours (sRGB), emission and reflectance of parts.
 
-Pure. Does not compute illumination; `scenes.light` bakes it.
+Pure functions. Does not compute illumination; `scenes.light` bakes it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class SceneFiles:
     images: dict[str, bytes] = field(default_factory=dict)
     """Encoded images inside other files, by name."""
     _faults: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Reason -> references with that fault -> first node that has them."""
+    """Reason -> unusable reference -> first node that uses it."""
 
     @property
     def readable(self) -> ReadableFolder:

@@ -1,4 +1,4 @@
-"""Transforms of the XML formats: poses of roll, pitch and yaw, and quaternions. Pure."""
+"""Transforms of the XML formats: poses of roll, pitch and yaw, and quaternions. Pure functions."""
 
 from __future__ import annotations
 

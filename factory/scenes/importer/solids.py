@@ -1,6 +1,6 @@
 """Polygons of geometric primitives: box, plane, sphere, cylinder, cone, capsule.
 
-Polygons are centred, in local units, with outward winding. Pure.
+Polygons are centred, in local units, with outward winding. Pure functions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Segments the surface of a scene into flat charts with local frames. Pure. Does not pack them or compute light."""
+"""Segments the surface of a scene into flat charts with local frames.
+
+Pure functions. Does not pack them or compute light.
+"""
 
 from __future__ import annotations
 

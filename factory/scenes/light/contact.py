@@ -1,6 +1,6 @@
 """Computes contact shadows of objects on the floor, which few rays and coarse texels miss under thin legs.
 
-Pure. Does not use lamps.
+Pure functions. Does not use lamps.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Computes smooth normals of charts that approximate a curved surface. Pure.
+"""Computes smooth normals of charts that approximate a curved surface. Pure functions.
 
 Charts that meet at less than a given angle are shaded as one smooth surface; sharper edges stay sharp.
 """
@@ -56,7 +56,7 @@ def corner_normals(triangles: Floats, groups: Ints) -> Floats:
 
     Args:
         triangles: (T, 3, 3) corners, world metres.
-        groups: (T,) surfaces of different groups never run on into each other.
+        groups: (T,) group of each triangle; normals are not smoothed across groups.
     """
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(cross, axis=1)
@@ -99,7 +99,7 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
     Args:
         charts: flat charts.
         triangles: (T, 3, 3) corners, world metres.
-        groups: (T,) surfaces of different groups never run on into each other.
+        groups: (T,) group of each triangle; normals are not smoothed across groups.
     """
     if len(triangles) > _MOST_TRIANGLES:
         corners = np.repeat(charts.axes[charts.of_triangle, 2][:, None], 3, axis=1)

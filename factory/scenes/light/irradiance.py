@@ -81,7 +81,8 @@ def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles
 
 
 def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, rays: Rays) -> tuple[Floats, Floats]:
-    """Returns (N,) the unoccluded light of the lamps at each texel, and the share that its open spots see."""
+    """Returns (N,) the unoccluded light of the lamps at each texel, and the share of it that reaches its spots that
+    count."""
     middle = texels.points.mean(axis=1)
     cells = np.column_stack((np.floor(middle / _CELL_M), texels.is_bent))
     cell = number_rows(cells.astype(np.int64))

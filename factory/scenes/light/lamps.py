@@ -1,4 +1,7 @@
-"""Finds the area lights of a scene: emissive charts, or a default grid of ceiling lamps if no chart emits. Pure."""
+"""Finds the area lights of a scene: emissive charts, or a default grid of ceiling lamps if no chart emits.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Smooths and fills values of a light map within each chart. Pure. Does not mix charts."""
+"""Smooths and fills values of a light map within each chart. Pure functions. Does not mix charts."""
 
 from __future__ import annotations
 

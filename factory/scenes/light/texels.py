@@ -1,4 +1,4 @@
-"""Maps the texels of a light map to world positions with normals and ray patterns. Pure. Casts no rays."""
+"""Maps the texels of a light map to world positions with normals and ray patterns. Pure functions. Casts no rays."""
 
 from __future__ import annotations
 

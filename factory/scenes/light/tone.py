@@ -1,4 +1,4 @@
-"""Tone-maps light to image values: exposure by scene content, soft shoulder, warm and cool white. Pure.
+"""Tone-maps light to image values: exposure by scene content, soft shoulder, warm and cool white. Pure functions.
 
 The curve applies to the light map alone, so that rendering is one multiplication and cannot overflow.
 """

@@ -1,4 +1,4 @@
-"""Packs the flat charts of a scene as rectangles of texels into the light map. Pure.
+"""Packs the flat charts of a scene as rectangles of texels into the light map. Pure functions.
 
 The outermost texel centres are on the edges of the chart, so that bilinear sampling does not read other charts and
 needs no padding. Small charts of a curved surface get two texels per side, so that light is continuous across edges.

@@ -1,1 +1,1 @@
-"""Computes the collider, the floor, the occupancy grid and the reachable targets of a scene. Pure."""
+"""Computes the collider, the floor, the occupancy grid and the reachable targets of a scene. Pure functions."""

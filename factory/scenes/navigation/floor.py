@@ -1,6 +1,6 @@
 """Finds the floor: its height and its triangles.
 
-Pure. Does not detect obstacles.
+Pure functions. Does not detect obstacles.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Rasterises triangles of a height band into the occupancy grid: outlines by sampling, interiors by interpolation.
 
-Pure. Does not compute reachability.
+Pure functions. Does not compute reachability.
 """
 
 from __future__ import annotations

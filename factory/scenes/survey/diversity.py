@@ -129,7 +129,8 @@ def coarse_map(scene: CompiledScene) -> Bools:
 def map_distance(one: Bools, two: Bools) -> float:
     """Returns the share of occupied cells that two maps do not have in common, 0..1.
 
-    The maps are laid corner to corner; of the eight turns and reflections, the one with most common cells counts.
+    The corners of the maps are aligned; of the eight rotations and reflections, the one with the most common cells
+    counts.
     """
     turned = [np.rot90(mirrored, turn) for mirrored in (two, two[:, ::-1]) for turn in range(4)]
     return min(_jaccard(one, other) for other in turned)

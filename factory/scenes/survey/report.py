@@ -1,6 +1,6 @@
 """Measures the spawn points of a compiled scene: number, spacing, floor coverage, visible targets.
 
-Pure. Does not compute spawn points; `spawns.py` does.
+Pure functions. Does not compute spawn points; `spawns.py` does.
 """
 
 from __future__ import annotations

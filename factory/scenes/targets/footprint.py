@@ -1,4 +1,4 @@
-"""Computes the footprint of an object: the convex hull of its projection to the floor. Pure.
+"""Computes the footprint of an object: the convex hull of its projection to the floor. Pure functions.
 
 Vertices are rounded to tenths of a millimetre before the hull is computed with integers, so that the result does not
 depend on the machine.

@@ -1,6 +1,6 @@
 """Applies the user's edited target list: selects the target prims and sets their ids, categories and colours.
 
-Pure. Prims that are not listed stay in the scene as objects.
+Pure functions. Prims that are not listed stay in the scene as objects.
 """
 
 from __future__ import annotations

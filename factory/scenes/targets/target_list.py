@@ -1,6 +1,6 @@
 """Reads and writes `targets_<scene>.yaml`, the target list of a scene that users edit.
 
-Does not apply the list; `edits.py` does.
+Does not apply the list; `target_edits.py` does.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from typing import Annotated
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from factory.scenes.yaml_text import read_yaml, say_absence
+from factory.scenes.yaml_text import os_reason, read_yaml
 from schemas.base import Model, Name
 from schemas.errors import UsageError
 from schemas.scene import SceneInfo
 from schemas.terms import COLOUR_NAMES
 
 _HEAD = """\
-# The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
-# be no target, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"` below
-# the scene in a plan. Centroid and size (metres) are for your eyes and are not read back.
+# The targets of {scene}. Set `enabled: false` to disable one, change its category, colour or id, delete rows that
+# are not targets, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"`
+# below the scene in a plan. Centroid and size (metres) are information only and are not read back.
 """
 
 
@@ -109,7 +109,7 @@ def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
     except OSError as error:
         command = f"factory scene targets {scene} -o {shlex.quote(str(path))}"
         raise UsageError(
-            f"cannot read targets file {path} ({say_absence(error)}); use all targets without --targets, or create "
+            f"cannot read targets file {path} ({os_reason(error)}); use all targets without --targets, or create "
             f"the file with `{command}`"
         ) from error
     except UnicodeDecodeError as error:

@@ -80,7 +80,7 @@ def film(request: Request) -> Response:
     policy = reading.policies[number] if number < len(reading.policies) else None
     found = policy.video(spec, f".{kind}") if policy is not None and f"{dot}{kind}" in _KINDS else None
     if found is None:
-        raise HTTPException(404, "the evaluation has no such film; `factory eval --videos N` draws N of each policy")
+        raise HTTPException(404, "the evaluation has no such video; `factory eval --videos N` draws N of each policy")
     return FileResponse(found, media_type=_KINDS[f".{kind}"], headers={"cache-control": "private, max-age=60"})
 
 

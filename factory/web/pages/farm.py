@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
+import pyarrow as pa
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from coordinator.ledger.reading.farm import FarmReading
+from coordinator.ledger.reading.farm import FarmReading, RunningJob
 from factory.html import render
-from factory.support.text import say_bytes, say_duration, say_time
+from factory.support.text import format_bytes, format_duration, format_time
 from factory.web.charts import draw_columns
 from factory.web.context import context_of, page
 from factory.web.live import LiveFeed
@@ -103,14 +104,18 @@ def _draw(workspace: Workspace, farm: Farm | FactoryError) -> str:
         hosts=progress.hosts,
         failures=progress.failures,
         chart=_chart(reading),
-        events=[(say_time(event.at, farm.at), episode_id(event.index), event) for event in reading.events],
+        events=[
+            (format_time(event.at, farm.at), event.scene if event.is_build else episode_id(event.index), event)
+            for event in reading.events
+        ],
+        unbuilt=progress.planned - sum(sum(counts.values()) for counts in reading.cells.values()),
         failed_scenes=list(farm.failed.items())[:_MAPS],
         scenes=_scenes(workspace, farm),
         gateways=progress.by_gateway,
         disk=_disk(workspace),
         ledger=f"format {farm.info.format}, {workspace.ledger_health()}",
         paused=reading.paused,
-        requests=[(say_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
+        requests=[(format_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
     )
 
 
@@ -123,7 +128,7 @@ def _tiles(farm: Farm) -> list[tuple[str, str, str]]:
     return [
         ("episodes", f"{done}", f"of {progress.planned}"),
         ("rate", rate, "over ten minutes"),
-        ("remaining", "finished" if progress.finished else say_duration(progress.eta_s), ""),
+        ("remaining", "finished" if progress.finished else format_duration(progress.eta_s), ""),
         ("workers", f"{len(alive)}", f"{sum(worker.slots for worker in alive)} simulations"),
         ("frames", f"{frames:.0f}/s", "over ten minutes"),
         ("failed", f"{failed}", f"{sum(progress.failures.values())} failed attempts"),
@@ -143,17 +148,21 @@ def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:
         host=worker.host,
         slots=worker.slots,
         archived=worker.archived,
-        jobs=", ".join(f"{episode_id(job.index)} step {job.step}" for job in jobs) or "–",
+        jobs=", ".join(map(_job, jobs)) or "–",
         frames_per_s="–" if rate is None else f"{rate:.1f}",
         version=farm.reading.versions.get(worker.sid, "") or "–",
         state=_state_of(worker, farm.progress),
-        last_beat=say_time(worker.last_beat, farm.at),
+        last_beat=format_time(worker.last_beat, farm.at),
         memory=_memory(farm.reading.memory.get(worker.host)),
     )
 
 
+def _job(job: RunningJob) -> str:
+    return f"builds {job.scene}" if job.is_build else f"{episode_id(job.index)} step {job.step}"
+
+
 def _memory(memory: HostMemory | None) -> str:
-    return "–" if memory is None else f"{say_bytes(memory.used_bytes)} of {say_bytes(memory.total_bytes)}"
+    return "–" if memory is None else f"{format_bytes(memory.used_bytes)} of {format_bytes(memory.total_bytes)}"
 
 
 def _state_of(worker: WorkerStatus, progress: Progress) -> str:
@@ -178,11 +187,11 @@ def _tables(workspace: Workspace) -> list[tuple[str, str, int]]:
     """Returns scene, split and number of episodes according to the tables of a dataset without ledger."""
     try:
         dataset = workspace.dataset()
-        scenes, splits = dataset.column("scene").to_pylist(), dataset.column("split").to_pylist()
+        columns = {name: dataset.column(name).cast(pa.string()) for name in ("scene", "split")}
     except FactoryError:
         return []
-    counts = Counter(zip(scenes, splits, strict=True))
-    return [(scene, split, count) for (scene, split), count in sorted(counts.items())]
+    counts = pa.table(columns).group_by(["scene", "split"]).aggregate([([], "count_all")]).to_pylist()
+    return sorted((row["scene"], row["split"], row["count_all"]) for row in counts)
 
 
 def _scenes(workspace: Workspace, farm: Farm) -> list[tuple[str, int, int]]:
@@ -199,4 +208,4 @@ def _disk(workspace: Workspace) -> str:
     if not workspace.site.home.is_dir():
         return "unknown"
     usage = shutil.disk_usage(workspace.site.home)
-    return f"{say_bytes(usage.free)} of {say_bytes(usage.total)} free"
+    return f"{format_bytes(usage.free)} of {format_bytes(usage.total)} free"

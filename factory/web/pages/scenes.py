@@ -39,15 +39,24 @@ def routes() -> list[Route]:
 def show_all(request: Request) -> Response:
     """Answers with one page of the list of scenes; `?family=NAME` selects the layouts of a family."""
     context, query = context_of(request), request.query_params
-    meta = context.workspace.meta()
+    found = context.workspace.scenes()
     family, number = query.get("family", ""), page_number(query)
-    names = [name for name in (meta.scenes if meta else {}) if family in ("", name, family_of(name))]
+    names = [name for name in found.packages if family in ("", name, family_of(name))]
+    unbuilt = [name for name in found.unbuilt if family in ("", name, family_of(name))]
     last = max(0, (len(names) - 1) // _PAGE_SCENES)
     counts = _episode_counts(context)
     shown = names[number * _PAGE_SCENES : (number + 1) * _PAGE_SCENES]
     scenes = [(name, counts.get(name, 0)) for name in shown]
     return page(
-        request, "scenes", "Scenes", scenes=scenes, total=len(names), number=number, last=last, family=family[:80]
+        request,
+        "scenes",
+        "Scenes",
+        scenes=scenes,
+        total=len(names),
+        unbuilt=unbuilt,
+        number=number,
+        last=last,
+        family=family[:80],
     )
 
 
@@ -117,13 +126,18 @@ def package_named(context: WebContext, name: str) -> ScenePackage:
     """Returns the package of a scene of the dataset.
 
     Raises:
-        HTTPException: the dataset has no such scene.
+        HTTPException: the dataset has no such scene, or its package is not built yet.
     """
     meta = context.workspace.meta()
-    scenes = meta.scenes if meta else {}
-    if name not in scenes:
-        raise HTTPException(404, f"the dataset has no scene {name[:80]!r}{did_you_mean(name[:80], scenes)}")
-    return ScenePackage(context.workspace.root, name, scenes[name])
+    digest = meta.scenes.get(name) if meta else None
+    if digest is None:
+        found = context.workspace.scenes()
+        if name in found.unbuilt:
+            raise HTTPException(404, f"{name} is not built yet; the run builds it")
+        if name not in found.packages:
+            raise HTTPException(404, f"the dataset has no scene {name[:80]!r}{did_you_mean(name[:80], found.packages)}")
+        digest = found.packages[name]
+    return ScenePackage(context.workspace.root, name, digest)
 
 
 def _episode_counts(context: WebContext) -> dict[str, int]:

@@ -113,7 +113,7 @@ class SceneFacts:
 
     @cached_property
     def volume(self) -> Floats:
-        """(N,) areas of the footprints times the heights, cubic metres; a box around a turned object is too large."""
+        """(N,) areas of the footprints times the heights, cubic metres; bounding boxes may be larger."""
         outlines = [np.array(each.outline_m) for each in self.graph.objects]
         ahead = [np.roll(outline, -1, axis=0) for outline in outlines]
         areas = [np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2 for a, b in zip(outlines, ahead, strict=True)]

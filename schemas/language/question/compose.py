@@ -1,6 +1,6 @@
 """Writes questions about a recorded episode: draws kinds and frames, computes answers and reasons from the scene graph.
 
-Keeps what the verifier accepts. Opens no file; chance is an argument.
+Keeps what the verifier accepts. Opens no file; the random generator is an argument.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from schemas.terms import CATEGORIES
 
 _TRIES = 4
 _MOVING_SHARE = 0.75
-"""Share of episodes whose next movement is not drawn from those with the stop."""
+"""Share of questions about the next movement in which the stop is not among the possible answers."""
 _METRES_SHARE, _METRES_FREE = 0.2, 0.1
 """Largest error of a rounded distance, as a share of the distance and in metres."""
 
@@ -108,7 +108,7 @@ class QuestionComposer:
 
 
 class _Answers:
-    """Computes answers about one episode; chance chooses frame and object."""
+    """Computes answers about one episode; draws frame and object at random."""
 
     def __init__(self, place: SceneRoutes, episode: AskedEpisode, composer: Composer, rng: np.random.Generator) -> None:
         self._place, self._scene, self._episode, self._composer, self._rng = place, place.scene, episode, composer, rng
@@ -154,6 +154,8 @@ class _Answers:
                 return None
             named = self._named(int(self._rng.choice(seen)))
             fitting = self._facts.described(named.kind, named.colour).sure & view.sure
+            if not fitting.any():  # a stool is only a borderline case of its category chair
+                return None
             nearest = min(np.flatnonzero(fitting).tolist(), key=lambda each: float(distance[each]))
             side, metres = side_of(float(view.bearing[nearest])), rounded(float(distance[nearest]))
             if side is None or metres is None:

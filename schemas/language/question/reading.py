@@ -1,4 +1,4 @@
-"""Reads a question with its answer and reason back: returns every meaning. Written without the writer of questions."""
+"""Reads a question with its answer and reason back: returns every meaning. Does not use their writer."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Decides whether a question has the right answer and reason: reads the text, replays the poses, measures polygons.
 
-Written without the code that computes answers. It shares the scene graph, the thresholds and the words.
+Independent of the code that computes answers, except that both use the scene graph, the thresholds and the words.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from schemas.language.reading import Reader
 from schemas.language.route import thresholds as route
 from schemas.language.route.replay import PoseReplay
 from schemas.language.route.steps import SceneRoutes
-from schemas.language.verifier.measure import Truth, down, up
+from schemas.language.verifier.measure import Truth, at_least, at_most
 from schemas.language.view import look
 from schemas.support.planar import footprint_distances
 
@@ -112,7 +112,7 @@ class QuestionVerifier:
         if meaning.reason is ReasonKind.NONE_EXISTS:
             return "such an object may exist" if possible else ""
         if meaning.reason is ReasonKind.NOT_IN_VIEW:
-            return "" if sure else "such an object does not surely exist"
+            return "" if sure else "it is not certain that such an object exists"
         return "the reason does not belong to the answer"
 
     def _where_fault(self, meaning: QuestionMeaning, t: int) -> str:
@@ -240,8 +240,8 @@ class QuestionVerifier:
 def _is_on(side: SeenSide, bearing: float) -> bool:
     match side:
         case SeenSide.AHEAD:
-            return down(abs(bearing), limit.AHEAD_RAD) is Truth.YES
+            return at_most(abs(bearing), limit.AHEAD_RAD) is Truth.YES
         case SeenSide.LEFT:
-            return up(bearing, limit.EGO_RAD) is Truth.YES
+            return at_least(bearing, limit.EGO_RAD) is Truth.YES
         case _:
-            return up(-bearing, limit.EGO_RAD) is Truth.YES
+            return at_least(-bearing, limit.EGO_RAD) is Truth.YES

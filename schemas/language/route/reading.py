@@ -1,4 +1,4 @@
-"""Reads the text of a route back: returns every meaning of its steps. Written without the code that writes routes."""
+"""Reads the text of a route back: returns every meaning of its steps. Does not use the code that writes routes."""
 
 from __future__ import annotations
 

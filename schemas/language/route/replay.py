@@ -1,6 +1,6 @@
 """Measures a driven path against a scene graph for the verifier of routes: angles, sides, lines of sight, widths.
 
-Written without the search that finds steps; works on polygons and single rays.
+Independent of the code that finds steps; works on polygons and single rays.
 """
 
 from __future__ import annotations

@@ -33,6 +33,9 @@ _BEYOND_M = 0.3
 _APART_M = 2.0
 """Smallest distance between two objects passed, metres."""
 _NEAR_M = 3.0
+_NEARER_M = (4.0, 2.5, 1.5, 0.8)
+"""Distances from the end at which a last step begins if no words fit the target from farther away, metres."""
+_SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
 _EVERY = 6
 
 
@@ -63,7 +66,7 @@ class SceneRoutes:
 
 
 class RouteSearch:
-    """Finds the steps of one path; chance chooses between steps that are equally true.
+    """Finds the steps of one path; draws one of several steps that are equally true.
 
     Args:
         place: scene of the path.
@@ -91,7 +94,11 @@ class RouteSearch:
         for number, part in enumerate(parts):
             own = [change for change in changes if part.start <= change.frame < part.end]
             if part.turn_rad:
-                turn = self._turn(part.turn_rad, own)
+                # the step covers the frames before the turn, too, whose heading may differ a little
+                turned = float(self._path.yaw[part.end - 1] - self._path.yaw[begun])
+                if abs(turned) < _SMALLEST_RAD and not own:
+                    continue
+                turn = self._turn(turned, own)
                 if turn is None:
                     return []
                 found.append(SpannedStep(turn, begun, part.end))
@@ -144,8 +151,8 @@ class RouteSearch:
         begun = found[-1].end if found else begun
         left = float(self._path.along[part.end - 1] - self._path.along[min(begun, part.end - 1)])
         if is_last:
-            stop = self._stop(min(begun, part.end - 1), part.end)
-            return None if stop is None else [*found, stop]
+            last = self._arrival(min(begun, part.end - 1), part.end, left)
+            return [*found, *last] if last else None
         if left > _SHORT_M:
             return [*found, self._onward(begun, part.end, left)]
         if found:
@@ -256,6 +263,23 @@ class RouteSearch:
             if named is not None:
                 return SpannedStep(RouteStep(kind=StepKind.TOWARDS, named=named), start, end)
         return SpannedStep(RouteStep(kind=StepKind.FORWARD, metres=max(1, round(length_m))), start, end)
+
+    def _arrival(self, start: int, end: int, left_m: float) -> list[SpannedStep]:
+        """Returns the last step; if no words fit the target from its start, straight on, and a step from nearer by.
+
+        Empty if no words fit the target only from any of these places.
+        """
+        stop = self._stop(start, end)
+        if stop is not None:
+            return [stop]
+        for rest_m in _NEARER_M:
+            place = self._frame_at(float(self._path.along[end - 1]) - rest_m)
+            if left_m - rest_m < limit.RUN_M or not start < place < end:
+                continue
+            stop = self._stop(place, end)
+            if stop is not None:
+                return [self._onward(start, place, left_m - rest_m), stop]
+        return []
 
     def _stop(self, start: int, end: int) -> SpannedStep | None:
         """Returns the last step; `None` if no words fit the target only."""

@@ -1,6 +1,6 @@
 """Decides whether the text of a route is true: reads it, replays the poses on the map, and tests every step.
 
-Written without the search that finds steps. It shares the scene graph, the doorways, the thresholds and the words.
+Independent of the code that finds steps, except that both use the scene graph, doorways, thresholds and words.
 """
 
 from __future__ import annotations
@@ -207,9 +207,9 @@ def _corner_fault(step: RouteStep, headings: Sequence[float]) -> str:
 def _pass_fault(step: RouteStep, replay: PoseReplay, number: int, start: int, end: int) -> str:
     places = {t: replay.relative(number, t) for t in replay.frames(start, end)}
     if places[start].real < limit.BEFORE_M.good - 0.05:
-        return "the object is not ahead at first"
+        return "the object is not ahead at the start of the step"
     if places[end - 1].real > -limit.BEHIND_M.good + 0.05:
-        return "the object is not behind at last"
+        return "the object is not behind at the end of the step"
     nearest = min(places, key=lambda t: replay.gap(number, t))
     if replay.gap(number, nearest) > limit.PASS_M.good + 0.1:
         return "the object is too far away"

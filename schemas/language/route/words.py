@@ -23,7 +23,7 @@ _SYNONYMS = 6
 
 
 class RouteRegister(Model):
-    """Frames and joints of a register."""
+    """Sentence patterns and connecting words of a register."""
 
     form: Name
     """Form of the verbs: `imperative` or `infinitive`."""
@@ -96,7 +96,7 @@ class RouteWords(Model):
         return tuple(found)
 
     def clause(self, step: RouteStep, form: str, held_out: bool, nouns: Grammar, rng: np.random.Generator) -> str:
-        """Returns the words of a step without a capital letter; chance chooses pattern and synonyms."""
+        """Returns the words of a step without a capital letter; draws pattern and synonyms at random."""
         key = clause_of(step)
         usable = [each for each in self.patterns[form] if each.clause == key and each.held_out == held_out]
         text = usable[int(rng.integers(len(usable)))].text

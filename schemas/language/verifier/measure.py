@@ -22,17 +22,17 @@ class Truth(IntEnum):
     YES = 2  # it surely holds
 
 
-def down(value: float, band: Band) -> Truth:
+def at_most(value: float, band: Band) -> Truth:
     """Returns whether a measure is small enough."""
     return Truth.YES if value <= band.good else Truth.MAYBE if value < band.bad else Truth.NO
 
 
-def up(value: float, band: Band) -> Truth:
+def at_least(value: float, band: Band) -> Truth:
     """Returns whether a measure is large enough."""
     return Truth.YES if value >= band.good else Truth.MAYBE if value > band.bad else Truth.NO
 
 
-def beside(angle_rad: float, turn_deg: float) -> float:
+def angle_between(angle_rad: float, turn_deg: float) -> float:
     """Returns the absolute difference of two directions, radians in [0, pi]."""
     return abs(math.remainder(angle_rad - math.radians(turn_deg), 2 * math.pi))
 
@@ -101,20 +101,24 @@ class Footprints:
             return Truth.NO
         place = (self._centres[number] - start) / (end - start)  # real part along, imaginary part across
         along, across = min(place.real, 1 - place.real), abs(place.imag)
-        return min(up(along, limit.BETWEEN_ALONG), down(across, limit.BETWEEN_ACROSS), down(span, limit.BETWEEN_SPAN_M))
+        return min(
+            at_least(along, limit.BETWEEN_ALONG),
+            at_most(across, limit.BETWEEN_ACROSS),
+            at_most(span, limit.BETWEEN_SPAN_M),
+        )
 
     def rests_on(self, number: int, other: int) -> Truth:
         """Returns whether an object is on the top of a landmark."""
         rest = abs(self._objects[number].low_m[2] - self._objects[other].high_m[2])
-        touching = down(rest, limit.TOUCH_M)
-        return min(touching, up(self._share(number, other), limit.OVERLAP)) if touching else Truth.NO
+        touching = at_most(rest, limit.TOUCH_M)
+        return min(touching, at_least(self._share(number, other), limit.OVERLAP)) if touching else Truth.NO
 
     def is_under(self, number: int, other: int) -> Truth:
         """Returns whether an object is below the top of a landmark and within its outline."""
         each, above = self._objects[number], self._objects[other]
         if each.low_m[2] >= above.high_m[2] or each.high_m[2] >= above.high_m[2] + 0.3:
             return Truth.NO
-        inside = up(self._share(number, other), limit.OVERLAP)
+        inside = at_least(self._share(number, other), limit.OVERLAP)
         is_low = each.high_m[2] < above.high_m[2] + 0.02 and each.low_m[2] - self._floor < limit.TOUCH_M.good
         return min(inside, Truth.YES if is_low and self.rests_on(number, other) is Truth.NO else Truth.MAYBE)
 

@@ -1,6 +1,6 @@
 """Decides which objects of a scene graph an expression fits, and whether a sentence says what it should.
 
-Written without the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
+Independent of the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
 definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
 """
 
@@ -13,7 +13,7 @@ from schemas.language import thresholds as limit
 from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation
 from schemas.language.graph import UNKNOWN, SceneGraph
 from schemas.language.reading import Reader, Reading
-from schemas.language.verifier.measure import Footprints, Truth, beside, down, up
+from schemas.language.verifier.measure import Footprints, Truth, angle_between, at_least, at_most
 from schemas.language.verifier.selection import Selected, by_size, counted, extreme
 from schemas.language.view import SceneView
 
@@ -159,10 +159,10 @@ class Verifier:
         each = self.graph.objects[number]
         match clause.relation:
             case Relation.ON_WALL:
-                hung = min(down(each.wall_gap_m, limit.TOUCH_M), up(each.base_m, limit.WALL_BASE_M))
+                hung = min(at_most(each.wall_gap_m, limit.TOUCH_M), at_least(each.base_m, limit.WALL_BASE_M))
                 return Truth.MAYBE if hung is Truth.YES and self._prints.is_supported(number) else hung
             case Relation.IN_CORNER:
-                return down(each.corner_gap_m, limit.CORNER_M)
+                return at_most(each.corner_gap_m, limit.CORNER_M)
             case Relation.IN_ROOM:
                 assert clause.room is not None
                 return self._in(number, self._unique_room(clause.room))
@@ -192,9 +192,9 @@ class Verifier:
         if shown is Truth.NO and own in (0, view.room):
             shown = Truth.MAYBE
         if relation is Relation.AHEAD:
-            return min(shown, down(abs(bearing), limit.AHEAD_RAD))
+            return min(shown, at_most(abs(bearing), limit.AHEAD_RAD))
         aside = bearing if relation is Relation.YOUR_LEFT else -bearing
-        return min(shown, up(aside, limit.EGO_RAD), down(abs(bearing), limit.EGO_BEHIND_RAD))
+        return min(shown, at_least(aside, limit.EGO_RAD), at_most(abs(bearing), limit.EGO_BEHIND_RAD))
 
     def _same_room(self, number: int, other: int) -> Truth:
         one, two = self.graph.objects[number].room, self.graph.objects[other].room
@@ -216,7 +216,7 @@ class Verifier:
         if together is Truth.NO:
             return Truth.NO
         if relation is Relation.NEXT_TO:
-            found = down(self._prints.gap(number, other), limit.NEXT_TO_M)
+            found = at_most(self._prints.gap(number, other), limit.NEXT_TO_M)
             return Truth.MAYBE if found is Truth.YES and self._prints.is_stacked(number, other) else found
         assert view is not None
         if not view.possible[other]:
@@ -226,13 +226,13 @@ class Verifier:
         shown = Truth.YES if view.sure[number] and view.sure[other] else Truth.MAYBE
         angle = self._prints.direction(number, other, (view.x, view.y))
         turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
-        way = down(beside(angle, turn[relation]), limit.DIRECTION_RAD)
+        way = at_most(angle_between(angle, turn[relation]), limit.DIRECTION_RAD)
         if relation in (Relation.BEHIND, Relation.IN_FRONT_OF):
-            way = min(way, down(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
+            way = min(way, at_most(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
             way = way if self._prints.has_same_base(number, other) else min(way, Truth.MAYBE)
         if way is Truth.NO:
             return Truth.NO
-        return min(shown, way, down(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
+        return min(shown, way, at_most(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
 
     def _between(self, number: int, first: int, second: int) -> Truth:
         rooms = {self.graph.objects[each].room for each in (number, first, second)} - {0}

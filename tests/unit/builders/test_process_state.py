@@ -1,4 +1,4 @@
-"""Changes of a test to its process are restored and reported."""
+"""Changes that a test makes to its process are restored and reported."""
 
 from __future__ import annotations
 

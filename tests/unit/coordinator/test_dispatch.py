@@ -11,7 +11,7 @@ from tests.builders.ledger import room_catalog
 TARGET = room_catalog()["room"].info.targets[0]
 
 
-class Desk:
+class TimedDispatch:
     """A dispatch with a test clock."""
 
     def __init__(self) -> None:
@@ -28,43 +28,43 @@ class Desk:
 
 
 def test_a_gateway_cannot_take_the_router_of_an_active_gateway() -> None:
-    desk = Desk()
-    assert desk.take("honest", "a") == []
+    timed_dispatch = TimedDispatch()
+    assert timed_dispatch.take("honest", "a") == []
     for _ in range(100):
-        assert desk.take("hostile", "a") == []
-        desk.now += 0.2
-        desk.offer(1, "a")
-        assert desk.take("hostile", "a") == []
-        assert desk.take("honest", "a") == [1]
+        assert timed_dispatch.take("hostile", "a") == []
+        timed_dispatch.now += 0.2
+        timed_dispatch.offer(1, "a")
+        assert timed_dispatch.take("hostile", "a") == []
+        assert timed_dispatch.take("honest", "a") == [1]
 
 
 def test_a_router_is_reassigned_when_its_gateway_is_silent() -> None:
-    desk = Desk()
-    desk.take("former", "a")
-    desk.now += 11.0
-    desk.take("new", "a")
-    desk.offer(1, "a")
-    assert desk.take("former", "a") == []
-    assert desk.take("new", "a") == [1]
+    timed_dispatch = TimedDispatch()
+    timed_dispatch.take("former", "a")
+    timed_dispatch.now += 11.0
+    timed_dispatch.take("new", "a")
+    timed_dispatch.offer(1, "a")
+    assert timed_dispatch.take("former", "a") == []
+    assert timed_dispatch.take("new", "a") == [1]
 
 
 def test_the_number_of_gateways_is_bounded_and_an_honest_one_is_served() -> None:
-    desk = Desk()
+    timed_dispatch = TimedDispatch()
     for number in range(3000):
-        desk.take(f"hostile-{number}", f"{number:x}")
+        timed_dispatch.take(f"hostile-{number}", f"{number:x}")
         if number % 500 == 0:
-            desk.take("honest", "ffffff")
-    desk.offer(1, "ffffff")
-    assert desk.take("honest", "ffffff") == [1]
-    desk.offer(2, "0")  # of the first of them
-    assert desk.here == [2]
+            timed_dispatch.take("honest", "ffffff")
+    timed_dispatch.offer(1, "ffffff")
+    assert timed_dispatch.take("honest", "ffffff") == [1]
+    timed_dispatch.offer(2, "0")  # of the first of them
+    assert timed_dispatch.here == [2]
 
 
 def test_a_gateway_that_names_many_routers_keeps_the_last_one() -> None:
-    desk = Desk()
+    timed_dispatch = TimedDispatch()
     for number in range(100):
-        desk.take("hostile", f"{number:x}")
-    desk.offer(1, "0")
-    assert desk.here == [1]
-    desk.offer(2, f"{99:x}")
-    assert desk.take("hostile", f"{99:x}") == [2]
+        timed_dispatch.take("hostile", f"{number:x}")
+    timed_dispatch.offer(1, "0")
+    assert timed_dispatch.here == [1]
+    timed_dispatch.offer(2, f"{99:x}")
+    assert timed_dispatch.take("hostile", f"{99:x}") == [2]

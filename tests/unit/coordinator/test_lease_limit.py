@@ -16,7 +16,7 @@ from coordinator.ledger.reading.progress import read_progress
 from coordinator.protocol.protocol import Terms
 from schemas.protocol.messages import Beat, Lease, LeaseProgress
 from schemas.protocol.status import HostStatus
-from tests.builders.ledger import TTL_S, Desk, room_plan
+from tests.builders.ledger import TTL_S, TimedLedger, room_plan
 
 LIMIT_S = 200.0
 EPISODES = 2
@@ -26,20 +26,20 @@ STATES = {False: "leased", True: "submitted"}
 class Held:
     """A ledger whose workers send heartbeats without end, and the lease limit of its coordinator."""
 
-    def __init__(self, desk: Desk, limit: LeaseLimit) -> None:
-        self.desk, self.limit = desk, limit
+    def __init__(self, timed_ledger: TimedLedger, limit: LeaseLimit) -> None:
+        self.timed_ledger, self.limit = timed_ledger, limit
         self.leases: dict[Lease, str] = {}
 
     def claim(self, sid: str) -> Lease:
-        lease = self.desk.lease(sid)
+        lease = self.timed_ledger.lease(sid)
         self.leases[lease] = sid
         return lease
 
     def pass_time(self, seconds: float) -> int:
         """Advances the time while every worker sends heartbeats; returns the number of leases ended by the limit."""
-        ended, end = 0, self.desk.now + timedelta(seconds=seconds)
-        while self.desk.now < end:
-            self.desk.tick(min(TTL_S / 2, (end - self.desk.now).total_seconds()))
+        ended, end = 0, self.timed_ledger.now + timedelta(seconds=seconds)
+        while self.timed_ledger.now < end:
+            self.timed_ledger.tick(min(TTL_S / 2, (end - self.timed_ledger.now).total_seconds()))
             self.beat()
             ended += self.limit.enforce()
         return ended
@@ -48,39 +48,39 @@ class Held:
         """Sends one heartbeat for each lease; returns the lost leases."""
         lost: list[Lease] = []
         for lease, sid in self.leases.items():
-            with self.desk.open() as connection:
+            with self.timed_ledger.open() as connection:
                 told = Beat(sid=sid, live=(LeaseProgress(lease=lease, step=1),))
-                lost += claims.beat(connection, told, self.desk.now, TTL_S).lost
+                lost += claims.beat(connection, told, self.timed_ledger.now, TTL_S).lost
         return lost
 
     def hosts(self) -> tuple[HostStatus, ...]:
-        with self.desk.open() as connection:
-            return read_progress(connection, self.desk.now).hosts
+        with self.timed_ledger.open() as connection:
+            return read_progress(connection, self.timed_ledger.now).hosts
 
     def row(self, lease: Lease) -> Any:
-        return self.desk.row(lease.job_id)
+        return self.timed_ledger.row(lease.job_id)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def held(request: pytest.FixtureRequest) -> Iterator[Held]:
     is_server = request.param == "postgresql"
     url = request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://"
-    desk = Desk(room_plan(EPISODES, crashes=2), url)
+    timed_ledger = TimedLedger(room_plan(EPISODES, crashes=2), url)
 
     def commit(work: Callable[[Connection], Any]) -> Any:
-        with desk.open() as connection:
+        with timed_ledger.open() as connection:
             return work(connection)
 
-    terms = Terms(desk.plan, desk.catalog, "1", TTL_S, 0.1)
-    yield Held(desk, LeaseLimit(desk.open, commit, terms, lambda: desk.now, LIMIT_S))
-    desk.engine.dispose()
+    terms = Terms(timed_ledger.plan, timed_ledger.catalog, "1", TTL_S, 0.1)
+    yield Held(timed_ledger, LeaseLimit(timed_ledger.open, commit, terms, lambda: timed_ledger.now, LIMIT_S))
+    timed_ledger.engine.dispose()
 
 
 @pytest.mark.parametrize("announced", [False, True], ids=["simulating", "announced"])
 def test_the_job_of_a_worker_that_only_sends_heartbeats_is_reassigned(held, announced):
     lease = held.claim("bad.1")
     if announced:
-        assert held.desk.done(lease)
+        assert held.timed_ledger.done(lease)
     assert held.pass_time(LIMIT_S) == 0
     assert held.beat() == []
     assert held.pass_time(TTL_S) == 1
@@ -90,11 +90,11 @@ def test_the_job_of_a_worker_that_only_sends_heartbeats_is_reassigned(held, anno
     (host,) = held.hosts()
     assert (host.host, host.strikes) == ("bad", 1)
     assert host.reason == f"hang: no episode after 200 s under one lease; the job is {STATES[announced]}"
-    assert not held.desk.done(lease)
-    held.desk.tick(60)
-    assert lease.job_id in {held.desk.lease("good.1").job_id for _ in range(EPISODES)}
-    with held.desk.open() as connection:
-        assert find_damage(connection, held.desk.catalog) == ""
+    assert not held.timed_ledger.done(lease)
+    held.timed_ledger.tick(60)
+    assert lease.job_id in {held.timed_ledger.lease("good.1").job_id for _ in range(EPISODES)}
+    with held.timed_ledger.open() as connection:
+        assert find_damage(connection, held.timed_ledger.catalog) == ""
 
 
 def test_only_leases_over_the_age_limit_end(held):
@@ -111,7 +111,7 @@ def test_a_job_that_no_host_completes_within_the_limit_is_abandoned(held):
         leases = [held.claim(host) for _ in range(EPISODES)]
         assert held.pass_time(LIMIT_S + TTL_S) == EPISODES
         held.leases.clear()
-        held.desk.tick(60)
+        held.timed_ledger.tick(60)
     for row in map(held.row, leases):
         assert row.state == "failed"
         assert "no episode after 200 s under one lease" in row.reason
@@ -128,7 +128,7 @@ def test_leases_have_the_full_limit_after_a_restart_of_the_coordinator(held):
 
 def test_the_limit_holds_when_the_clock_was_set_back(held):
     lease = held.claim("a.1")
-    held.desk.now -= timedelta(days=1)
+    held.timed_ledger.now -= timedelta(days=1)
     held.limit.restart()
     assert held.pass_time(LIMIT_S - TTL_S) == 0
     assert held.pass_time(2 * TTL_S) == 1

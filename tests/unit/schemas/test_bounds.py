@@ -1,4 +1,4 @@
-"""All data of peers is bounded: every number, text, list and map of every model at any depth."""
+"""All data from peers has bounds: every number, text, list and map of every model at any depth."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ RECEIVED = sorted(
     },
     key=lambda model: model.__name__,
 )
-"""All that is read from another process; models within them are walked too."""
+"""Models of data from other processes; nested models are checked too."""
 
 
 def unbounded(schema: Any, place: str) -> Iterator[str]:
-    """Yields where a core schema of pydantic has no bound."""
+    """Yields the places at which a core schema of pydantic has no bound."""
     if isinstance(schema, list | tuple):
         for number, part in enumerate(schema):
             yield from unbounded(part, f"{place}[{number}]")

@@ -1,4 +1,5 @@
-"""Layout of the family `home`: six to nine rooms, open or off a hall, with seeded sizes, doors, furniture and style.
+"""Layout of the family `home`: five to nine rooms, with or without a hall, with seeded sizes, doors, furniture and
+style.
 
 Chooses the building program and the style. `home_rooms` furnishes the rooms.
 """

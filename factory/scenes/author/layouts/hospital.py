@@ -83,7 +83,7 @@ def _cells(plan: FloorPlan, hall: str) -> list[Cell]:
 
 
 def _ward(plan: FloorPlan, room: Room) -> None:
-    """Beds with their heads at the outer wall, one more at a side wall, a wash basin, a bin, a board."""
+    """Beds with their heads at the outer wall, one bed at a side wall, a wash basin, a bin, a board."""
     area, rng, props = room.area, plan.rng, plan.props
     look = plan.pick(6)
     y_head, inward = _head_wall(room)
@@ -109,7 +109,8 @@ def _head_wall(room: Room) -> tuple[float, float]:
 
 
 def _bed_place(plan: FloorPlan, room: Room, bed: int, look: int) -> None:
-    """One bed at the outer wall: service panel, night stand, perhaps a drip, a visitor's chair on the inner side."""
+    """One bed at the outer wall: service panel, night stand, sometimes an infusion stand, a visitor's chair on the
+    inner side."""
     area, rng, props = room.area, plan.rng, plan.props
     y_head, inward = _head_wall(room)
     yaw, outside = FACING[room.outer], -1.0 if bed == 0 else 1.0

@@ -1,4 +1,4 @@
-"""Layout of the office: 24 x 16 m, rooms off a corridor - open plan, meeting, private, lounge, kitchen.
+"""Layout of the office: 24 x 16 m, rooms along a corridor: open plan, meeting, private, lounge, kitchen.
 
 Places structures and props, in metres; monitors on desks stay reachable. Does not build meshes.
 """
@@ -107,7 +107,7 @@ def _wall_workplace(plan: FloorPlan, area: Rectangle, side: str, along: float, l
 
 
 def _open_plan(plan: FloorPlan, room: Room) -> None:
-    """Desks in pairs and alone along the walls around an open middle; boards, plants, bins, a copier."""
+    """Desks in pairs and single desks along the walls around an open middle; boards, plants, bins, a copier."""
     area, rng, props = room.area, plan.rng, plan.props
     look = plan.pick(12)
     marking(plan, Rectangle(*area.centre, *area.centre).grown(1.4), CARPET_HALL)
@@ -128,7 +128,7 @@ def _open_plan(plan: FloorPlan, room: Room) -> None:
 
 
 def _meeting(plan: FloorPlan, room: Room) -> None:
-    """A conference table towards the windows with chairs tucked in; board and bin in the free half."""
+    """A conference table near the windows with chairs under its edge; board and bin in the free half."""
     area, rng, props = room.area, plan.rng, plan.props
     inward = -1.0 if room.outer == "N" else 1.0
     x = area.centre[0] + float(rng.uniform(-0.2, 0.2))
@@ -195,7 +195,7 @@ def _lounge(plan: FloorPlan, room: Room) -> None:
 
 
 def _kitchen(plan: FloorPlan, room: Room) -> None:
-    """A kitchen run on one wall, two round tables with a few chairs, bins and a fridge."""
+    """A row of kitchen units on one wall, two round tables with a few chairs, bins and a fridge."""
     area, rng, props = room.area, plan.rng, plan.props
     run = "EW"[plan.pick(2)]
     plan.against(props.model("SM_KitchenCounter", plan.pick(3)), area, run, 0.5, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Layout of the family `school`: class rooms, a library or computer room, a staff room and wash rooms off a hall.
+"""Layout of the family `school`: class rooms, a library or computer room, a staff room and wash rooms along a hall.
 
 The number, sizes and order of the rooms, the rows of desks and the style differ by seed.
 """

@@ -62,7 +62,8 @@ def lay_out_multiple_shelves(plan: FloorPlan) -> None:
 
 
 def _rack_rows(plan: FloorPlan, hall: Rectangle, aisle: float) -> Iterator[RackRow]:
-    """Yields single and back-to-back rack rows over the depth of the hall; singles have access from both sides."""
+    """Yields single and back-to-back rack rows over the depth of the hall; single rows are accessible from both
+    sides."""
     y = 3.2
     while y < hall.y1 - 2.8:
         yield RackRow("rack", y, FACING["N"])
@@ -142,7 +143,7 @@ def _wall_shelves(plan: FloorPlan, inside: Rectangle, count: int) -> None:
 
 
 def _floor_goods(plan: FloorPlan, inside: Rectangle, singles: int, clusters: int) -> None:
-    """Barrels and crates along the walls, alone and in small groups, and clutter between them."""
+    """Barrels and crates along the walls, single and in small groups, and clutter between them."""
     rng, props = plan.rng, plan.props
     names = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
     for number in range(singles):

@@ -1,4 +1,4 @@
-"""Builders of small things that are not targets: books, crockery, flowers, candles, kettles, wall ledges, coat hooks.
+"""Builders of small objects that are not targets: books, crockery, flowers, candles, kettles, wall ledges, coat hooks.
 
 Lengths in metres, front facing -y; things for tables have their foot at z = 0. Does not place props.
 """

@@ -1,4 +1,4 @@
-"""Builders of beds, lounge seats and soft things: beds, ottomans, benches, baskets, bags and suitcases.
+"""Builders of beds, lounge seats and luggage: beds, ottomans, benches, baskets, bags and suitcases.
 
 Lengths in metres, origin on the floor, front facing -y; the head of a bed is at +y. Does not place props.
 """
@@ -64,7 +64,7 @@ def ottoman(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def bench(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A wooden bench, partly with a cushion or a back."""
+    """A wooden bench, some variants with a cushion or a back."""
     finish = (wood("Oak"), wood("Walnut"), WHITE)[variant % 3]
     half = (0.55, 0.60, 0.50)[variant % 3]
     meshes = [block((-half, -0.18, 0.40), (half, 0.18, 0.44))]

@@ -1,4 +1,5 @@
-"""Builders of hospital furniture that is not a target: beds, night stands, drips, curtains, trolleys, a wheelchair.
+"""Builders of hospital furniture that is not a target: beds, night stands, infusion stands, curtains, trolleys, a
+wheelchair.
 
 Lengths in metres, origin on the floor, head end at +y. Does not place props.
 """
@@ -84,7 +85,7 @@ def nightstand(_variant: int, rng: Generator) -> list[PropPiece]:
 
 
 def drip_stand(_variant: int, _rng: Generator) -> list[PropPiece]:
-    """A drip pole on five castors with a bag."""
+    """An infusion stand on five castors with a bag."""
     pole = rod((0.0, 0.0, 0.1), (0.0, 0.0, 1.95), 0.014)
     feet = [
         tube([(0, 0, 0.12), (0.22 * x, 0.22 * y, 0.05)], 0.013, 4)
@@ -110,7 +111,7 @@ def curtain(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def head_panel(_variant: int, _rng: Generator) -> list[PropPiece]:
-    """The service panel above a bed head: rail, sockets and a reading light."""
+    """The service panel above the head of a bed: rail, sockets and a reading light."""
     board = block((-0.75, 0.0, 1.25), (0.75, 0.06, 1.5))
     light = block((-0.4, -0.04, 1.55), (0.4, 0.06, 1.62))
     sockets = [block((x - 0.04, -0.01, 1.3), (x + 0.04, 0.0, 1.4)) for x in (-0.5, -0.3, 0.3, 0.5)]

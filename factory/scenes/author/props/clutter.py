@@ -33,7 +33,7 @@ SPINES = SurfaceMaterial("BookSpines", "#5a4a44", "BookSpines")
 
 
 def cabinet(variant: int, rng: Generator) -> list[PropPiece]:
-    """A drawer cabinet, a tall two-door locker, or an open book case full of spines."""
+    """A drawer cabinet, a tall two-door locker, or an open book case full of books."""
     kind = variant % 3
     if kind == 0:
         body = block((-0.40, -0.22, 0.0), (0.40, 0.22, 1.05))
@@ -61,7 +61,7 @@ def _book_row(z: float, gap: float) -> AuthoredMesh:
 
 
 def kitchen_counter(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A 2.4 m kitchen run with doors, worktop, tap, coffee machine and wall units above 1.4 m."""
+    """A row of kitchen units, 2.4 m long, with doors, worktop, tap, coffee machine and wall units above 1.4 m."""
     front = (painted("SkyBlue", 0.4), WHITE, painted("Teal", 0.4))[variant % 3]
     pieces = [PropPiece(painted("Charcoal"), block((-1.2, -0.26, 0.0), (1.2, 0.3, 0.10)))]
     pieces.append(PropPiece(WHITE, block((-1.2, -0.28, 0.10), (1.2, 0.3, 0.86))))
@@ -91,7 +91,7 @@ def fridge(_variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def coat_stand(_variant: int, rng: Generator) -> list[PropPiece]:
-    """A pole with hooks and a coat or two."""
+    """A pole with hooks and one or two coats."""
     pole = lathe([(0.17, 0.0), (0.17, 0.02), (0.025, 0.05), (0.022, 1.75)], sides=12)
     hooks = [
         tube([(0, 0, 1.7), (x, y, 1.66), (1.3 * x, 1.3 * y, 1.74)], 0.01, 4)

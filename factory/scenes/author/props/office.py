@@ -56,7 +56,7 @@ def _end_frames(half_x: float, half_y: float, height: float, metal: SurfaceMater
 
 
 def desk(variant: int, rng: Generator) -> list[PropPiece]:
-    """A work desk 1.3-1.5 m wide on an open frame, partly with drawers hung under the top; all white, or of wood."""
+    """A work desk 1.3-1.5 m wide on an open frame, some with drawers under the top; all white, or of wood."""
     half_x, half_y = (0.70, 0.35) if variant % 2 == 0 else (0.65, 0.34)
     board = WOODS[variant % 4]
     metal = WHITE if board is WHITE else (BLACK, WHITE, STEEL)[variant % 3]
@@ -198,7 +198,7 @@ def _frond(angle: float, rise: float, length: float, at: Vector) -> list[Authore
 
 
 def trash_can(variant: int, _rng: Generator) -> list[PropPiece]:
-    """An open paper bin, a pedal bin with lid, a swing-top bin, or a mesh-grey office bin."""
+    """An open paper bin, a pedal bin with a lid, a bin with a swing top, or a grey mesh office bin."""
     kind = variant % 4
     if kind == 0:
         rim = lathe([(0.12, 0.0), (0.16, 0.40), (0.165, 0.41), (0.15, 0.41), (0.12, 0.06)], sides=14)

@@ -128,7 +128,7 @@ def waiting_chair(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def stool(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A low round stool on castors, as clinics have them, or on four wooden legs."""
+    """A low round stool on castors, as in clinics, or on four wooden legs."""
     if variant % 2 == 0:
         seat = cylinder(0.18, 0.46, 0.53, sides=16)
         return [
@@ -141,7 +141,7 @@ def stool(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def sofa(variant: int, rng: Generator) -> list[PropPiece]:
-    """A two-seat sofa or a wide loveseat, at most 1.56 m long so that its ends stay approachable."""
+    """A two-seat sofa, at most 1.56 m long, so that the robot can reach its ends."""
     cover = LEATHERS[variant % len(LEATHERS)]
     half, arm, height = ((0.78, 0.16, 0.60), (0.72, 0.10, 0.66), (0.76, 0.20, 0.56))[variant % 3]
     depth = 0.40

@@ -168,7 +168,7 @@ def shelf(variant: int, rng: Generator) -> list[PropPiece]:
 
 
 def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int, rng: Generator) -> list[PropPiece]:
-    """Boxes side by side on one shelf deck, now and then a gap."""
+    """Boxes side by side on one shelf deck, with occasional gaps."""
     pieces: list[PropPiece] = []
     x = -half_x
     while x < half_x - 0.16:
@@ -226,7 +226,8 @@ def plastic_crate(variant: int, rng: Generator) -> list[PropPiece]:
 
 
 def _crate_shell(is_topmost: bool) -> list[AuthoredMesh]:
-    """Corner posts and three rails all round, 0.29 m high; the topmost crate's upper rail is seen from inside too."""
+    """Corner posts and three rails all round, 0.29 m high; the upper rail of the topmost crate is also visible from
+    inside."""
     meshes = [_rail(0.0, 0.06), _rail(0.10, 0.17), _rail(0.21, 0.29, is_topmost)]
     posts = [(x, y) for x in (-0.27, 0.27) for y in (-0.17, 0.17)]
     return [*meshes, *(standing_block((x - 0.032, y - 0.032, 0.0), (x + 0.032, y + 0.032, 0.285)) for x, y in posts)]

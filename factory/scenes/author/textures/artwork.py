@@ -142,7 +142,7 @@ def _poster_type(rng: Generator) -> Pixels:
 
 
 def _floor_plan(rng: Generator) -> Pixels:
-    """An escape plan: rooms off a corridor, green arrows, a red dot where you are."""
+    """An escape plan: rooms along a corridor, green arrows, and a red dot at the reader's position."""
     image, draw = _canvas("#fafaf6")
     draw.rectangle((0, 0, SIZE, 70), fill="#1e7d4f")
     _write(draw, "ESCAPE PLAN", 36, 44, "#ffffff")

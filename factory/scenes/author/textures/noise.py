@@ -1,4 +1,7 @@
-"""Seamless noise and shading for procedural textures of 512 x 512 pixels. Pure. Does not draw whole textures."""
+"""Seamless noise and shading for procedural textures of 512 x 512 pixels.
+
+Pure functions. Does not draw whole textures.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses of SDFormat: `<pose>` with its attributes, relative to a named frame of a model or world. Pure."""
+"""Poses of SDFormat: `<pose>` with its attributes, relative to a named frame of a model or world. Pure functions."""
 
 from __future__ import annotations
 

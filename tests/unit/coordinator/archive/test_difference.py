@@ -16,7 +16,7 @@ def test_record_without_file_is_missing_and_file_without_record_unknown() -> Non
     assert (difference.missing, difference.unknown, difference.strays) == ((7, 9), (2, 3), (2, 3))
 
 
-def test_change_is_told_in_words() -> None:
+def test_a_change_is_described_with_both_values() -> None:
     listed = {1: ListedFile(4), 2: ListedFile(5, "x"), 3: ListedFile(5, fault="cannot be read: I/O error")}
     difference = diff_archive(listed, dict.fromkeys((1, 2, 3), RecordedFile(5, "a")))
     assert difference.changed == {
@@ -31,7 +31,7 @@ def test_digest_that_was_not_computed_is_not_compared() -> None:
     assert diff_archive({1: ListedFile(5)}, {1: RecordedFile(5, "a")}).same == (1,)
 
 
-def test_episode_that_a_gateway_keeps_is_never_missing_and_told_apart_when_it_is_here_too() -> None:
+def test_an_episode_at_a_gateway_is_not_missing_and_a_local_copy_of_it_is_reported() -> None:
     kept = {1: RecordedFile(5, gateway="g"), 2: RecordedFile(5, gateway="g"), 3: RecordedFile(5, gateway="g")}
     difference = diff_archive({2: ListedFile(5), 3: ListedFile(4)}, kept)
     assert (difference.missing, difference.elsewhere, difference.strays) == ((), (2,), (3,))

@@ -267,7 +267,7 @@ def _cell(job: PlannedJob) -> tuple[int, str, Split, Tier]:
     return job.index, job.episode.scene, job.episode.split, job.episode.tier
 
 
-def test_jobs_that_ask_for_the_same_share_one_spec_so_that_large_plans_stay_small():
+def test_jobs_with_equal_specs_share_one_object_so_that_large_plans_stay_small():
     plan = shrink(PAPER, episodes=300)
     episodes = [job.episode for job in expand(plan, make_catalog(plan))]
     assert len({id(episode) for episode in episodes}) == len(set(episodes)) < len(episodes)

@@ -92,7 +92,7 @@ def test_a_category_without_a_unique_object_is_refused_with_what_is_unique():
     assert line.endswith('set instructions.unique to "view", or list them in `ambiguous` of the scene')
 
 
-def test_nothing_unique_is_said_and_the_nearest_plan_leaves_the_scene_out():
+def test_a_scene_without_unique_objects_is_reported_and_removed_from_the_nearest_plan():
     plan = _plan("scene", seen=("monitor",))
     (line,) = find_impossible(plan, {"office": ENTRY})
     assert "no instruction fits only one monitor; unique there: green plant" in line

@@ -7,29 +7,29 @@ from datetime import timedelta
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.reading.farm import read_farm
 from schemas.terms import FailReason
-from tests.builders.ledger import Desk, room_plan
+from tests.builders.ledger import TimedLedger, room_plan
 
 
 def test_quotas_running_jobs_and_failures_are_read():
-    desk = Desk(room_plan(3))
-    row = desk.claim()
-    assert desk.fail(lease_of(row), FailReason.TIMEOUT)
-    desk.now += timedelta(minutes=5)
-    held = desk.claim()
-    with desk.open() as connection:
-        found = read_farm(connection, desk.now)
+    timed_ledger = TimedLedger(room_plan(3))
+    row = timed_ledger.claim()
+    assert timed_ledger.fail(lease_of(row), FailReason.TIMEOUT)
+    timed_ledger.now += timedelta(minutes=5)
+    held = timed_ledger.claim()
+    with timed_ledger.open() as connection:
+        found = read_farm(connection, timed_ledger.now)
     assert found.cells == {("room", "near", "train_id"): {"leased": 1, "pending": 2}}
     ((sid, jobs),) = found.running.items()
     assert (sid, [job.index for job in jobs]) == (held.sid, [held.idx])
     assert [interval.failures for interval in found.history] == [{"timeout": 1}]
     assert [event.event for event in found.events] == ["claimed", "missed", "claimed"]
-    assert found.events[0].at == desk.now
+    assert found.events[0].at == timed_ledger.now
     assert not found.paused
 
 
 def test_a_new_ledger_has_cells_and_nothing_else():
-    desk = Desk(room_plan(2))
-    with desk.open() as connection:
-        found = read_farm(connection, desk.now)
+    timed_ledger = TimedLedger(room_plan(2))
+    with timed_ledger.open() as connection:
+        found = read_farm(connection, timed_ledger.now)
     assert found.cells == {("room", "near", "train_id"): {"pending": 2}}
     assert (found.running, found.events, found.history, found.requests) == ({}, (), (), ())

@@ -1,4 +1,5 @@
-"""A stale worker changes nothing: random programs of workers, pullers and operators on the real database."""
+"""A stale worker changes nothing: random sequences of operations of workers, pullers and operators on the real
+database."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from coordinator.ledger.states import TRANSITIONS, Event, JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from schemas.protocol.messages import Beat, Lease, LeaseProgress
 from schemas.terms import FailReason
-from tests.builders.ledger import TTL_S, Desk, room_plan
+from tests.builders.ledger import TTL_S, TimedLedger, room_plan
 
 ANY_GRANT = st.sampled_from([0, 0, 0, 1, 2, 3, 5, 8])
 """Number of grants since the chosen one; 0, the newest, is the most probable."""
@@ -42,90 +43,92 @@ class Ledger(RuleBasedStateMachine):
     @initialize(episodes=st.integers(1, 2), misses=ONE_OR_TWO, draws=ONE_OR_TWO, crashes=ONE_OR_TWO)
     def begin(self, episodes: int, misses: int, draws: int, crashes: int) -> None:
         plan = room_plan(episodes, attempts_per_draw=misses, draws=draws, crashes=crashes)
-        self.desk = Desk(plan, self.new_database())
+        self.timed_ledger = TimedLedger(plan, self.new_database())
         self.claim(0)
 
     def grant(self, number: int) -> Lease:
         return self.grants[-1 - number % len(self.grants)]
 
     def is_current(self, lease: Lease) -> bool:
-        row = self.desk.row(lease.job_id)
+        row = self.timed_ledger.row(lease.job_id)
         return row.state in HELD_STATES and (row.fence, row.token) == (lease.fence, lease.token)
 
     @rule(worker=st.integers(0, 2))
     def claim(self, worker: int) -> None:
-        token = self.desk.new_token()
-        row = self.desk.claim(f"host-{worker}", token)
+        token = self.timed_ledger.new_token()
+        row = self.timed_ledger.claim(f"host-{worker}", token)
         if row is not None:
             assert row.fence > self.newest.get(row.id, 0), "every claim raises the fence"
             self.newest[row.id] = row.fence
             self.grants.append(lease_of(row))
-            assert self.desk.claim(f"host-{worker}", token) == row, "a repeated claim finds its job"
+            assert self.timed_ledger.claim(f"host-{worker}", token) == row, "a repeated claim finds its job"
 
     @rule(number=ANY_GRANT, sha256=st.sampled_from(["c" * 64, OTHER_SHA256]))
     def done(self, number: int, sha256: str) -> None:
         lease = self.grant(number)
-        was_current, before = self.is_current(lease), self.desk.rows()
-        accepted = self.desk.done(lease, sha256=sha256)
-        fulfilled = self.desk.row(lease.job_id).state == JobState.ARCHIVED and lease.fence == self.newest[lease.job_id]
+        was_current, before = self.is_current(lease), self.timed_ledger.rows()
+        accepted = self.timed_ledger.done(lease, sha256=sha256)
+        fulfilled = (
+            self.timed_ledger.row(lease.job_id).state == JobState.ARCHIVED and lease.fence == self.newest[lease.job_id]
+        )
         assert accepted == (was_current or fulfilled)
-        assert was_current or self.desk.rows() == before
+        assert was_current or self.timed_ledger.rows() == before
 
     @rule(number=ANY_GRANT, reason=REASON)
     def fail(self, number: int, reason: FailReason) -> None:
         lease = self.grant(number)
-        was_current, before = self.is_current(lease), self.desk.rows()
-        self.desk.fail(lease, reason)
-        assert was_current or self.desk.rows() == before, "a stale report changes nothing"
+        was_current, before = self.is_current(lease), self.timed_ledger.rows()
+        self.timed_ledger.fail(lease, reason)
+        assert was_current or self.timed_ledger.rows() == before, "a stale report changes nothing"
 
     @rule(number=ANY_GRANT)
     def archive(self, number: int) -> None:
         lease = self.grant(number)
-        row, before = self.desk.row(lease.job_id), self.desk.rows()
+        row, before = self.timed_ledger.row(lease.job_id), self.timed_ledger.rows()
         is_due = self.is_current(lease) and row.state == JobState.SUBMITTED
-        assert self.desk.archive(lease) == is_due
-        assert is_due or self.desk.rows() == before
+        assert self.timed_ledger.archive(lease) == is_due
+        assert is_due or self.timed_ledger.rows() == before
 
     @rule(number=ANY_GRANT)
     def beat(self, number: int) -> None:
         lease = self.grant(number)
-        was_current, before = self.is_current(lease), self.desk.rows()
-        beat = Beat(sid=self.desk.holder_of(lease), live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
-        with self.desk.open() as connection:
-            outcome = claims.beat(connection, beat, self.desk.now, TTL_S)
+        was_current, before = self.is_current(lease), self.timed_ledger.rows()
+        beat = Beat(sid=self.timed_ledger.holder_of(lease), live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
+        with self.timed_ledger.open() as connection:
+            outcome = claims.beat(connection, beat, self.timed_ledger.now, TTL_S)
         assert (lease in outcome.lost) == (lease in outcome.drop) == (not was_current)
-        assert was_current or self.desk.rows() == before
+        assert was_current or self.timed_ledger.rows() == before
 
     @rule(seconds=st.sampled_from([0.1, 1.0, TTL_S / 2, TTL_S + 0.1, 40.0]))
     def tick(self, seconds: float) -> None:
-        self.desk.tick(seconds)
+        self.timed_ledger.tick(seconds)
 
     @rule(worker=st.integers(0, 2))
     def lose_to(self, worker: int) -> None:
         """Every worker is frozen beyond its lease, and another one takes over."""
-        self.desk.tick(TTL_S + 0.1)
-        self.desk.tick(40.0)
+        self.timed_ledger.tick(TTL_S + 0.1)
+        self.timed_ledger.tick(40.0)
         self.claim(worker)
 
     @rule(worker=st.integers(0, 2))
     def vanish(self, worker: int) -> None:
-        with self.desk.open() as connection:
-            claims.shorten(connection, f"host-{worker}", self.desk.now, TTL_S / 2)
+        with self.timed_ledger.open() as connection:
+            claims.shorten(connection, f"host-{worker}", self.timed_ledger.now, TTL_S / 2)
 
     @rule(index=st.integers(1, 3), action=st.sampled_from([operator.retry, operator.cancel]))
     def administer(self, index: int, action: Any) -> None:
-        with self.desk.open() as connection:
-            action(connection, (index,), self.desk.now)
+        with self.timed_ledger.open() as connection:
+            action(connection, (index,), self.timed_ledger.now)
 
     @rule(index=st.integers(1, 3))
     def lose(self, index: int) -> None:
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             owned = outcomes.is_owned(connection, index)
-            assert outcomes.lose(connection, index, self.desk.now, "gone") == owned
+            assert outcomes.lose(connection, index, self.timed_ledger.now, "gone") == owned
 
     @invariant()
     def ledger_agrees_with_itself(self) -> None:
-        with self.desk.open() as connection:
+        with self.timed_ledger.open() as connection:
             rows = connection.execute(select(jobs).order_by(jobs.c.idx, jobs.c.draw)).all()
             owned = {row.idx: row.attempt for row in connection.execute(select(episodes))}
             settled = connection.execute(select(attempts).where(attempts.c.settles)).all()
@@ -136,8 +139,8 @@ class Ledger(RuleBasedStateMachine):
         _check_log(rows, log)
 
     def teardown(self) -> None:
-        if hasattr(self, "desk"):
-            self.desk.engine.dispose()
+        if hasattr(self, "timed_ledger"):
+            self.timed_ledger.engine.dispose()
 
 
 def _check_leases(rows: Sequence[Any]) -> None:

@@ -22,30 +22,30 @@ from schemas.protocol.administration import AdminAction, AdminReply, AdminReques
 from schemas.protocol.messages import Ack, Beat, Claim, ClaimReply, Done, Fail, Hello, Lease
 from schemas.protocol.status import HostStatus
 from schemas.terms import FailReason
-from tests.builders.ledger import TTL_S, Desk, room_plan
+from tests.builders.ledger import TTL_S, TimedLedger, room_plan
 
-HARM = [reason for reason in FailReason if reason.is_of_the_worker]
+HARM = [reason for reason in FailReason if reason.is_worker_failure]
 EPISODES = 20
 
 
 class Counter:
     """Sends requests of hosts through the protocol checks to a ledger with a test clock."""
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
-        self.terms = Terms(desk.plan, desk.catalog, "1", TTL_S, 0.1)
+    def __init__(self, timed_ledger: TimedLedger) -> None:
+        self.timed_ledger = timed_ledger
+        self.terms = Terms(timed_ledger.plan, timed_ledger.catalog, "1", TTL_S, 0.1)
 
     def ask(self, host: str, verb: str, message: Model) -> Any:
         request = parse(verb, host, message.model_dump_json().encode())
         assert isinstance(request, ParsedRequest), request
-        with self.desk.open() as connection:
-            return serve(connection, request, self.terms, self.desk.now).reply
+        with self.timed_ledger.open() as connection:
+            return serve(connection, request, self.terms, self.timed_ledger.now).reply
 
     def hello(self, host: str) -> None:
         self.ask(host, "hello", Hello(sid=f"{host}.1", host=host, slots=4, version="1"))
 
     def claim(self, host: str) -> ClaimReply:
-        reply = self.ask(host, "claim", Claim(sid=f"{host}.1", token=self.desk.new_token()))
+        reply = self.ask(host, "claim", Claim(sid=f"{host}.1", token=self.timed_ledger.new_token()))
         assert isinstance(reply, ClaimReply)
         return reply
 
@@ -55,35 +55,35 @@ class Counter:
 
     def succeed(self, host: str, lease: Lease) -> None:
         assert self.ask(host, "done", Done(sid=f"{host}.1", lease=lease, sha256="c" * 64, size=1000)).accepted
-        assert self.desk.archive(lease)
+        assert self.timed_ledger.archive(lease)
 
     def spoil(self, host: str, seconds: float, reason: FailReason = FailReason.INVALID) -> int:
         """Lets a host fail every job for a time; returns the number of jobs."""
-        end, spoilt = self.desk.now + timedelta(seconds=seconds), 0
-        while self.desk.now < end:
+        end, spoilt = self.timed_ledger.now + timedelta(seconds=seconds), 0
+        while self.timed_ledger.now < end:
             reply = self.claim(host)
             if reply.lease is not None:
                 self.fail(host, reply.lease, reason)
                 spoilt += 1
-            self.desk.tick(max(0.01, reply.retry_after_s))
+            self.timed_ledger.tick(max(0.01, reply.retry_after_s))
         return spoilt
 
     def troubled(self) -> tuple[HostStatus, ...]:
-        with self.desk.open() as connection:
-            return read_progress(connection, self.desk.now).hosts
+        with self.timed_ledger.open() as connection:
+            return read_progress(connection, self.timed_ledger.now).hosts
 
     def counts(self) -> dict[str, int]:
-        with self.desk.open() as connection:
-            return read_progress(connection, self.desk.now).jobs
+        with self.timed_ledger.open() as connection:
+            return read_progress(connection, self.timed_ledger.now).jobs
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def counter(request: pytest.FixtureRequest) -> Iterator[Counter]:
     is_server = request.param == "postgresql"
     url = request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://"
-    desk = Desk(room_plan(EPISODES), url)
-    yield Counter(desk)
-    desk.engine.dispose()
+    timed_ledger = TimedLedger(room_plan(EPISODES), url)
+    yield Counter(timed_ledger)
+    timed_ledger.engine.dispose()
 
 
 @pytest.mark.parametrize("reason", HARM)
@@ -97,7 +97,7 @@ def test_a_host_that_fails_every_job_is_barred_and_no_job_is_abandoned(counter, 
     (found,) = counter.troubled()
     assert (found.host, found.strikes, found.reason) == ("bad", hosts.STRIKES, f"{reason}: 7 bytes")
     assert found.barred_at is not None
-    counter.desk.tick(3600)
+    counter.timed_ledger.tick(3600)
     assert counter.claim("bad").job is None
     assert counter.claim("good").job is not None
 
@@ -109,7 +109,7 @@ def test_a_host_that_fails_all_jobs_at_once_abandons_none(counter):
             leases.append(reply.lease)
         for lease in leases:
             counter.fail("bad", lease)
-        counter.desk.tick(120)
+        counter.timed_ledger.tick(120)
     assert counter.counts()["failed"] == 0
     assert counter.counts()["pending"] == EPISODES
 
@@ -120,7 +120,7 @@ def test_a_host_pauses_longer_after_each_strike_and_then_has_one_job_at_a_time(c
         lease = counter.claim("bad").lease
         counter.fail("bad", lease)
         pauses.append(counter.claim("bad").retry_after_s)
-        counter.desk.tick(pauses[-1])
+        counter.timed_ledger.tick(pauses[-1])
     assert pauses == [1, 2, 4]
     assert counter.claim("bad").job is not None
     assert counter.claim("bad").job is None
@@ -140,7 +140,7 @@ def test_archived_episodes_reduce_strikes(counter):
     while counter.troubled():
         reply = counter.claim("shaky")
         if reply.lease is None:
-            counter.desk.tick(reply.retry_after_s)
+            counter.timed_ledger.tick(reply.retry_after_s)
         else:
             counter.succeed("shaky", reply.lease)
     assert before > 2
@@ -166,7 +166,7 @@ def test_a_job_that_fails_on_every_host_is_abandoned(counter):
     assert None not in others
     for host in ("two", "other"):
         while (reply := counter.claim(host)).job is None:
-            counter.desk.tick(1)
+            counter.timed_ledger.tick(1)
             counter.ask("other", "beat", Beat(sid="other.1", spool=tuple(others)))
         assert reply.job.index == target.job.index
         counter.fail(host, reply.lease)
@@ -179,11 +179,11 @@ def test_two_failing_hosts_abandon_no_job_that_another_host_can_try(counter):
         for host in ("hostile", "faulty"):
             if (lease := counter.claim(host).lease) is not None:
                 counter.fail(host, lease)
-        counter.desk.tick(5)
+        counter.timed_ledger.tick(5)
         counter.ask("good", "beat", Beat(sid="good.1", spool=kept))
-    with counter.desk.open() as connection:
+    with counter.timed_ledger.open() as connection:
         crashes = connection.execute(select(func.max(jobs.c.crashes))).scalar_one()
-    assert crashes >= counter.desk.plan.budget.crashes
+    assert crashes >= counter.timed_ledger.plan.budget.crashes
     assert counter.counts()["failed"] == 0
     assert [host.barred_at is not None for host in counter.troubled()] == [True, True]
 
@@ -194,7 +194,7 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
     for failures in (1, 2):
         assert counter.counts()["failed"] == 0, failures
         while (lease := counter.claim("two").lease) is None:
-            counter.desk.tick(1)
+            counter.timed_ledger.tick(1)
             counter.ask("one", "beat", Beat(sid="one.1", spool=tuple(others)))
         counter.fail("two", lease)
     assert counter.counts()["failed"] == 1
@@ -203,19 +203,19 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
 def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
     """The host delivers every other episode, so that it is not barred."""
     counter.terms = replace(counter.terms, retry_after_s=1.0)
-    begun, tries = counter.desk.now, 0
+    begun, tries = counter.timed_ledger.now, 0
     while not tries or counter.counts()["failed"] == 0:
         reply = counter.claim("only")
         while reply.job is None or reply.job.index != 1:
             if reply.job is None:
-                counter.desk.tick(reply.retry_after_s)
+                counter.timed_ledger.tick(reply.retry_after_s)
             else:
                 counter.succeed("only", reply.lease)
             reply = counter.claim("only")
         tries += 1
         counter.fail("only", reply.lease)
     assert tries > hosts.STRIKES
-    assert counter.desk.now - begun > timedelta(minutes=2)
+    assert counter.timed_ledger.now - begun > timedelta(minutes=2)
     assert counter.counts()["archived"] == EPISODES - 1
     assert all(host.barred_at is None for host in counter.troubled())
 
@@ -228,7 +228,7 @@ def test_a_host_that_holds_one_job_back_is_barred_where_others_could_try_it(coun
     for _ in range(60):
         if lease is not None:
             counter.fail("bad", lease)
-        counter.desk.tick(5)
+        counter.timed_ledger.tick(5)
         counter.ask("good", "beat", Beat(sid="good.1", spool=tuple(others)))
         lease = counter.claim("bad").lease
     assert counter.counts()["failed"] == 0
@@ -237,15 +237,15 @@ def test_a_host_that_holds_one_job_back_is_barred_where_others_could_try_it(coun
 
 def test_a_ledger_without_the_hosts_table_is_migrated(tmp_path):
     url = f"sqlite:///{tmp_path / 'ledger.db'}"
-    desk = Desk(room_plan(3), url)
-    with desk.open() as connection:
+    timed_ledger = TimedLedger(room_plan(3), url)
+    with timed_ledger.open() as connection:
         hosts_table.drop(connection)
     reader = open_reader(url)
     with reader.connect() as connection:
-        assert read_progress(connection, desk.now).hosts == ()
+        assert read_progress(connection, timed_ledger.now).hosts == ()
     reader.dispose()
-    assert not open_run(desk.engine, desk.plan, desk.catalog, TTL_S, desk.now)
-    with desk.open() as connection:
+    assert not open_run(timed_ledger.engine, timed_ledger.plan, timed_ledger.catalog, TTL_S, timed_ledger.now)
+    with timed_ledger.open() as connection:
         assert inspect(connection).has_table("hosts")
-    assert Counter(desk).spoil("bad", 600) <= hosts.STRIKES
-    desk.engine.dispose()
+    assert Counter(timed_ledger).spoil("bad", 600) <= hosts.STRIKES
+    timed_ledger.engine.dispose()

@@ -29,32 +29,32 @@ from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.messages import Beat, Hello, Lease, LeaseProgress
 from schemas.terms import FailReason
-from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan, summary_for
+from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan, summary_for
 
 WORLD = [reason for reason in FailReason if reason.is_task_failure]
-WORKER = [reason for reason in FailReason if reason.is_of_the_worker]
+WORKER = [reason for reason in FailReason if reason.is_worker_failure]
 
 
 PLAN = room_plan(3, attempts_per_draw=2, draws=2, crashes=2)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
+def timed_ledger(request: pytest.FixtureRequest) -> Iterator[TimedLedger]:
     """The same suite on every database."""
     is_server = request.param == "postgresql"
-    opened = Desk(PLAN, request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://")
+    opened = TimedLedger(PLAN, request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://")
     yield opened
     opened.engine.dispose()
 
 
-def outcomes_at(desk: Desk) -> list[tuple[int, int, str, bool]]:
-    with desk.open() as connection:
+def outcomes_at(timed_ledger: TimedLedger) -> list[tuple[int, int, str, bool]]:
+    with timed_ledger.open() as connection:
         rows = connection.execute(select(attempts).order_by(attempts.c.id)).all()
     return [(row.idx, row.attempt, row.outcome, row.settles) for row in rows]
 
 
-def test_jobs_are_claimed_in_the_order_of_the_plan_under_rising_fences(desk):
-    rows = [desk.claim() for _ in range(4)]
+def test_jobs_are_claimed_in_the_order_of_the_plan_under_rising_fences(timed_ledger):
+    rows = [timed_ledger.claim() for _ in range(4)]
     assert [row and (row.idx, row.attempt, row.fence, row.state) for row in rows] == [
         (1, 1, 1, "leased"),
         (2, 1, 1, "leased"),
@@ -63,155 +63,155 @@ def test_jobs_are_claimed_in_the_order_of_the_plan_under_rising_fences(desk):
     ]
 
 
-def test_a_repeated_claim_returns_the_same_lease_until_it_ends(desk):
-    token = desk.new_token()
-    first = desk.claim(token=token)
-    assert desk.claim(token=token) == first
+def test_a_repeated_claim_returns_the_same_lease_until_it_ends(timed_ledger):
+    token = timed_ledger.new_token()
+    first = timed_ledger.claim(token=token)
+    assert timed_ledger.claim(token=token) == first
     lease = lease_of(first)
-    assert desk.done(lease)
-    assert lease_of(desk.claim(token=token)) == lease
-    assert desk.archive(lease)
-    assert desk.claim(token=token) is None
+    assert timed_ledger.done(lease)
+    assert lease_of(timed_ledger.claim(token=token)) == lease
+    assert timed_ledger.archive(lease)
+    assert timed_ledger.claim(token=token) is None
 
 
-def test_an_expired_lease_returns_the_job_to_pending_with_the_same_attempt(desk):
-    lease = desk.lease()
-    assert desk.tick(TTL_S - 1) == 0
-    assert desk.tick(1.1) == 1
-    row = desk.row(lease.job_id)
+def test_an_expired_lease_returns_the_job_to_pending_with_the_same_attempt(timed_ledger):
+    lease = timed_ledger.lease()
+    assert timed_ledger.tick(TTL_S - 1) == 0
+    assert timed_ledger.tick(1.1) == 1
+    row = timed_ledger.row(lease.job_id)
     assert (row.state, row.attempt, row.token, row.lease_until) == ("pending", 1, None, None)
-    assert outcomes_at(desk) == [(1, 1, "expired", False)]
+    assert outcomes_at(timed_ledger) == [(1, 1, "expired", False)]
 
 
-def test_a_job_that_keeps_losing_its_lease_waits_longer_each_time(desk):
+def test_a_job_that_keeps_losing_its_lease_waits_longer_each_time(timed_ledger):
     waits = []
     for _ in range(12):
-        while (row := desk.claim()) is None or row.idx != 1:
-            desk.tick(1)
-        desk.tick(TTL_S + 1)
-        waits.append(desk.row(1).not_before - desk.now.timestamp())
+        while (row := timed_ledger.claim()) is None or row.idx != 1:
+            timed_ledger.tick(1)
+        timed_ledger.tick(TTL_S + 1)
+        waits.append(timed_ledger.row(1).not_before - timed_ledger.now.timestamp())
     assert waits == sorted(waits)
     assert waits[0] < 1
     assert waits[-1] == pytest.approx(30)
 
 
-def test_heartbeats_renew_leases_and_report_steps(desk):
-    lease = desk.lease()
+def test_heartbeats_renew_leases_and_report_steps(timed_ledger):
+    lease = timed_ledger.lease()
     for step in range(5):
-        assert desk.tick(TTL_S / 2) == 0
-        with desk.open() as connection:
+        assert timed_ledger.tick(TTL_S / 2) == 0
+        with timed_ledger.open() as connection:
             beat = Beat(sid="host-1", live=(LeaseProgress(lease=lease, step=step),))
-            outcome = claims.beat(connection, beat, desk.now, TTL_S)
+            outcome = claims.beat(connection, beat, timed_ledger.now, TTL_S)
         assert outcome == claims.BeatOutcome((), (), ())
-    assert desk.row(lease.job_id).step == 4
+    assert timed_ledger.row(lease.job_id).step == 4
 
 
-def test_a_heartbeat_reply_lists_lost_leases_unwanted_bundles_and_waiting_bundles(desk):
-    archived, waiting, lost = (desk.lease() for _ in range(3))
-    desk.done(archived)
-    desk.archive(archived)
-    desk.done(waiting)
+def test_a_heartbeat_reply_lists_lost_leases_unwanted_bundles_and_waiting_bundles(timed_ledger):
+    archived, waiting, lost = (timed_ledger.lease() for _ in range(3))
+    timed_ledger.done(archived)
+    timed_ledger.archive(archived)
+    timed_ledger.done(waiting)
     stale = lost.model_copy(update={"fence": 7})
     unknown = Lease(job_id=99, fence=1, token="f" * 32)
-    with desk.open() as connection:
+    with timed_ledger.open() as connection:
         beat = Beat(
             sid="host-1",
             live=(LeaseProgress(lease=stale, step=1), LeaseProgress(lease=unknown, step=1)),
             spool=(archived, waiting, lost, stale),
         )
-        outcome = claims.beat(connection, beat, desk.now, TTL_S)
+        outcome = claims.beat(connection, beat, timed_ledger.now, TTL_S)
     assert outcome.lost == (stale, unknown)
     assert outcome.drop == (archived, stale)
     assert [row.id for row in outcome.waiting] == [waiting.job_id]
 
 
-def test_a_vanished_worker_only_shortens_its_leases(desk):
-    mine, theirs = desk.lease("host-1"), desk.lease("other-1")
-    with desk.open() as connection:
-        assert claims.shorten(connection, "host-1", desk.now, 2.0) == 1
-    assert desk.tick(2.5) == 1
-    assert desk.row(mine.job_id).state == "pending"
-    assert desk.row(theirs.job_id).state == "leased"
+def test_a_vanished_worker_only_shortens_its_leases(timed_ledger):
+    mine, theirs = timed_ledger.lease("host-1"), timed_ledger.lease("other-1")
+    with timed_ledger.open() as connection:
+        assert claims.shorten(connection, "host-1", timed_ledger.now, 2.0) == 1
+    assert timed_ledger.tick(2.5) == 1
+    assert timed_ledger.row(mine.job_id).state == "pending"
+    assert timed_ledger.row(theirs.job_id).state == "leased"
 
 
-def test_leases_get_a_grace_period_after_a_restart(desk):
-    desk.lease()
-    desk.now += timedelta(hours=1)
-    with desk.open() as connection:
-        assert claims.grant_grace(connection, desk.now, TTL_S) == 1
-    assert desk.tick(1.4 * TTL_S) == 0
-    assert desk.tick(0.2 * TTL_S) == 1
+def test_leases_get_a_grace_period_after_a_restart(timed_ledger):
+    timed_ledger.lease()
+    timed_ledger.now += timedelta(hours=1)
+    with timed_ledger.open() as connection:
+        assert claims.grant_grace(connection, timed_ledger.now, TTL_S) == 1
+    assert timed_ledger.tick(1.4 * TTL_S) == 0
+    assert timed_ledger.tick(0.2 * TTL_S) == 1
 
 
-def test_done_is_idempotent_and_fenced(desk):
-    lease = desk.lease()
-    assert desk.done(lease)
-    assert desk.done(lease)
-    assert desk.archive(lease)
-    assert desk.done(lease)
-    assert not desk.archive(lease)
-    assert desk.row(lease.job_id).state == "archived"
-    assert not desk.done(lease.model_copy(update={"fence": 2}))
-    assert not desk.done(lease.model_copy(update={"token": "e" * 32}))
+def test_done_is_idempotent_and_fenced(timed_ledger):
+    lease = timed_ledger.lease()
+    assert timed_ledger.done(lease)
+    assert timed_ledger.done(lease)
+    assert timed_ledger.archive(lease)
+    assert timed_ledger.done(lease)
+    assert not timed_ledger.archive(lease)
+    assert timed_ledger.row(lease.job_id).state == "archived"
+    assert not timed_ledger.done(lease.model_copy(update={"fence": 2}))
+    assert not timed_ledger.done(lease.model_copy(update={"token": "e" * 32}))
 
 
-def test_a_late_result_of_a_lost_lease_changes_nothing(desk):
-    stale = desk.lease()
-    desk.done(stale)
-    desk.tick(TTL_S + 1)
-    before = desk.rows()
-    assert not desk.done(stale)
-    assert not desk.archive(stale)
-    assert not desk.fail(stale, FailReason.TIMEOUT)
-    assert desk.rows() == before
+def test_a_late_result_of_a_lost_lease_changes_nothing(timed_ledger):
+    stale = timed_ledger.lease()
+    timed_ledger.done(stale)
+    timed_ledger.tick(TTL_S + 1)
+    before = timed_ledger.rows()
+    assert not timed_ledger.done(stale)
+    assert not timed_ledger.archive(stale)
+    assert not timed_ledger.fail(stale, FailReason.TIMEOUT)
+    assert timed_ledger.rows() == before
 
 
 @pytest.mark.parametrize("reason", WORLD)
-def test_a_world_failure_starts_the_next_attempt(desk, reason):
-    lease = desk.lease()
-    assert desk.fail(lease, reason)
-    row = desk.row(lease.job_id)
+def test_a_world_failure_starts_the_next_attempt(timed_ledger, reason):
+    lease = timed_ledger.lease()
+    assert timed_ledger.fail(lease, reason)
+    row = timed_ledger.row(lease.job_id)
     assert (row.state, row.attempt, row.misses) == ("pending", 2, 1)
-    assert outcomes_at(desk) == [(1, 1, reason, True)]
+    assert outcomes_at(timed_ledger) == [(1, 1, reason, True)]
 
 
-def test_a_repeated_failure_report_counts_once_and_gets_the_same_answer(desk):
-    lease = desk.lease()
-    assert desk.fail(lease, FailReason.COLLISION)
-    assert desk.fail(lease, FailReason.COLLISION)
-    assert desk.row(lease.job_id).attempt == 2
-    assert len(outcomes_at(desk)) == 1
+def test_a_repeated_failure_report_counts_once_and_gets_the_same_answer(timed_ledger):
+    lease = timed_ledger.lease()
+    assert timed_ledger.fail(lease, FailReason.COLLISION)
+    assert timed_ledger.fail(lease, FailReason.COLLISION)
+    assert timed_ledger.row(lease.job_id).attempt == 2
+    assert len(outcomes_at(timed_ledger)) == 1
 
 
-def exhaust(desk: Desk, index: int, times: int) -> None:
+def exhaust(timed_ledger: TimedLedger, index: int, times: int) -> None:
     while times:
-        row = desk.claim()
+        row = timed_ledger.claim()
         if row is None:
-            desk.tick(1)
+            timed_ledger.tick(1)
         elif row.idx == index:
-            assert desk.fail(lease_of(row), FailReason.TIMEOUT)
+            assert timed_ledger.fail(lease_of(row), FailReason.TIMEOUT)
             times -= 1
         else:
-            assert desk.fail(lease_of(row), FailReason.RELEASED)
-            desk.tick(0.01)
+            assert timed_ledger.fail(lease_of(row), FailReason.RELEASED)
+            timed_ledger.tick(0.01)
 
 
-def test_an_exhausted_draw_is_superseded_and_attempt_numbers_continue(desk):
-    exhaust(desk, 1, 2)
-    first, second = desk.rows(1)
+def test_an_exhausted_draw_is_superseded_and_attempt_numbers_continue(timed_ledger):
+    exhaust(timed_ledger, 1, 2)
+    first, second = timed_ledger.rows(1)
     assert (first.state, first.superseded, first.draw) == ("failed", True, 0)
     assert (second.state, second.superseded, second.draw, second.attempt) == ("pending", False, 1, 3)
     assert second.target_id != first.target_id
     assert (second.tier, second.split, second.scene) == (first.tier, first.split, first.scene)
 
 
-def test_the_last_draw_fails_the_episode_with_its_reason(desk):
-    exhaust(desk, 1, 4)
-    first, second = desk.rows(1)
+def test_the_last_draw_fails_the_episode_with_its_reason(timed_ledger):
+    exhaust(timed_ledger, 1, 4)
+    first, second = timed_ledger.rows(1)
     assert [first.state, second.state] == ["failed", "failed"]
     assert not second.superseded
     assert second.reason == "timeout: measured"
-    assert [(attempt, outcome) for index, attempt, outcome, _ in outcomes_at(desk) if index == 1] == [
+    assert [(attempt, outcome) for index, attempt, outcome, _ in outcomes_at(timed_ledger) if index == 1] == [
         (1, "timeout"),
         (2, "timeout"),
         (3, "timeout"),
@@ -220,93 +220,96 @@ def test_the_last_draw_fails_the_episode_with_its_reason(desk):
 
 
 @pytest.mark.parametrize("reason", WORKER)
-def test_a_job_that_crashes_workers_is_quarantined_without_a_redraw(desk, reason):
+def test_a_job_that_crashes_workers_is_quarantined_without_a_redraw(timed_ledger, reason):
     for sid in ("one.1", "two.1"):
-        while (row := desk.claim(sid)) is None or row.idx != 1:
-            desk.tick(0.5)
-        assert desk.fail(lease_of(row), reason, sid)
-    (row,) = desk.rows(1)
+        while (row := timed_ledger.claim(sid)) is None or row.idx != 1:
+            timed_ledger.tick(0.5)
+        assert timed_ledger.fail(lease_of(row), reason, sid)
+    (row,) = timed_ledger.rows(1)
     assert (row.state, row.attempt, row.crashes) == ("failed", 1, 2)
     assert row.reason.startswith("quarantined")
 
 
-def test_a_released_job_is_pending_immediately_and_uses_no_budget(desk):
-    lease = desk.lease()
-    assert desk.fail(lease, FailReason.RELEASED)
-    row = desk.row(lease.job_id)
+def test_a_released_job_is_pending_immediately_and_uses_no_budget(timed_ledger):
+    lease = timed_ledger.lease()
+    assert timed_ledger.fail(lease, FailReason.RELEASED)
+    row = timed_ledger.row(lease.job_id)
     assert (row.state, row.attempt, row.misses, row.crashes) == ("pending", 1, 0, 0)
 
 
-def test_an_archived_episode_is_recorded_with_its_summary(desk):
-    lease = desk.lease()
-    desk.done(lease)
-    assert desk.archive(lease)
-    with desk.open() as connection:
-        (summary,) = LedgerEpisodes(connection).rows(1, desk.plan.episodes)
+def test_an_archived_episode_is_recorded_with_its_summary(timed_ledger):
+    lease = timed_ledger.lease()
+    timed_ledger.done(lease)
+    assert timed_ledger.archive(lease)
+    with timed_ledger.open() as connection:
+        (summary,) = LedgerEpisodes(connection).rows(1, timed_ledger.plan.episodes)
         assert outcomes.is_owned(connection, 1)
         assert not outcomes.is_owned(connection, 2)
     assert (summary.index, summary.attempt, summary.file_bytes) == (1, 1, 1000)
-    assert outcomes_at(desk) == [(1, 1, "success", True)]
+    assert outcomes_at(timed_ledger) == [(1, 1, "success", True)]
 
 
-def test_an_announced_bundle_is_adopted_once(desk):
-    lease = desk.lease()
-    desk.done(lease)
-    summary = summary_for(desk.row(lease.job_id))
-    with desk.open() as connection:
-        assert outcomes.adopt(connection, lease.job_id, summary, desk.now)
-        assert not outcomes.adopt(connection, lease.job_id, summary, desk.now)
+def test_an_announced_bundle_is_adopted_once(timed_ledger):
+    lease = timed_ledger.lease()
+    timed_ledger.done(lease)
+    summary = summary_for(timed_ledger.row(lease.job_id))
+    with timed_ledger.open() as connection:
+        assert outcomes.adopt(connection, lease.job_id, summary, timed_ledger.now)
+        assert not outcomes.adopt(connection, lease.job_id, summary, timed_ledger.now)
 
 
-def test_a_lost_file_requeues_the_same_attempt(desk):
-    lease = desk.lease()
-    desk.done(lease)
-    desk.archive(lease)
-    with desk.open() as connection:
-        assert outcomes.lose(connection, 1, desk.now, "gone")
-        assert not outcomes.lose(connection, 1, desk.now, "gone")
-    again = desk.lease()
+def test_a_lost_file_requeues_the_same_attempt(timed_ledger):
+    lease = timed_ledger.lease()
+    timed_ledger.done(lease)
+    timed_ledger.archive(lease)
+    with timed_ledger.open() as connection:
+        assert outcomes.lose(connection, 1, timed_ledger.now, "gone")
+        assert not outcomes.lose(connection, 1, timed_ledger.now, "gone")
+    again = timed_ledger.lease()
     assert (again.job_id, again.fence) == (lease.job_id, 2)
-    assert desk.row(lease.job_id).attempt == 1
-    desk.done(again)
-    assert desk.archive(again)
-    assert [(outcome, settles) for _, _, outcome, settles in outcomes_at(desk)] == [("lost", False), ("success", True)]
+    assert timed_ledger.row(lease.job_id).attempt == 1
+    timed_ledger.done(again)
+    assert timed_ledger.archive(again)
+    assert [(outcome, settles) for _, _, outcome, settles in outcomes_at(timed_ledger)] == [
+        ("lost", False),
+        ("success", True),
+    ]
 
 
-def test_retry_resets_budgets_and_attempt_numbers_continue(desk):
-    exhaust(desk, 1, 4)
-    with desk.open() as connection:
-        reply = operator.retry(connection, (1, 2, 9), desk.now)
+def test_retry_resets_budgets_and_attempt_numbers_continue(timed_ledger):
+    exhaust(timed_ledger, 1, 4)
+    with timed_ledger.open() as connection:
+        reply = operator.retry(connection, (1, 2, 9), timed_ledger.now)
     assert reply.changed == (1,)
     assert reply.refused == {
         9: "the plan has no episode of that number",
         2: "a job that is pending cannot be retried; only from: failed, cancelled",
     }
-    _, row = desk.rows(1)
+    _, row = timed_ledger.rows(1)
     assert (row.state, row.attempt, row.misses, row.reason) == ("pending", 5, 0, "")
 
 
-def test_retry_without_numbers_selects_every_failed_episode(desk):
-    exhaust(desk, 1, 4)
-    with desk.open() as connection:
-        operator.cancel(connection, (2,), desk.now)
-        assert operator.retry(connection, (), desk.now).changed == (1,)
+def test_retry_without_numbers_selects_every_failed_episode(timed_ledger):
+    exhaust(timed_ledger, 1, 4)
+    with timed_ledger.open() as connection:
+        operator.cancel(connection, (2,), timed_ledger.now)
+        assert operator.retry(connection, (), timed_ledger.now).changed == (1,)
 
 
-def test_cancel_ends_the_lease(desk):
-    lease = desk.lease()
-    with desk.open() as connection:
-        assert operator.cancel(connection, (), desk.now).changed == (1, 2, 3)
+def test_cancel_ends_the_lease(timed_ledger):
+    lease = timed_ledger.lease()
+    with timed_ledger.open() as connection:
+        assert operator.cancel(connection, (), timed_ledger.now).changed == (1, 2, 3)
         assert not claims.has_open_jobs(connection)
-    assert not desk.done(lease)
-    assert desk.claim() is None
+    assert not timed_ledger.done(lease)
+    assert timed_ledger.claim() is None
 
 
-def test_every_transition_is_in_the_history_of_the_episode(desk):
-    lease = desk.lease()
-    desk.done(lease)
-    desk.archive(lease)
-    with desk.open() as connection:
+def test_every_transition_is_in_the_history_of_the_episode(timed_ledger):
+    lease = timed_ledger.lease()
+    timed_ledger.done(lease)
+    timed_ledger.archive(lease)
+    with timed_ledger.open() as connection:
         history = [(line.event, line.state, line.worker) for line in read_events(connection, 1)]
         (attempt,) = read_attempts(connection, 1)
     assert history == [
@@ -317,20 +320,20 @@ def test_every_transition_is_in_the_history_of_the_episode(desk):
     assert (attempt.outcome, attempt.worker) == ("success", "host-1")
 
 
-def test_jobs_can_be_listed_by_state(desk):
-    desk.lease()
-    with desk.open() as connection:
+def test_jobs_can_be_listed_by_state(timed_ledger):
+    timed_ledger.lease()
+    with timed_ledger.open() as connection:
         held = JobFilter(states=(JobState.LEASED,))
         assert [job.index for job in list_jobs(connection, held)] == [1]
         assert count_jobs(connection, JobFilter()) == 3
         assert [job.index for job in list_jobs(connection, JobFilter(), limit=1, offset=1)] == [2]
 
 
-def test_progress_counts_only_current_draws_and_is_consistent(desk):
-    exhaust(desk, 1, 2)
-    desk.lease()
-    with desk.open() as connection:
-        progress = read_progress(connection, desk.now)
+def test_progress_counts_only_current_draws_and_is_consistent(timed_ledger):
+    exhaust(timed_ledger, 1, 2)
+    timed_ledger.lease()
+    with timed_ledger.open() as connection:
+        progress = read_progress(connection, timed_ledger.now)
     assert progress.planned == sum(progress.jobs.values()) == 3
     assert progress.redrawn == 1
     assert progress.by_scene["room"] == progress.by_tier["near"] == progress.by_split["train_id"] == progress.jobs
@@ -340,29 +343,29 @@ def test_progress_counts_only_current_draws_and_is_consistent(desk):
     assert not progress.finished
 
 
-def test_progress_estimates_from_the_last_ten_minutes(desk):
+def test_progress_estimates_from_the_last_ten_minutes(timed_ledger):
     for _ in range(2):
-        lease = desk.lease()
-        desk.done(lease)
-        desk.archive(lease)
-        desk.now += timedelta(seconds=60)
-    with desk.open() as connection:
-        progress = read_progress(connection, desk.now)
+        lease = timed_ledger.lease()
+        timed_ledger.done(lease)
+        timed_ledger.archive(lease)
+        timed_ledger.now += timedelta(seconds=60)
+    with timed_ledger.open() as connection:
+        progress = read_progress(connection, timed_ledger.now)
     assert progress.episodes_per_hour == pytest.approx(60)
     assert progress.eta_s == pytest.approx(60)
 
 
-def test_a_ledger_of_a_newer_format_is_refused(desk):
-    with desk.open() as connection:
+def test_a_ledger_of_a_newer_format_is_refused(timed_ledger):
+    with timed_ledger.open() as connection:
         connection.execute(info.update().where(info.c.key == "format").values(value=str(LEDGER_FORMAT + 1)))
-    with desk.open() as connection, pytest.raises(UsageError, match=f"format {LEDGER_FORMAT + 1}.*newer"):
+    with timed_ledger.open() as connection, pytest.raises(UsageError, match=f"format {LEDGER_FORMAT + 1}.*newer"):
         read_info(connection)
 
 
 def test_a_reader_cannot_write(tmp_path):
     url = f"sqlite:///{tmp_path / 'ledger.db'}"
     engine = open_writer(url)
-    open_run(engine, room_plan(1), room_catalog(), TTL_S, Desk().now)
+    open_run(engine, room_plan(1), room_catalog(), TTL_S, TimedLedger().now)
     reader = open_reader(url)
     with reader.connect() as connection:
         assert connection.execute(select(episodes)).all() == []
@@ -384,13 +387,13 @@ def test_an_unknown_database_is_refused_with_the_remedy():
 
 def test_a_committed_claim_survives_in_the_write_ahead_log(tmp_path):
     file = tmp_path / "ledger.db"
-    desk = Desk(url=f"sqlite:///{file}")
-    desk.lease()
+    timed_ledger = TimedLedger(url=f"sqlite:///{file}")
+    timed_ledger.lease()
     with sqlite3.connect(file) as other:
         assert other.execute("PRAGMA journal_mode").fetchone() == ("wal",)
         assert other.execute("SELECT count(*) FROM jobs WHERE state = 'leased'").fetchone() == (1,)
     other.close()
-    desk.engine.dispose()
+    timed_ledger.engine.dispose()
 
 
 @pytest.mark.parametrize(
@@ -403,8 +406,8 @@ def test_a_committed_claim_survives_in_the_write_ahead_log(tmp_path):
     ],
 )
 def test_queries_of_a_claim_use_an_index(statement, index):
-    desk = Desk(PLAN)
-    with desk.open() as connection:
+    timed_ledger = TimedLedger(PLAN)
+    with timed_ledger.open() as connection:
         text = str(statement.compile(connection, compile_kwargs={"render_postcompile": True}))
         plan = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {text}", (1,) * text.count("?")).all()
     assert all(index in row.detail for row in plan if "jobs" in row.detail), plan
@@ -419,45 +422,47 @@ def test_a_ledger_is_readable_only_by_its_owner(tmp_path, former):
         file.chmod(former)
     umask = os.umask(0)
     try:
-        desk = Desk(url=f"sqlite:///{file}")
-        desk.lease()
+        timed_ledger = TimedLedger(url=f"sqlite:///{file}")
+        timed_ledger.lease()
         modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
-        desk.engine.dispose()
+        timed_ledger.engine.dispose()
     finally:
         os.umask(umask)
     assert set(modes) == {"ledger.db", "ledger.db-wal", "ledger.db-shm"}
     assert set(modes.values()) == {0o600 if former is None else former & ~0o007}
 
 
-def test_a_lease_belongs_to_the_host_that_claimed_it(desk):
-    token = desk.new_token()
-    lease = lease_of(desk.claim("host-1.a", token))
-    before = desk.rows()
-    assert desk.claim("thief.a", token) is None
-    assert not desk.done(lease, "thief.a")
-    assert not desk.fail(lease, FailReason.RELEASED, "thief.a")
-    with desk.open() as connection:
+def test_a_lease_belongs_to_the_host_that_claimed_it(timed_ledger):
+    token = timed_ledger.new_token()
+    lease = lease_of(timed_ledger.claim("host-1.a", token))
+    before = timed_ledger.rows()
+    assert timed_ledger.claim("thief.a", token) is None
+    assert not timed_ledger.done(lease, "thief.a")
+    assert not timed_ledger.fail(lease, FailReason.RELEASED, "thief.a")
+    with timed_ledger.open() as connection:
         beat = Beat(sid="thief.a", live=(LeaseProgress(lease=lease, step=1),), spool=(lease,))
-        assert claims.beat(connection, beat, desk.now, TTL_S) == claims.BeatOutcome((lease,), (lease,), ())
-    assert desk.rows() == before
-    assert desk.done(lease, "host-1.b")
-    assert not desk.fail(lease, FailReason.CRASH, "host-10.a")
-    assert desk.archive(lease)
-    assert not desk.done(lease, "thief.a")
+        assert claims.beat(connection, beat, timed_ledger.now, TTL_S) == claims.BeatOutcome((lease,), (lease,), ())
+    assert timed_ledger.rows() == before
+    assert timed_ledger.done(lease, "host-1.b")
+    assert not timed_ledger.fail(lease, FailReason.CRASH, "host-10.a")
+    assert timed_ledger.archive(lease)
+    assert not timed_ledger.done(lease, "thief.a")
 
 
-def test_sessions_are_bounded_and_silent_ones_are_removed(desk, monkeypatch):
+def test_sessions_are_bounded_and_silent_ones_are_removed(timed_ledger, monkeypatch):
     def hello(host: str, number: int) -> bool:
-        with desk.open() as connection:
-            return hosts.register(connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), desk.now)
+        with timed_ledger.open() as connection:
+            return hosts.register(
+                connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), timed_ledger.now
+            )
 
     monkeypatch.setattr(hosts, "SESSIONS_OF_HOST", 5)
     monkeypatch.setattr(hosts, "SESSIONS", 8)
     assert [hello("one", number) for number in range(7)] == [True] * 5 + [False] * 2
     assert hello("one", 3)
     assert [hello("two", number) for number in range(4)] == [True] * 3 + [False]
-    with desk.open() as connection:
-        hosts.note_alive(connection, "one.9", "one", desk.now)
-        assert len(read_progress(connection, desk.now).workers) == 8
-    desk.now += timedelta(hours=1)
+    with timed_ledger.open() as connection:
+        hosts.note_alive(connection, "one.9", "one", timed_ledger.now)
+        assert len(read_progress(connection, timed_ledger.now).workers) == 8
+    timed_ledger.now += timedelta(hours=1)
     assert [hello("three", number) for number in range(6)] == [True] * 5 + [False]

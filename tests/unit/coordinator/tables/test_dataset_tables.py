@@ -129,7 +129,7 @@ def test_the_side_of_an_instance_is_in_row_description_and_card(tmp_path: Path) 
         write_tables(archive, plan, {}, [row(1), row(2)], [], NOW, sides, {"office": ("chair",)})
     assert pq.read_table(tmp_path / "metadata.parquet")[SIDE_COLUMN].to_pylist() == ["shared", "shared"]
     assert read_dataset_meta(tmp_path).shared_instances == {"office": ("chair",)}
-    assert "too few of a category (office: chair)" in (tmp_path / "README.md").read_text()
+    assert "categories with too few instances (office: chair)" in (tmp_path / "README.md").read_text()
 
 
 def test_the_gate_result_survives_later_writes(tmp_path: Path) -> None:

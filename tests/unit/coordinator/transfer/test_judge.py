@@ -1,4 +1,4 @@
-"""Which bundles are validated completely, and how the draw of spot checks depends on the secret."""
+"""Selection of the bundles that are validated completely, and dependence of the spot checks on the secret."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ LEASE = Lease(job_id=1, fence=1, token="0" * 32)
 
 
 @dataclass
-class House:
+class RecordingParts:
     """A ledger and a validator that accept everything, and a worker that serves `BUNDLE`; all record their calls."""
 
     fetched: list[Chunk] = field(default_factory=list)
@@ -73,9 +73,9 @@ class House:
 
 
 @contextmanager
-def brought(root: Path, nearby: Nearby) -> Iterator[tuple[House, Path]]:
+def brought(root: Path, nearby: Nearby) -> Iterator[tuple[RecordingParts, Path]]:
     """Pulls one bundle; returns the recorded calls and its expected path."""
-    house = House()
+    house = RecordingParts()
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0)
     sha256 = hashlib.sha256(BUNDLE).hexdigest()
     with open_archive(root / "data") as archive:
@@ -138,7 +138,7 @@ def test_a_bundle_in_an_unreadable_spool_is_fetched_over_the_network(tmp_path: P
 
 
 def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None:
-    house, count = House(), 60
+    house, count = RecordingParts(), 60
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
     target: Any = None
     with (
@@ -155,7 +155,7 @@ def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None
     assert hosts.count("other.1") == 1
 
 
-class Crowd(House):
+class SlowHosts(RecordingParts):
     """Workers of several hosts; those with a name that starts with `slow` delay every chunk."""
 
     def __init__(self, pause_s: float) -> None:
@@ -183,7 +183,7 @@ def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
 
 @pytest.mark.parametrize("slow_hosts", [1, 2, 10])
 def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_hosts: int) -> None:
-    crowd = Crowd(pause_s=0.3)
+    crowd = SlowHosts(pause_s=0.3)
     settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=0)
     with (
         open_archive(tmp_path / "data") as archive,
@@ -199,7 +199,7 @@ def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_host
 
 
 def test_interleaved_transfers_arrive_intact(tmp_path: Path) -> None:
-    crowd = Crowd(pause_s=0.1)
+    crowd = SlowHosts(pause_s=0.1)
     settings = CoordinatorSettings(pullers=1, chunk_bytes=1024, reserve_bytes=0)
     with (
         open_archive(tmp_path / "data") as archive,
@@ -215,7 +215,7 @@ def test_interleaved_transfers_arrive_intact(tmp_path: Path) -> None:
 
 
 def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
-    crowd = Crowd(pause_s=0.05)
+    crowd = SlowHosts(pause_s=0.05)
     settings = CoordinatorSettings(
         pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
     )
@@ -231,7 +231,7 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [0, 1])
 def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
-    house, asked = House(), threading.Event()
+    house, asked = RecordingParts(), threading.Event()
 
     def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
         if chunk.offset >= size * 1024:
@@ -257,7 +257,7 @@ def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_pat
 
 
 def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> None:
-    house, failures = House(), iter(range(3))
+    house, failures = RecordingParts(), iter(range(3))
 
     def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
         if next(failures, None) is not None:
@@ -279,7 +279,7 @@ def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> Non
 
 
 def test_space_is_reserved_for_bundles_in_transfer(tmp_path: Path) -> None:
-    crowd = Crowd(pause_s=0.1)
+    crowd = SlowHosts(pause_s=0.1)
     with open_archive(tmp_path / "data") as archive:
         free = archive.free_bytes()
         settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=max(0, free - (1 << 30)))

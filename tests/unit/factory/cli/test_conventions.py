@@ -24,7 +24,7 @@ SYNONYMS = {
     "--dataset": "DIR as an argument",
     "--processes": "--workers",
     "--threads": "--workers",
-    "--resume": "nothing: a verb that can continue continues",
+    "--resume": "no option: a command that can continue a run continues it",
     "--overwrite": "--force",
     "--yes": "--force",
     "--splits": "--split",

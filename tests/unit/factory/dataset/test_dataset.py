@@ -181,13 +181,13 @@ def test_damaged_frame_is_named_and_the_others_can_be_read(own: Path) -> None:
 def test_a_forged_number_of_steps_allocates_no_memory(own: Path) -> None:
     true = Dataset(own)[0]
     false = Episode(true.path, true.summary.model_copy(update={"num_steps": 10**9}))
-    with pytest.raises(ArchiveCorrupt, match="has 12 steps, the metadata says 1000000000"):
+    with pytest.raises(ArchiveCorrupt, match="has 12 steps, the metadata has 1000000000"):
         false.rgb(0)
 
 
 def test_swapped_file_is_noticed(own: Path) -> None:
     (own / "episodes/ep_000001.zip").write_bytes(parts_for(steps=13).write())
-    with pytest.raises(ArchiveCorrupt, match="has 13 steps, the metadata says 12"):
+    with pytest.raises(ArchiveCorrupt, match="has 13 steps, the metadata has 12"):
         Dataset(own)[0].rgb(0)
 
 

@@ -46,19 +46,19 @@ def export(root: Path, out: Path, name: str, **options: Any) -> Path:
 
 @pytest.fixture(scope="module")
 def everything(varied: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Version 3.0 with depth and ids, at 60 frames a second."""
+    """Version 3.0 with depth and ids, at 60 frames per second."""
     return export(varied, tmp_path_factory.mktemp("lerobot") / "out", "lerobot", depth=True, ids=True)
 
 
 @pytest.fixture(scope="module")
 def slow(varied: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Version 3.0, RGB only, at 20 frames a second."""
+    """Version 3.0, RGB only, at 20 frames per second."""
     return export(varied, tmp_path_factory.mktemp("lerobot") / "out", "lerobot", fps=20)
 
 
 @pytest.fixture(scope="module")
 def older(varied: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Version 2.1 at 30 frames a second."""
+    """Version 2.1 at 30 frames per second."""
     return export(varied, tmp_path_factory.mktemp("lerobot") / "out", "lerobot-v2.1", fps=30)
 
 

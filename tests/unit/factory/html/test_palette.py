@@ -1,4 +1,4 @@
-"""The colours: legible on both backgrounds, distinguishable with colour vision deficiency, replaceable by name."""
+"""Colours are legible on both backgrounds, distinguishable with colour vision deficiency, and replaceable by name."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def test_no_two_names_share_a_colour_on_a_light_background() -> None:
 
 
 @pytest.mark.parametrize("ground", _GROUNDS)
-def test_text_has_the_contrast_that_wcag_asks_for(ground: int) -> None:
+def test_text_has_the_contrast_that_wcag_requires(ground: int) -> None:
     for name in ("ink", "muted", "paper"):
         assert contrast(COLOURS[name][ground], COLOURS["card"][ground]) >= 4.5, name
 
 
 @pytest.mark.parametrize("ground", _GROUNDS)
-def test_marks_have_the_contrast_that_wcag_asks_for(ground: int) -> None:
+def test_marks_have_the_contrast_that_wcag_requires(ground: int) -> None:
     names = [*TIER_COLOURS.values(), "scene1", "scene2", "scene3", "scene4", "won", "collision"]
     poor = {name: contrast(COLOURS[name][ground], COLOURS["card"][ground]) for name in names}
     assert not {name: ratio for name, ratio in poor.items() if ratio < 2.7}

@@ -58,7 +58,7 @@ def test_no_bundle_remains_after_the_gate(tmp_path: Path, monkeypatch: pytest.Mo
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_crash_is_a_failed_attempt_and_the_others_go_on() -> None:
+def test_a_crash_is_a_failed_attempt_and_the_others_continue() -> None:
     trials = try_all(pilot_of(2, DIES_AT_WORK, processes=1))
     assert [trial.reason for trial in trials] == [FailReason.CRASH] * 2
     assert "broken" in trials[0].detail
@@ -69,7 +69,7 @@ def test_simulations_that_do_not_start_are_an_error_with_their_last_output() -> 
         try_all(pilot_of(2, NOISY_DEATH, processes=1))
 
 
-def test_a_stopped_pilot_returns_what_it_has() -> None:
+def test_a_stopped_pilot_returns_its_finished_trials() -> None:
     stop = threading.Event()
     trials = run_pilot(pilot_of(20, processes=1), stop, lambda done: stop.set() if done == 2 else None)
     assert len(trials) == 2

@@ -1,4 +1,4 @@
-"""Broken, unusual or hostile stages: a message with prim or file and the remedy, never a crash."""
+"""Broken, unusual or hostile stages cause a message with prim or file and the remedy, never a crash."""
 
 from __future__ import annotations
 

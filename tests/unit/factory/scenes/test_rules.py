@@ -123,5 +123,5 @@ def test_a_missing_rule_table_is_refused_with_the_command_that_creates_one(tmp_p
     assert "Errno" not in str(caught.value)
 
 
-def test_racks_shelves_and_monitors_are_not_named_after_their_content() -> None:
+def test_racks_shelves_and_monitors_are_not_named_by_the_colour_of_their_content() -> None:
     assert builtin_rules().only(CATEGORIES).uncoloured == {"rack", "shelf", "monitor"}

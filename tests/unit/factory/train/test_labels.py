@@ -12,7 +12,8 @@ HZ, BRAKING = 60, RobotConfig().max_braking_mps2
 
 
 def drive() -> NDArray[np.float32]:
-    """Speeds up at 2.5 m/s2, sinks with the distance, brakes at 8 m/s2 and stops for six steps."""
+    """Returns a drive that accelerates at 2.5 m/s2, slows down with the distance, brakes at 8 m/s2 and stops for six
+    steps."""
     up = np.arange(1, 24) * 2.5 / HZ
     sinking = np.linspace(up[-1], 0.70, 60)
     braking = np.clip(0.70 - np.arange(1, 7) * 8 / HZ, 0, None)

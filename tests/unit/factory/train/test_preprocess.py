@@ -8,6 +8,9 @@ import pytest
 from factory.train.preprocess import FAR_M, SIZES, Batch, augment, shrink_depth, shrink_mask, shrink_rgb, to_input
 from schemas.encoding.arrays import FRAME_SIZE_PX
 
+SWAPPED = np.array((0, 1, 2, 4, 3), np.int64)
+"""Words of a mirrored image: words 3 and 4 are opposite sides."""
+
 
 @pytest.mark.parametrize("size", SIZES)
 def test_colours_are_the_mean_of_their_block(size: int) -> None:
@@ -56,21 +59,24 @@ def batch(is_stop: bool) -> Batch:
     depth = np.full((64, 64, 64), 1000, np.uint16)
     mask = np.zeros((64, 8, 8), np.float32)
     mask[:, :, 2] = 1
-    return Batch(to_input(rgb, depth), mask, np.tile(np.float32((0.5, 0.3)), (64, 1)), np.full(64, is_stop))
+    actions, words = np.tile(np.float32((0.5, 0.3)), (64, 1)), np.tile(np.int64((2, 3, 0)), (64, 1))
+    return Batch(to_input(rgb, depth), mask, actions, np.full(64, is_stop), words)
 
 
-def test_mirrored_frames_have_the_opposite_yaw_rate() -> None:
-    varied = augment(batch(is_stop=False), np.random.default_rng(0))
+def test_mirrored_frames_have_the_opposite_yaw_rate_and_side_words() -> None:
+    varied = augment(batch(is_stop=False), np.random.default_rng(0), SWAPPED)
     mirrored = varied.mask[:, 0, 5] == 1
     assert 10 < mirrored.sum() < 54
     assert (varied.actions[mirrored, 1] == np.float32(-0.3)).all()
     assert (varied.actions[~mirrored, 1] == np.float32(0.3)).all()
     assert (varied.actions[:, 0] == 0.5).all()
+    assert (varied.words[mirrored] == (2, 4, 0)).all()
+    assert (varied.words[~mirrored] == (2, 3, 0)).all()
 
 
 def test_only_stop_frames_are_augmented_by_zoom() -> None:
-    still = augment(batch(is_stop=True), np.random.default_rng(0)).pictures[:, 3]
-    moving = augment(batch(is_stop=False), np.random.default_rng(0)).pictures[:, 3]
+    still = augment(batch(is_stop=True), np.random.default_rng(0), SWAPPED).pictures[:, 3]
+    moving = augment(batch(is_stop=False), np.random.default_rng(0), SWAPPED).pictures[:, 3]
     nearest = to_input(np.zeros((1, 1, 1, 3), np.uint8), np.full((1, 1, 1), 750, np.uint16))[0, 3, 0, 0]
     assert np.allclose(moving, 0, atol=1e-6)
     assert 0.2 < (still.max(axis=(1, 2)) > 1e-3).mean() < 0.9
@@ -80,6 +86,6 @@ def test_only_stop_frames_are_augmented_by_zoom() -> None:
 def test_augmentation_keeps_its_input_and_is_reproducible() -> None:
     given = batch(is_stop=True)
     before = given.pictures.copy()
-    first, second = (augment(given, np.random.default_rng(9)) for _ in range(2))
+    first, second = (augment(given, np.random.default_rng(9), SWAPPED) for _ in range(2))
     assert np.array_equal(given.pictures, before)
     assert np.array_equal(first.pictures, second.pictures)

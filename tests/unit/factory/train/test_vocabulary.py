@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.train.vocabulary import ANY, MAX_WORDS, PAD, UNKNOWN, encode, split_words, vocabulary
+from factory.train.vocabulary import ANY, MAX_WORDS, PAD, UNKNOWN, encode, mirrored_words, split_words, vocabulary
 from schemas.instruction.language import TEMPLATES, instruction
 from schemas.terms import CATEGORIES
 
@@ -52,3 +52,10 @@ def test_any_text_gives_at_least_one_id(text: str) -> None:
     assert found.shape == (MAX_WORDS,)
     assert found[0] != PAD
     assert 0 <= found.min() <= found.max() < len(WORDS)
+
+
+def test_the_instruction_of_a_mirrored_image_names_the_other_side() -> None:
+    words = vocabulary(["Go to the red chair on your left."])
+    swapped = mirrored_words(words)[encode("Go to the red chair on your left.", words)]
+    assert np.array_equal(swapped, encode("Go to the red chair on your right.", words))
+    assert np.array_equal(mirrored_words(WORDS), np.arange(len(WORDS)))

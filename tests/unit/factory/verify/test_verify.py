@@ -189,11 +189,11 @@ def test_forged_description_is_found(data: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"final_ne_m": 0.5}, "final_ne_m: metadata.parquet says 0.5, the episode 1.5775"),
-        ({"instruction": "Fly."}, "instruction: metadata.parquet says Fly., the episode Go to"),
-        ({"content_digest": "0" * 32}, "content_digest: metadata.parquet says"),
-        ({"split": "val_id"}, "split: metadata.parquet says val_id, the episode train_id"),
-        ({"renderer": "other"}, "renderer: metadata.parquet says other"),
+        ({"final_ne_m": 0.5}, "final_ne_m: metadata.parquet has 0.5, the episode has 1.5775"),
+        ({"instruction": "Fly."}, "instruction: metadata.parquet has Fly., the episode has Go to"),
+        ({"content_digest": "0" * 32}, "content_digest: metadata.parquet has"),
+        ({"split": "val_id"}, "split: metadata.parquet has val_id, the episode has train_id"),
+        ({"renderer": "other"}, "renderer: metadata.parquet has other"),
     ],
 )
 def test_row_that_differs_from_its_episode_is_found(data: Path, changes: dict[str, object], text: str) -> None:

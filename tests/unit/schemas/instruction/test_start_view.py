@@ -48,7 +48,7 @@ def _findings(view: StartView, *shown: int, bearing_deg: float = 0.0, pixels: in
         (StartView(alike=(RIVAL,), least_alike=1), (RIVAL,), "the target is not in view"),
     ],
 )
-def test_a_start_meets_its_conditions_or_says_which_object_breaks_them(view, shown, finding):
+def test_a_start_meets_its_conditions_or_the_object_that_violates_them_is_named(view, shown, finding):
     found = _findings(view, *shown)
     assert finding in found
     assert bool(found) == bool(finding)

@@ -7,7 +7,7 @@ from schemas.language.expression import ARITY, Clause, Expression, Landmark, Ord
 from schemas.language.grammar import LANGUAGES, REGISTERS, grammar
 from schemas.language.kinds import kinds
 from schemas.language.reading import reader
-from schemas.terms import CATEGORIES, COLOUR_NAMES
+from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, COLOUR_NAMES
 
 
 def near(kind: str, definite: bool = True, colour: str | None = None) -> Clause:
@@ -135,3 +135,9 @@ def test_articles_adjectives_and_measure_words_agree_with_the_noun(code, start, 
 def test_an_unknown_language_is_refused_with_the_known_ones():
     with pytest.raises(UsageError, match="unknown language 'eng'; languages: en, de, es, zh; did you mean 'en'"):
         grammar("eng")
+
+
+@pytest.mark.parametrize("code", LANGUAGES)
+def test_every_category_of_a_built_in_scene_has_a_noun(code):
+    held = {name for terms in BUILTIN_CATEGORIES.values() for group in terms for name in group}
+    assert held <= set(grammar(code).nouns)

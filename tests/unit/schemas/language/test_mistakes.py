@@ -47,7 +47,7 @@ def test_errors_are_seeded_and_leave_one_difference(code, kind):
         ("Go the red chair.", MistakeKind.SPEECH, "a filler or a repetition"),
     ],
 )
-def test_a_difference_that_is_no_such_error_is_refused(text, kind, fault):
+def test_any_other_difference_is_refused(text, kind, fault):
     found = mistake_fault(text, "Go to the red chair.", kind, "en", reader("en").vocabulary)
     assert fault in found if fault else found == ""
 

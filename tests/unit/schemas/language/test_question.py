@@ -156,7 +156,7 @@ def test_recorded_images_that_contradict_an_answer_reject_it():
     assert seen(_Images(sofa, metres), unseen) == "the image shows one"
 
 
-def test_the_target_of_a_false_premise_is_no_goal():
+def test_the_target_of_a_false_premise_is_not_a_goal():
     writer = QuestionComposer(Composer(LanguageSpec(questions=True)))
     episode = AskedEpisode(POSES[:11], number_at(*SOFA), is_false_premise=True)
     kinds = {

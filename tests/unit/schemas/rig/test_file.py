@@ -164,7 +164,7 @@ def test_all_mistakes_are_listed_together(tmp_path: Path):
         ("x = " + "[" * 100_000, "is not"),
     ],
 )
-def test_a_file_that_is_no_rig_is_refused(tmp_path: Path, text: str, message: str):
+def test_a_file_that_is_not_a_rig_is_refused(tmp_path: Path, text: str, message: str):
     assert message in mistakes(tmp_path, text)
 
 

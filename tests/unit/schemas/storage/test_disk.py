@@ -1,4 +1,4 @@
-"""Room on the disk, asked before anything is created."""
+"""Free space of the disk is checked before anything is created."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def test_each_line_that_is_sent_can_be_answered_with_one(start: Start) -> None:
         assert process.read(LONG_S) == line.upper()
 
 
-def test_lines_that_are_no_message_are_skipped(start: Start) -> None:
+def test_lines_that_are_not_messages_are_skipped(start: Start) -> None:
     process = start("print('noise'); print('{1}'); print('{2}')", parse=lambda line: line if b"{" in line else None)
     assert [process.read(LONG_S), process.read(LONG_S)] == [b"{1}\n", b"{2}\n"]
     with pytest.raises(EOFError):
@@ -65,7 +65,7 @@ def test_line_beyond_the_limit_is_cut(start: Start) -> None:
     assert len(process.read(LONG_S) or b"") >= 5000
 
 
-def test_end_of_the_process_is_told_with_its_status_and_its_last_line_on_stderr(start: Start) -> None:
+def test_end_of_the_process_is_reported_with_its_status_and_its_last_line_on_stderr(start: Start) -> None:
     process = start("import sys; print('first\\nlast', file=sys.stderr); sys.exit(7)")
     with pytest.raises(EOFError):
         process.read(LONG_S)

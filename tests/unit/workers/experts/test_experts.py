@@ -1,4 +1,4 @@
-"""The experts: speed laws against the paper's equations, and what the planner does near its goal."""
+"""The experts: speed laws compared with the paper's equations, and the planner near its goal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from schemas.terms import ExpertName
 from tests.builders.catalog import make_catalog
 from tests.builders.scene import box_room
 from workers.experts import Expert, make_expert
-from workers.experts.sight import Sighting
+from workers.experts.image_measures import Sighting
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 

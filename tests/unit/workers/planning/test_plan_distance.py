@@ -30,7 +30,7 @@ def test_a_start_inside_the_circle_has_distance_zero():
 
 
 def test_the_distance_around_a_wall_is_the_shortest_path():
-    """Past the corners at (0.8, -1) and (1, -1), a quarter of a metre off, to the circle around (2.5, 1.3)."""
+    """The path passes the corners at (0.8, -1) and (1, -1) at 0.25 m and ends at the circle around (2.5, 1.3)."""
     found = geodesic((-1.5, 1.0), WALL)
     corners = ((-1.5, 1.0), (0.65, -1.2), (1.15, -1.2), (2.5, 1.3))
     taut = sum(math.dist(a, b) for a, b in itertools.pairwise(corners)) - 1.0

@@ -1,4 +1,4 @@
-"""Pure pursuit on an ideal robot: it keeps to the path, turns the planned way round and never drives backwards."""
+"""Pure pursuit on an ideal robot: it stays on the path, turns in the planned direction and never drives backwards."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_corner_is_not_cut():
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_turn_on_the_spot_goes_the_planned_way_round(way):
-    """By 200 degrees, although 160 the other way would do."""
+    """The robot turns by 200 degrees, although 160 degrees in the other direction would suffice."""
     turn = [Waypoint(0.0, 0.0, math.radians(way * 10 * step)) for step in range(21)]
     yaw = turn[-1].yaw
     path = (*turn, *(Waypoint(0.2 * k * math.cos(yaw), 0.2 * k * math.sin(yaw), yaw) for k in range(1, 6)))
@@ -72,7 +72,8 @@ def test_a_turn_on_the_spot_goes_the_planned_way_round(way):
 
 
 def test_a_turn_on_the_spot_ends_at_the_planned_heading_before_a_curve():
-    """By 90 degrees, then on along an arc to the left; turning further on the spot might cause contact at the tail."""
+    """The robot turns by 90 degrees, then drives along an arc to the left; a larger turn on the spot could cause
+    contact behind it."""
     turn = [Waypoint(0.0, 0.0, math.radians(10 * step)) for step in range(10)]
     arc = [Waypoint(0.6 * math.cos(a) - 0.6, 0.6 * math.sin(a), a + math.pi / 2) for a in (0.3, 0.6, 0.9, 1.2)]
     poses, commands = follow((*turn, *arc), Pose.planar(0, 0, 0))

@@ -18,9 +18,9 @@ from workers.planning import Waypoint, geodesic_m, plan_path
 from workers.planning.lattice import HEADINGS, MOVES, STEP_M, heading_of, pose_table, yaw_at
 
 WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))
-"""Hides the crate from the west but for a way round its southern end."""
+"""Hides the crate from the west; the only path leads around its southern end."""
 FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
-"""From wall to wall."""
+"""Fence from wall to wall, without a gap."""
 START = Waypoint(-1.5, 0.0, 0.0)
 CONFIG = PlannerConfig()
 

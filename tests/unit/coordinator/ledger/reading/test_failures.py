@@ -8,7 +8,7 @@ from coordinator.ledger.host_memory import read_memory, write_memory
 from coordinator.ledger.reading.failures import count_failures, place_in, read_failures
 from schemas.protocol.messages import HostMemory
 from schemas.terms import FailReason
-from tests.builders.ledger import Desk, room_plan
+from tests.builders.ledger import TimedLedger, room_plan
 
 
 @pytest.mark.parametrize(
@@ -26,14 +26,14 @@ def test_the_location_of_a_failure_is_read_from_its_description(detail: str, xy_
 
 
 def test_failures_of_a_scene_are_read_newest_first_without_successes_and_releases() -> None:
-    desk = Desk(room_plan(3, draws=2, attempts_per_draw=2))
+    timed_ledger = TimedLedger(room_plan(3, draws=2, attempts_per_draw=2))
     for reason, detail in (
         (FailReason.COLLISION, "collision after 7 steps at (1.00, 2.00) m, 3.00 m from chair_001"),
         (FailReason.RELEASED, ""),
         (FailReason.TIMEOUT, "timeout"),
     ):
-        desk.fail(desk.lease(), reason, detail=detail)
-    with desk.open() as connection:
+        timed_ledger.fail(timed_ledger.lease(), reason, detail=detail)
+    with timed_ledger.open() as connection:
         found = read_failures(connection)
         scene = found[0].scene
         assert [(one.reason, one.xy_m) for one in found] == [("timeout", None), ("collision", (1.0, 2.0))]
@@ -44,9 +44,9 @@ def test_failures_of_a_scene_are_read_newest_first_without_successes_and_release
 
 
 def test_the_memory_of_hosts_is_replaced_as_a_whole() -> None:
-    desk = Desk()
+    timed_ledger = TimedLedger()
     one, two = HostMemory(used_bytes=1, total_bytes=4), HostMemory(used_bytes=2, total_bytes=4)
-    with desk.open() as connection:
+    with timed_ledger.open() as connection:
         assert read_memory(connection) == {}
         write_memory(connection, {"a": one, "b": one})
         write_memory(connection, {"a": two})

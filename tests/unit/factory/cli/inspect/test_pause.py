@@ -10,21 +10,21 @@ from click.testing import CliRunner
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.requests import is_paused, read_requests
 from factory.cli.inspect.jobs import command
-from tests.builders.ledger import Desk, room_plan
+from tests.builders.ledger import TimedLedger, room_plan
 
 
 def test_a_run_without_a_coordinator_is_paused_and_resumed(tmp_path: Path) -> None:
-    desk = Desk(room_plan(2), ledger_url_of(tmp_path))
-    desk.engine.dispose()
+    timed_ledger = TimedLedger(room_plan(2), ledger_url_of(tmp_path))
+    timed_ledger.engine.dispose()
     paused = CliRunner().invoke(command, ["pause", str(tmp_path)], standalone_mode=False)
     assert paused.exception is None
     assert paused.output == f"paused {tmp_path}\n"
-    with desk.open() as connection:
+    with timed_ledger.open() as connection:
         assert is_paused(connection)
-    desk.engine.dispose()
+    timed_ledger.engine.dispose()
     resumed = CliRunner().invoke(command, ["resume", str(tmp_path), "--json"], standalone_mode=False)
     assert json.loads(resumed.output)["changed"] == []
-    with desk.open() as connection:
+    with timed_ledger.open() as connection:
         assert not is_paused(connection)
         assert [request.action for request in read_requests(connection)] == ["pause", "resume"]
-    desk.engine.dispose()
+    timed_ledger.engine.dispose()

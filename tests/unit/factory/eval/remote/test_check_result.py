@@ -14,7 +14,7 @@ from factory.eval.models.messages import EvalRequest, EvalTask, Setup
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
 from factory.eval.policies.note import PolicyNote
-from factory.eval.remote.driven import Driven, read_driven, write_driven
+from factory.eval.remote.result_bundle import ResultBundle, read_result_bundle, write_result_bundle
 from factory.eval.remote.result_validator import ResultValidator, result_digest, result_findings
 from schemas.encoding.container import ContainerWriter
 from schemas.errors import InvalidBundle
@@ -112,7 +112,7 @@ def test_every_inconsistent_value_is_named(changes: dict[str, Any], reason: str)
 
 def bundle_of(result: EpisodeResult, note: PolicyNote = NOTE) -> bytes:
     out = io.BytesIO()
-    write_driven(Driven(result=result, note=note), out)
+    write_result_bundle(ResultBundle(result=result, note=note), out)
     return out.getvalue()
 
 
@@ -129,7 +129,7 @@ def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path
     assert (
         receipt.content_digest == result_digest(arrived(act_ms=9.0, seconds=9.0)) != result_digest(arrived(detail="x"))
     )
-    assert read_driven(io.BytesIO(data)).result == arrived()
+    assert read_result_bundle(io.BytesIO(data)).result == arrived()
 
 
 def test_invalid_bundles_and_bundles_of_other_tasks_are_refused(tmp_path: Path) -> None:

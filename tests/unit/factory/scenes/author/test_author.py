@@ -1,4 +1,5 @@
-"""The authored scenes: same seed same scene, every category stands, units, names, references, closed shells."""
+"""The authored scenes: equal seeds give equal scenes, every category occurs; units, names, references, closed
+shells."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def test_projected_texture_coordinates_are_metres_over_the_tile_size() -> None:
     assert np.ptp(joined.st[:24, 1]) == pytest.approx(6.0)
 
 
-def test_colours_become_linear_as_usd_wants_them() -> None:
+def test_colours_become_linear_as_usd_requires() -> None:
     assert linear_rgb("#ffffff") == (1.0, 1.0, 1.0)
     assert linear_rgb("#808080")[0] == pytest.approx(0.2159, abs=1e-3)
 

@@ -111,7 +111,7 @@ def test_an_object_behind_a_wall_is_neither_visible_nor_a_target_from_there(tmp_
     assert (seeing[:, 0] > 0).all()
 
 
-def test_an_enclosed_object_is_no_target_but_stays_an_instance(tmp_path: Path) -> None:
+def test_an_enclosed_object_is_not_a_target_but_stays_an_instance(tmp_path: Path) -> None:
     cell = (
         TEXT.box("CellA", (-3.6, -2.6, 0), (-3.5, -0.5, 2.5))
         + TEXT.box("CellB", (-1.5, -2.6, 0), (-1.4, -0.5, 2.5))

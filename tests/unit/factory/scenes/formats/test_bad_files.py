@@ -1,4 +1,4 @@
-"""Scene files that cannot be read: a message with the reason and the remedy, and nothing is written."""
+"""Scene files that cannot be read cause a message with the reason and the remedy; nothing is written."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def test_prims_below_a_component_are_not_separate_objects(tmp_path: Path) -> Non
     assert found(tmp_path, stand) == []
 
 
-def test_prims_of_implausible_size_are_no_objects_but_may_contain_objects(tmp_path: Path) -> None:
+def test_prims_of_implausible_size_are_not_objects_but_may_contain_objects(tmp_path: Path) -> None:
     hall = TEXT.group("TableHall", box("Floor", 0, 30.0) + box("Desk_1"))
     assert found(tmp_path, hall + box("Chair_toy", 0, 0.05)) == [("TableHall/Desk_1", "table")]
 
@@ -111,7 +111,7 @@ def test_the_width_of_a_footprint_does_not_depend_on_its_rotation(degrees: float
     assert footprint_width(upright[:1] * (1, 0, 1)) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_bed_is_no_bed_without_its_size_and_its_name_may_be_a_synonym(tmp_path: Path) -> None:
+def test_a_bed_needs_a_plausible_size_and_may_be_named_by_a_synonym(tmp_path: Path) -> None:
     sizes = {
         "Fridge": (0.7, 0.7, 1.8),
         "TV_01": (1.2, 0.1, 0.7),

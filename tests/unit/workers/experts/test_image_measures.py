@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.config import TaskConfig
-from workers.experts.sight import foreground_window, is_obstacle_near, see
+from workers.experts.image_measures import foreground_window, is_obstacle_near, measure_mask
 
 DEPTH = np.full((640, 640), 3.0, np.float32)
 
@@ -15,19 +15,19 @@ def test_a_mask_gives_its_size_mean_column_and_median_depth():
     ids[100:110, 200:220] = 7
     depth = DEPTH.copy()
     depth[100:110, 200:219] = 2.0
-    sighting = see(ids, depth, 7, 32)
+    sighting = measure_mask(ids, depth, 7, 32)
     assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (200, 210.0, 2.0)
 
 
 def test_a_mask_that_fills_the_image_is_counted_whole():
-    sighting = see(np.full((640, 640), 7, np.uint16), DEPTH, 7, 32)
+    sighting = measure_mask(np.full((640, 640), 7, np.uint16), DEPTH, 7, 32)
     assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (640 * 640, 320.0, 3.0)
 
 
 def test_a_mask_below_the_threshold_counts_as_unseen_at_the_centre():
     ids = np.zeros((640, 640), np.uint16)
     ids[0, :31] = 7
-    sighting = see(ids, DEPTH, 7, 32)
+    sighting = measure_mask(ids, DEPTH, 7, 32)
     assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (31, 320.0, 0.0)
 
 
@@ -47,8 +47,8 @@ def test_a_window_with_the_whole_mask_gives_the_measurements_of_the_image():
     rng = np.random.default_rng(0)
     ids, depth = np.zeros((640, 640), np.uint16), rng.uniform(0.5, 3.0, (640, 640)).astype(np.float32)
     ids[100:320, 211:499] = rng.integers(0, 3, (220, 288))
-    whole = see(ids, depth, 2, 32)
-    part = see(ids[90:330, 200:500], depth[90:330, 200:500], 2, 32, left=200)
+    whole = measure_mask(ids, depth, 2, 32)
+    part = measure_mask(ids[90:330, 200:500], depth[90:330, 200:500], 2, 32, left=200)
     assert part[:2] == whole[:2]
     assert part.measure_depth() == whole.measure_depth()
 

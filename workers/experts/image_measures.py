@@ -31,7 +31,7 @@ class Sighting(NamedTuple):
     because the median takes longer than all other measurements and most experts do not use it."""
 
 
-def see(
+def measure_mask(
     ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int, left: int = 0
 ) -> Sighting:
     """Measures the target's mask (paper Eq. 2-3).
@@ -83,5 +83,5 @@ def is_obstacle_near(crop: NDArray[np.float32], task: TaskConfig) -> bool:
 
 
 def are_near(near: int, valid: int) -> bool:
-    """Returns whether so many pixels below the limit, of so many valid ones, make an obstacle near."""
+    """Returns whether an obstacle is near, given the numbers of pixels below the depth limit and of valid pixels."""
     return near > 0.05 * valid

@@ -45,7 +45,7 @@ def predict_path(
         if distance <= goal.radius_m:
             break
         if estimate is not None and step % _LOOK_EVERY == 0:
-            pixels, column = estimate.look(x, y, yaw)
+            pixels, column = estimate.evaluate(x, y, yaw)
         error = (
             -column
             if pixels >= gains.min_mask_px

@@ -15,7 +15,7 @@ from tests.builders.eval_results import spec_of
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, read_report, to_line
 
 
-def said_to(policy: str, tmp_path: Path) -> list[SimulationReport]:
+def reports_on(policy: str, tmp_path: Path) -> list[SimulationReport]:
     """Returns the reports on one task."""
     request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
     task = EvalTask(number=1, policy=policy, request=request, setup=Setup(settings=EvalSettings()))
@@ -44,14 +44,14 @@ def said_to(policy: str, tmp_path: Path) -> list[SimulationReport]:
 
 
 def test_classes_are_imported_only_where_the_worker_allows_it(tmp_path: Path) -> None:
-    ready, refused = said_to("tests.builders.policies:Tokens", tmp_path)
+    ready, refused = reports_on("tests.builders.policies:Tokens", tmp_path)
     assert ready.kind is SimulationReportKind.READY
     assert refused.reason is FailReason.CRASH
     assert "--import-policies" in refused.detail
 
 
 def test_a_missing_scene_gives_no_result(tmp_path: Path) -> None:
-    last = said_to("stop", tmp_path)[-1]
+    last = reports_on("stop", tmp_path)[-1]
     assert last.reason is FailReason.CRASH
     assert "no.scene" in last.detail
 

@@ -24,7 +24,7 @@ class Factor(IntEnum):
     CLUTTER = 5  # small objects
 
 
-class Chance:
+class FactorStream:
     """Stream of one factor of one episode; uses raw bits of PCG64, which numpy keeps in every version (NEP 19)."""
 
     def __init__(self, seed: int, episode: int, factor: Factor) -> None:

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from factory.cli.scene.package import say_counts, say_rest
+from factory.cli.scene.package import describe_counts, describe_rest
 from factory.scenes.inspection import list_other_things
 from tests.builders.scene import box_room
 
 
 def test_counts_are_printed_in_the_order_of_names() -> None:
-    assert say_counts({"shelf": 6, "bin": 1}) == "1 bin, 6 shelf"
-    assert say_counts({}) == "none"
+    assert describe_counts({"shelf": 6, "bin": 1}) == "1 bin, 6 shelf"
+    assert describe_counts({}) == "none"
 
 
 def test_a_long_list_of_objects_is_shortened() -> None:
     others = [{"prim_path": f"/W/{n:02d}", "category": None} for n in range(20)]
-    head, line = say_rest([*others], 30)
+    head, line = describe_rest([*others], 30)
     assert head == "not targets: 20 of 30 instances"
     assert line.startswith("  20 without a category: /W/00, ")
     assert line.endswith("/W/11, and 8 more")
 
 
 def test_unreachable_objects_of_a_category_are_reported_separately() -> None:
-    _, line = say_rest([{"prim_path": "/W/bin", "category": "bin"}], 3)
+    _, line = describe_rest([{"prim_path": "/W/bin", "category": "bin"}], 3)
     assert line == "  1 with a category, but unreachable or excluded: /W/bin (bin)"
 
 

@@ -19,20 +19,20 @@ _MEMBER = "driven.json"
 _LIMITS = ContainerLimits(members=1, member_bytes=4 << 20)
 
 
-class Driven(Model):
+class ResultBundle(Model):
     """Result of one episode with the metadata of its policy."""
 
     result: EpisodeResult
     note: PolicyNote
 
 
-def write_driven(driven: Driven, file: BinaryIO) -> None:
+def write_result_bundle(driven: ResultBundle, file: BinaryIO) -> None:
     """Writes the bundle."""
     with ContainerWriter(file) as container:
         container.add(_MEMBER, driven.model_dump_json().encode())
 
 
-def read_driven(file: BinaryIO) -> Driven:
+def read_result_bundle(file: BinaryIO) -> ResultBundle:
     """Reads a bundle.
 
     Raises:
@@ -40,7 +40,7 @@ def read_driven(file: BinaryIO) -> Driven:
     """
     text = ContainerReader(file, _LIMITS).read(_MEMBER)
     try:
-        return Driven.model_validate_json(text)
+        return ResultBundle.model_validate_json(text)
     except ValidationError as error:
         places = [f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
         raise InvalidBundle(f"{_MEMBER} is not valid", places) from error

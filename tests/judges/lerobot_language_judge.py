@@ -1,0 +1,54 @@
+"""Opens an export of a dataset with routes with LeRobot's loader, and compares every text and span with the dataset.
+
+Runs in a separate environment (Python 3.12, `lerobot[dataset]==0.6.1`, see `make test-language`), does not import this
+project, and exits with code 1 at the first failed check.
+
+    python tests/judges/lerobot_language_judge.py DATASET EXPORT
+
+DATASET: a relabelled dataset. EXPORT: its export with `--to lerobot`, at the recorded rate.
+"""
+
+import sys
+from pathlib import Path
+
+from lerobot.datasets.language_render import active_at
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from said import Said, counted
+from verdict import named, say
+
+
+def main() -> None:
+    said, export = Said(Path(sys.argv[1])), Path(sys.argv[2])
+    data = LeRobotDataset("judge/nav", root=export, video_backend="pyav")
+    names = [found["episode_id"] for found in data.meta.episodes]
+    assert sorted(names) == sorted(said.first)
+    for found in data.meta.episodes:
+        judge_episode(said, data, found["episode_id"], found["dataset_from_index"], found["length"])
+    told = f"{len(names)} instructions, {counted(map(said.steps, names))}, active subtask of every frame"
+    say(export, named("lerobot"), told)
+
+
+def judge_episode(said: Said, data: LeRobotDataset, name: str, first: int, length: int) -> None:
+    """Checks the task, and the active subtask of every frame with LeRobot's own function."""
+    steps = said.steps(name)
+    assert data[first]["task"] == said.first[name], name
+    rows = data.hf_dataset.select(range(first, first + length)).with_format(None)
+    found = []
+    for t, row in enumerate(rows):
+        active = active_at(row["timestamp"], persistent=row["language_persistent"], style="subtask")
+        if active is not None and (not found or found[-1]["text"] != active["content"]):
+            found.append({"text": active["content"], "start": t, "end": t})
+        if active is not None:
+            found[-1]["end"] = t + 1
+    joined = []
+    for each in steps:  # two equal texts in succession are one span for the loader
+        if joined and joined[-1]["text"] == each["text"]:
+            joined[-1] = {**joined[-1], "end": each["end"]}
+        else:
+            joined.append(each)
+    assert found == joined, (name, found, joined)
+    assert data[first]["language_persistent"] == data[first + length - 1]["language_persistent"]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Reads the instructions and sub-instructions of a relabelled dataset from its tables. Does not import this project."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+
+class Said:
+    """Tables of a relabelled dataset with routes."""
+
+    def __init__(self, root: Path) -> None:
+        found = pq.read_table(root / "instructions.parquet").to_pylist()
+        self.first = {row["episode_id"]: row["instruction"] for row in found if row["number"] == 1}
+        """First instruction by episode."""
+        self._steps = pq.read_table(root / "steps.parquet").to_pylist()
+        self.episodes = len(self.first)
+
+    def steps(self, episode_id: str) -> list[dict[str, Any]]:
+        """Returns text, start and end of the sub-instructions of the first route of an episode."""
+        own = [row for row in self._steps if row["episode_id"] == episode_id]
+        chosen = [row for row in own if row["number"] == min(each["number"] for each in own)]
+        return [{"text": row["instruction"], "start": row["start"], "end": row["end"]} for row in chosen]
+
+
+def counted(steps: Iterable[list[dict[str, Any]]]) -> str:
+    """Returns how many sub-instructions and routes were compared.
+
+    Raises:
+        AssertionError: no episode has a route.
+    """
+    found = [each for each in steps if each]
+    assert found, "no episode has a route"
+    return f"{sum(map(len, found))} sub-instructions of {len(found)} routes with their spans"
