@@ -74,7 +74,7 @@ def diff_archive(listed: Mapping[int, ListedFile], recorded: Mapping[int, Record
 
 
 def describe_difference(found: ListedFile | None, record: RecordedFile) -> str:
-    """Describes the difference between a file, `None` when it is missing, and its record; empty when nothing."""
+    """Returns the difference between a file (`None`: missing) and its record as text; empty if there is none."""
     if found is None:
         return GONE
     if found.size != record.size:

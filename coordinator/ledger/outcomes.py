@@ -41,7 +41,6 @@ Successor = Callable[[PlannedJob], PlannedJob]
 SUCCESS = "success"
 """Outcome of the attempt that produced the episode."""
 _LOST = "lost"
-_HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
 """Pause after the first crash of a job, seconds; it doubles with each crash."""
 _CRASHES_ALONE = hosts.STRIKES + 2
@@ -269,13 +268,14 @@ def _hurt(
         or hosts.has_failed_everywhere(connection, row, host, budget.crashes, now)
         or (crashes >= _CRASHES_ALONE and hosts.is_alone(connection, host, now))
     )
-    why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
+    last = f"{report.reason}: {report.detail}"
+    why = f"quarantined after {crashes} worker failures; the last was {last}" if is_last else ""
     pause_s = min(hosts.LONGEST_PAUSE_S, _CRASH_PAUSE_S * 2 ** (crashes - 1))
     values = {"next_attempt": row.attempt, "until": now.timestamp() + pause_s, "why": why}
     if not _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False):
         return False
     if blames_hosts:
-        hosts.strike(connection, host, row, f"{report.reason}: {report.detail}", now)
+        hosts.strike(connection, host, row, last, now)
     return True
 
 

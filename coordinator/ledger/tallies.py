@@ -64,7 +64,7 @@ def _has_tallies(connection: Connection) -> bool:
 
 
 def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
-    """Yields the statements that create the triggers of a table; in SQLite, another statement needs another name."""
+    """Yields the statements that create the triggers of a table; in SQLite, a changed trigger needs a new name."""
     add, subtract = _add(tally), _subtract(tally)
     if dialect == "postgresql":
         name = f"count_{counted.name}"

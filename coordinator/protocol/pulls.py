@@ -1,4 +1,4 @@
-"""Announced bundles that the coordinator or a gateway pulls. Pulls none."""
+"""Models of announced bundles, which the coordinator or a gateway pulls. This module transfers nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Implements a fair queue of items by owner: the owner with the least service time is next. Runs no thread."""
+"""Implements a fair queue of items by owner.
+
+The next owner is the one with the fewest items in service, then the least service time. Runs no thread.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,8 @@ T = TypeVar("T")
 class FairQueue(Generic[T]):
     """Thread-safe fair queue.
 
-    An owner has a second item in service only while no other owner waits. The service time of a new owner starts at the
-    minimum of the others, so that it is neither preferred nor delayed.
+    An owner gets a second item in service only while no owner with fewer waits. The service time of a new owner
+    starts at the minimum of the others, so that it is neither preferred nor delayed.
     """
 
     def __init__(self) -> None:
@@ -33,7 +36,7 @@ class FairQueue(Generic[T]):
             self._changed.notify()
 
     def take(self) -> tuple[str, T] | None:
-        """Waits for an item of the owner with the least service time; returns `None` if the queue is closed.
+        """Waits for an item of the next owner; returns `None` if the queue is closed.
 
         The caller must call `give` afterwards.
         """

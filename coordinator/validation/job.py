@@ -22,7 +22,7 @@ CENTROID_SLACK_M = 1e-6
 def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
     """Returns a finding per field in which the bundle's job differs from the leased job."""
     return [
-        f"job.{name}: the bundle says {_show(getattr(meta.job, name))}, the ledger leased {_show(getattr(job, name))}"
+        f"job.{name}: the bundle has {_show(getattr(meta.job, name))}, the ledger leased {_show(getattr(job, name))}"
         for name in Job.model_fields
         if getattr(meta.job, name) != getattr(job, name)
     ]
@@ -53,7 +53,7 @@ def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
     found = [f"{name} {ours!r}, the scene says {theirs!r}" for name, (ours, theirs) in pairs.items() if ours != theirs]
     off = math.dist(meta.target_centroid_m, target.centroid_m)
     if not off <= CENTROID_SLACK_M:
-        found.append(f"target_centroid_m lies {off:.6f} m from the scene's {target.centroid_m}")
+        found.append(f"target_centroid_m is {off:.6f} m away from the scene's {target.centroid_m}")
     return found
 
 
@@ -102,7 +102,7 @@ def _instance_findings(meta: EpisodeMeta) -> list[str]:
     if meta.job.record is Recording.STATES:
         return ["a states recording has an instance table; the scene lists the instances"] if meta.instances else []
     found = [
-        f"instance id {number} stands {times} times in the table"
+        f"instance id {number} is listed {times} times in the table"
         for number, times in Counter(instance.id for instance in meta.instances).items()
         if times > 1
     ]

@@ -118,7 +118,7 @@ def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[
     turned = abs(math.remainder(meta.rollout.spawn_pose[2] - track.spawn_pose[2], 2 * math.pi))
     found = []
     if not (off <= POSE_SLACK and turned <= POSE_SLACK):
-        found.append(f"spawn_pose lies {off:.6f} m and {turned:.6f} rad from pose 0")
+        found.append(f"spawn_pose is {off:.6f} m and {turned:.6f} rad away from pose 0")
     if meta.rollout.spawn_draws > meta.job.spawn.physics_draws:
         found.append(f"spawn_draws {meta.rollout.spawn_draws}, the job allows {meta.job.spawn.physics_draws}")
     low, high = TIER_RANGE_M.get(meta.job.tier, (0.0, math.inf))

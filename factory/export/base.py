@@ -1,4 +1,4 @@
-"""Base class of all exporters, with the models that it uses. Does no I/O.
+"""Base class of all exporters, with the models that it uses.
 
 An export has two steps. `write_episode` runs in worker processes and writes the files of one episode, its *piece*, into
 an empty folder; it returns *facts*, a small model that is stored with the piece. `finish` runs once with all pieces in

@@ -51,8 +51,8 @@ datasets:
     negative_mining: True
 ```
 
-The loaders skip trajectories of no more than context_size + len_traj_pred frames (5 + 5 in ViNT). Frames here come at
-{fps} a second; the median episode has {median} of them.
+The loaders skip trajectories of no more than context_size + len_traj_pred frames (5 + 5 in ViNT). This dataset
+has {fps} frames per second; the median episode has {median} frames.
 """
 
 

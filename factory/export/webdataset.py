@@ -28,7 +28,7 @@ MEMBERS_FILE = "members.tar"
 SHARDS_FILE = "shards.json"
 _MEMBER_MODE = 0o644
 _CARD = """
-One sample a frame, in tar shards of one split each; episodes are spread over the shards of their split in a fixed
+One sample per frame, in tar shards of one split each; episodes are spread over the shards of their split in a fixed
 random order, and the frames of an episode are adjacent. Shuffle with a buffer of a few thousand samples.
 
 | member | what |

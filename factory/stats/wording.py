@@ -1,7 +1,8 @@
 """Computes the variety of instructions: sentences, vocabulary, length and self-BLEU. Pure functions of texts.
 
 Self-BLEU: Zhu et al., "Texygen: A Benchmarking Platform for Text Generation Models", SIGIR 2018; the mean BLEU-4
-(Papineni et al., ACL 2002) of each sentence with all others as references, 0 for all different and 1 for all equal.
+(Papineni et al., ACL 2002) of each sentence with all others as references, smoothed:
+near 0 for sentences without common words, 1 for equal ones.
 """
 
 from __future__ import annotations

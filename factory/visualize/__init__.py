@@ -1,1 +1,1 @@
-"""Renders episodes as contact sheets and films, and shows them in the Rerun viewer. Changes no datasets."""
+"""Renders episodes as contact sheets and videos, and shows them in the Rerun viewer. Changes no datasets."""

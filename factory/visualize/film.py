@@ -1,6 +1,7 @@
-"""Writes a film of an episode: colour, depth, ids and the track on the map, with the instruction as a caption.
+"""Writes a video of an episode: colour, depth, ids and the track on the map, with the instruction as a caption.
 
-The film plays in real time; frames are skipped to limit the frame rate. Formats: MP4 (H.264) and GIF. Reads no dataset.
+The video plays in real time; frames are skipped to limit the frame rate. Formats: MP4 (H.264) and GIF.
+Does not open datasets.
 """
 
 from __future__ import annotations

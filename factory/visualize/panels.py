@@ -1,4 +1,4 @@
-"""Draws contact sheets and the panels of films: depth and ids as colours, and the track on the map. Writes no files."""
+"""Draws contact sheets and the panels of videos: depth and ids as colours, the track on the map. Writes no files."""
 
 from __future__ import annotations
 

@@ -62,10 +62,12 @@ class SceneRoom(NamedTuple):
 
 
 def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
-    """Returns the grid of walls: cells that hide, outside of the boxes of objects.
+    """Returns the grid of walls: cells that block the view, outside of the boxes of objects.
+
+    Components shorter than `_SMALLEST_WALL_M` are left out.
 
     Args:
-        occupancy: 0 free, 1 occupied, 2 occupied and hiding.
+        occupancy: 0 free, 1 occupied, 2 occupied and blocking the view.
         boxes: (N, 2, 2) lower and upper corner x, y of each object, metres.
     """
     walls = occupancy.values == _HIDING

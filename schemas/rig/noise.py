@@ -1,4 +1,4 @@
-"""Parameters of sensor noise. Adds no noise; a sensor without noise has null."""
+"""Parameters of sensor noise; a sensor without noise has the value `null`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Type of the callback that a loop calls at the end of each stage, for profiling. Measures no time."""
+"""Type of the callback that a loop calls at the end of each stage, for profiling."""
 
 from __future__ import annotations
 

@@ -167,8 +167,8 @@ def run_campaign(
 def main() -> int:
     """Parses the command line and runs a campaign."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--moments", type=int, default=50, help="Total number of damages (default 50).")
-    parser.add_argument("--per-run", type=int, default=5, help="Damages per run (default 5).")
+    parser.add_argument("--moments", type=int, default=50, help="Total number of damaged ledgers (default 50).")
+    parser.add_argument("--per-run", type=int, default=5, help="Damaged ledgers per run (default 5).")
     parser.add_argument("--episodes", type=int, default=24, help="Episodes per run (default 24).")
     parser.add_argument("--at-once", type=int, default=2, help="Concurrent runs (default 2).")
     parser.add_argument("--seed", type=int, default=1, help="Seed of run 0; run K uses SEED + K (default 1).")

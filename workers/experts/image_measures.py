@@ -25,7 +25,7 @@ class Sighting(NamedTuple):
     pixels: int
     """Size of the mask, pixels."""
     column: float
-    """Mean column of the mask, pixels from the left edge; the image centre if the target is not visible."""
+    """Mean column of the mask, pixels from the left edge; the image centre if too few pixels are visible."""
     measure_depth: Callable[[], float]
     """Function that returns the median depth over the mask in metres, 0 if the target is not visible. It is lazy,
     because the median takes longer than all other measurements and most experts do not use it."""

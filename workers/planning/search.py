@@ -126,7 +126,7 @@ def _search(
 ) -> tuple[Waypoint, ...] | None:
     """Searches with the distances to the ends up to each limit in turn; the first search that suffices is the result.
 
-    It is that of a search with all distances, because poses beyond a limit are expanded after all others.
+    The result equals that of a search with all distances, because poses beyond a limit are expanded after all others.
     """
     grid, graph = table.grid, _floor_graph(table.grid, margin_m)
     for limit_m in limits_m:

@@ -50,7 +50,7 @@ def open_renderer(
     if kind == "tiny":
         return _open_tiny(size, timer, kept_scenes)
     open_gl = functools.partial(_open_gl, kept_scenes=kept_scenes)
-    return open_gl(size, timer) if kind == "gl" else open_first(open_gl, size, timer)
+    return open_gl(size, timer) if kind == "gl" else open_first(open_gl, size, timer, kept_scenes)
 
 
 def open_apart(
@@ -67,7 +67,10 @@ def open_apart(
 
 
 def open_first(
-    preferred: Callable[[int, StageTimer], Renderer], size: int, timer: StageTimer = no_stage_timer
+    preferred: Callable[[int, StageTimer], Renderer],
+    size: int,
+    timer: StageTimer = no_stage_timer,
+    kept_scenes: int = KEPT_SCENES,
 ) -> Renderer:
     """Opens the preferred renderer; if it has no driver, logs a warning and opens TinyRenderer."""
     try:
@@ -77,7 +80,7 @@ def open_first(
 
         log = structlog.get_logger(__name__)
         log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
-        return _open_tiny(size, timer)
+        return _open_tiny(size, timer, kept_scenes)
 
 
 def _require_kind(kind: RendererKind) -> None:

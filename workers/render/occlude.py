@@ -82,7 +82,7 @@ class Occluders:
     def hidden(
         self, bounds: PartBounds, parts: NDArray[np.intp], optical: OpticalPose, view: Perspective
     ) -> NDArray[np.bool_]:
-        """Returns (len(parts),) true for parts that are completely in the shadow of one rectangle.
+        """Returns (len(parts),) true for parts that are completely hidden behind one rectangle.
 
         Args:
             bounds: bounding boxes of all parts.

@@ -1,6 +1,7 @@
 """Fallback renderer with PyBullet's TinyRenderer, which needs no driver and has about a twentieth of OpenGL's speed.
 
-Each part has its mean colour and light, because TinyRenderer supports neither per vertex. Does not simulate.
+Each part has its texture, mean colour and mean light, because TinyRenderer supports neither colours nor light
+per vertex.
 """
 
 from __future__ import annotations

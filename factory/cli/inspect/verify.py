@@ -40,7 +40,7 @@ class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since
     type=_EpisodeCount(),
     default=0,
     metavar="all|N",
-    help="Render frames of all or N episodes again and compare them with the recorded digests. Default: of none.",
+    help="Render frames of all or N episodes again and compare them with the recorded digests. Default: no episode.",
 )
 @click.option(
     "--reference",

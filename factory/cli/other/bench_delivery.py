@@ -29,7 +29,7 @@ from workers.sim.scene_renderer import SceneRenderer
     default=0.05,
     metavar="SHARE",
     show_default=True,
-    help="Share of the spot checks, compared with central validation.",
+    help="Share of bundles that the coordinator validates itself in the variant with spot checks.",
 )
 @record_option
 @json_option

@@ -35,7 +35,7 @@ from workers.client.stopping import stop_on_signals
     "cache",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="File of the answers of the endpoint, each requested once. Default: the language file with .paraphrases.json.",
+    help="File that caches the answers of the endpoint. Default: the language file with .paraphrases.json.",
 )
 @click.option(
     "--paraphrase-timeout",

@@ -140,7 +140,7 @@ def _require_coordinator(access: FleetAccess) -> None:
 
 
 def _try_failed_again(root: Path) -> None:
-    """Gives tasks that failed in an earlier start a new chance, as the remedy of its message says."""
+    """Returns tasks that failed in an earlier start to the queue, as the error message of that start promises."""
     if ledger_trouble(ledger_url_of(root)):
         return  # missing, or damaged and rebuilt when the coordinator starts
     engine = open_writer(ledger_url_of(root))

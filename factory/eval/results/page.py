@@ -1,4 +1,4 @@
-"""Builds the content of the evaluation page: tables, texts and films for `evaluation.html`. Writes no files."""
+"""Builds the content of the evaluation page: tables, texts and videos for `evaluation.html`. Writes no files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _DASH = "–"
 
 @dataclass(frozen=True)
 class FailureExample:
-    """Failed episode with its film (MP4) and its last picture (JPEG)."""
+    """Failed episode with its video (MP4) and its last picture (JPEG)."""
 
     row: EpisodeResult
     film: bytes

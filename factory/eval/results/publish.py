@@ -23,7 +23,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 VIDEOS = "videos"
-"""Folder of the films in the folder of a policy; a film is `SPEC.mp4`, its last picture `SPEC.jpg`."""
+"""Folder of the videos in the folder of a policy; a video is `SPEC.mp4`, its last picture `SPEC.jpg`."""
 
 ProgressCallback = Callable[[int, int], None]
 """Called with the number of finished videos and the total."""

@@ -1,4 +1,4 @@
-"""Draws films of evaluation episodes from their results: the camera image next to the map with the track.
+"""Draws videos of evaluation episodes from their results: the camera image next to the map with the track.
 
 Renders the recorded poses, ten per second; does not run the simulation again. Writes no files.
 """
@@ -23,7 +23,7 @@ from workers.geometry.pose import Pose
 from workers.render import Renderer
 
 FILM_RATE = Fraction(8)
-"""Frame rate of the films, pictures per second."""
+"""Frame rate of the videos, pictures per second."""
 FILM_CRF = 28
 """Constant rate factor of x264: about 10 kB per second at standstill and 60 kB while driving, 640 pixels wide."""
 _SIDE_PX = 320
@@ -73,7 +73,7 @@ def draw_frames(
 
 
 def draw_poster(picture: Rgb) -> bytes:
-    """Returns a picture of a film as JPEG."""
+    """Returns a picture of a video as JPEG."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "JPEG", quality=_POSTER_QUALITY)
     return out.getvalue()

@@ -22,7 +22,7 @@ def fields_of(types: Mapping[str, int]) -> list[tuple[str, int, int]]:
 
 
 def packed_points(scan: LidarScan, lidar: Lidar3d) -> NDArray[np.void]:
-    """Returns the returns (N,) of a scan, line by line, with dtype `POINT`."""
+    """Returns the points (N,) that a scan hit, line by line, with dtype `POINT`."""
     has_return = scan.ranges > 0
     points = np.zeros(int(has_return.sum()), POINT)
     points["x"], points["y"], points["z"] = points_of(scan, lidar).T

@@ -1,4 +1,4 @@
-"""Downloads of one episode: bundle, film, MCAP, LeRobot and Rerun, made by the exporters in a temporary folder."""
+"""Downloads of one episode: bundle, video, MCAP, LeRobot and Rerun, made by the exporters in a temporary folder."""
 
 from __future__ import annotations
 

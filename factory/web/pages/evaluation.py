@@ -1,4 +1,4 @@
-"""Pages of evaluations: tables of all measures, failures with their films, and the comparison of two policies."""
+"""Pages of evaluations: tables of all measures, failures with their videos, and the comparison of two policies."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _KINDS = {".mp4": "video/mp4", ".jpg": "image/jpeg"}
 
 
 def routes() -> list[Route]:
-    """Returns the routes of the pages and the films."""
+    """Returns the routes of the pages and the videos."""
     here = "/evaluations/{name}"
     return [
         Route("/evaluations", show_all),
@@ -73,7 +73,7 @@ def show(request: Request) -> Response:
 
 
 def film(request: Request) -> Response:
-    """Answers with the film of a failure or with its last picture."""
+    """Answers with the video of a failure or with its last picture."""
     reading, file = _reading(request, request.path_params["name"]), request.path_params["file"]
     number = request.path_params["policy"]
     spec, dot, kind = file.rpartition(".")

@@ -1,4 +1,4 @@
-"""Words of questions in one language, read from `data/question_<code>.toml`; writes sentences. Reads none."""
+"""Words of questions in one language, read from `data/question_<code>.toml`; writes their sentences."""
 
 from __future__ import annotations
 

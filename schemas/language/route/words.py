@@ -1,4 +1,4 @@
-"""Words of routes in one language, read from `data/route_<code>.toml`; writes sentences of steps. Reads none."""
+"""Words of routes in one language, read from `data/route_<code>.toml`; writes the sentences of steps."""
 
 from __future__ import annotations
 

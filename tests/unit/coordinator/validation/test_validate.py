@@ -77,8 +77,8 @@ def freeze_colour(parts: BundleParts) -> BundleParts:
 
 
 JOB = {
-    "another colour": (lambda p: p.with_job(colour="blue"), "job.colour: the bundle says 'blue'"),
-    "another attempt": (lambda p: p.with_job(attempt=2), "job.attempt: the bundle says 2, the ledger leased 1"),
+    "another colour": (lambda p: p.with_job(colour="blue"), "job.colour: the bundle has 'blue'"),
+    "another attempt": (lambda p: p.with_job(attempt=2), "job.attempt: the bundle has 2, the ledger leased 1"),
     "another scene": (lambda p: p.with_job(scene_sha256="c" * 64), "job.scene_sha256"),
     "another target": (lambda p: p.with_job(target_id="chair_002"), "job.target_id"),
     "another run": (lambda p: p.with_job(run="other-1"), "job.run"),
@@ -90,10 +90,10 @@ TABLES = {
     "wrong pool": (lambda p: p.with_job(split=Split.TEST_PARAPHRASE_OOD), "does not belong to split"),
     "colourless": (lambda p: p.with_job(template_id="train_06", colour="unknown"), "the colour is unknown"),
     "unlisted target": (lambda p: p.with_meta(target_instance_id=99), "target_instance_id 99 is not in the instance"),
-    "doubled id": (lambda p: p.with_meta(instances=p.meta.instances * 2), "stands 2 times in the table"),
+    "doubled id": (lambda p: p.with_meta(instances=p.meta.instances * 2), "is listed 2 times in the table"),
     "wrong category": (lambda p: p.with_job(category="sofa"), "the target is a chair in the instance table"),
     "wrong prim": (lambda p: p.with_meta(target_prim_path="/World/x"), "target_prim_path '/World/x'"),
-    "moved target": (lambda p: p.with_meta(target_centroid_m=(1.6, 0.01, 0.5)).measured(), "lies 0.010000 m from the"),
+    "moved target": (lambda p: p.with_meta(target_centroid_m=(1.6, 0.01, 0.5)).measured(), "is 0.010000 m away from"),
 }
 ROLLOUT = {
     "length": (
@@ -104,8 +104,8 @@ ROLLOUT = {
     "3-d error": (lambda p: p.with_rollout(final_ne_3d_m=0.5), "final_ne_3d_m"),
     "least error": (lambda p: p.with_rollout(min_ne_m=0.5), "min_ne_m"),
     "start distance": (lambda p: p.with_rollout(spawn_dist_m=2.0), "spawn_dist_m"),
-    "start pose": (lambda p: p.with_rollout(spawn_pose=(0.1, 0.0, 0.0)), "spawn_pose lies 0.100000 m"),
-    "start heading": (lambda p: p.with_rollout(spawn_pose=(0.0, 0.0, 0.2)), "and 0.200000 rad from pose 0"),
+    "start pose": (lambda p: p.with_rollout(spawn_pose=(0.1, 0.0, 0.0)), "spawn_pose is 0.100000 m"),
+    "start heading": (lambda p: p.with_rollout(spawn_pose=(0.0, 0.0, 0.2)), "and 0.200000 rad away from pose 0"),
     "draws": (lambda p: p.with_rollout(spawn_draws=9), "spawn_draws 9, the job allows 8"),
     "contacts": (lambda p: p.with_rollout(collision_count=13), "collision_count 13 in 12 steps"),
     "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 of 12 examined frames show"),
@@ -171,7 +171,7 @@ def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> Non
 
 def test_worker_that_drops_the_conditions_is_refused() -> None:
     leased = job_for(start_view=StartView(rivals=(WALL_ID,)))
-    assert "job.start_view: the bundle says None" in findings_of(parts_for(), leased)
+    assert "job.start_view: the bundle has None" in findings_of(parts_for(), leased)
 
 
 def by_surface(parts: BundleParts, task: TaskConfig = SHORT_BY_SURFACE, **demonstration: object) -> BundleParts:

@@ -236,7 +236,7 @@ def test_target_that_the_scene_places_elsewhere_is_found(data: Path) -> None:
         archive.unpublish(1)
         rows = [archive_episode(archive, moved), before[1].summary, before[2].summary]
         write_tables(archive, before.meta.plan, before.meta.scenes, rows, [], NOW)
-    assert any("lies 0.010000 m from the scene's" in finding.text for finding in verify(data, deep=True).findings)
+    assert any("is 0.010000 m away from the scene's" in finding.text for finding in verify(data, deep=True).findings)
 
 
 def test_quota_of_the_plan_is_compared(data: Path) -> None:
