@@ -47,7 +47,7 @@ class LightDetail:
 
 USUAL_DETAIL = LightDetail()
 LAYOUT_DETAIL = LightDetail(0.7, (16, 32), (12, 12))
-"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0214)."""
+"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0215)."""
 
 
 @dataclass(frozen=True)
