@@ -24,26 +24,30 @@ def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, fl
         points: world x, y, metres.
         footprint_m: vertices of the polygon, counter-clockwise; at least one.
     """
-    to_sides, is_inside = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
-    return np.asarray(np.sqrt(np.where(is_inside, 0.0, squares(to_sides).min(axis=-1))))
+    x, y, is_inside = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
+    return np.asarray(np.sqrt(np.where(is_inside, 0.0, (x * x + y * y).min(axis=0))))
 
 
 def gaps_to(points: Floats, vertices: Floats) -> Floats:
     """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
-    to_sides, is_inside = _to_sides(points, vertices)
-    nearest = squares(to_sides).argmin(axis=-1)[..., None, None]
-    return np.where(is_inside[..., None], 0.0, np.take_along_axis(to_sides, nearest, axis=-2)[..., 0, :])
+    x, y, is_inside = _to_sides(points, vertices)
+    nearest = (x * x + y * y).argmin(axis=0)[None]
+    gaps = [np.take_along_axis(part, nearest, axis=0)[0] for part in (x, y)]
+    return np.where(is_inside[..., None], 0.0, np.stack(gaps, axis=-1))
 
 
-def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Bools]:
-    """Returns vectors (..., K, 2) from points (..., 2) to the sides of a convex polygon, and whether each is inside."""
+def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Floats, Bools]:
+    """Returns x and y (K, ...) of the vectors from points (..., 2) to the sides of a convex polygon, and whether each
+    point is inside. The sides are the first axis, because reductions over a short last axis are slow.
+    """
     sides = np.concatenate((vertices[1:], vertices[:1])) - vertices
-    to_vertex = vertices - points[..., None, :]
-    lengths = squares(sides)
-    along = -(to_vertex[..., 0] * sides[:, 0] + to_vertex[..., 1] * sides[:, 1]) / np.where(lengths > 0, lengths, 1.0)
-    to_sides = to_vertex + np.clip(along, 0.0, 1.0)[..., None] * sides
-    is_left = sides[:, 1] * to_vertex[..., 0] - sides[:, 0] * to_vertex[..., 1] >= 0
-    return to_sides, np.asarray(is_left.all(axis=-1)) & (len(vertices) > 2)
+    apart = (-1, *(1,) * (points.ndim - 1))
+    side_x, side_y, lengths = (part.reshape(apart) for part in (sides[:, 0], sides[:, 1], squares(sides)))
+    x, y = (vertices[:, k].reshape(apart) - points[None, ..., k] for k in (0, 1))
+    is_left = side_y * x - side_x * y >= 0
+    along = np.clip(-(x * side_x + y * side_y) / np.where(lengths > 0, lengths, 1.0), 0.0, 1.0)
+    is_inside = np.asarray(is_left.all(axis=0)) & (len(vertices) > 2)
+    return x + along * side_x, y + along * side_y, is_inside
 
 
 def squares(vectors: Floats) -> Floats:

@@ -68,8 +68,8 @@ class Grid:
 
     def values_at(self, field: NDArray[np.generic], xy: ArrayLike, outside: float) -> NDArray[np.generic]:
         """Returns the values of a field (H, W) at points (..., 2); `outside` is the value outside the grid."""
-        cells = self.cell_of(xy)
-        rows, columns = cells[..., 0], cells[..., 1]
+        at = np.asarray(xy, float)
+        columns, rows = (np.floor((at[..., k] - self.origin_m[k]) / self.resolution_m).astype(np.int64) for k in (0, 1))
         height, width = field.shape
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         if inside.all():
@@ -139,11 +139,15 @@ class Grid:
 
     def _samples(self, a: Floats, b: Floats) -> tuple[NDArray[np.int64], Floats]:
         """Returns points on the segments at half the resolution or closer, ends included, and the segment of each."""
-        counts = np.ceil(np.linalg.norm(b - a, axis=1) / (self.resolution_m / 2)).astype(np.int64) + 1
+        step = b - a
+        counts = np.ceil(np.linalg.norm(step, axis=1) / (self.resolution_m / 2)).astype(np.int64) + 1
         owner = np.repeat(np.arange(len(a)), counts)
         rank = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-        share = rank / np.maximum(counts[owner] - 1, 1)
-        return owner, a[owner] + (b - a)[owner] * share[:, None]
+        share = rank / np.repeat(np.maximum(counts - 1, 1), counts)
+        points = np.empty((len(owner), 2))
+        for k in (0, 1):
+            points[:, k] = np.repeat(a[:, k], counts) + np.repeat(step[:, k], counts) * share
+        return owner, points
 
     def have_sight(self, xy: ArrayLike, target: Target) -> Bools:
         """Returns for points (N, 2) whether they have a line of sight to a target.
@@ -155,10 +159,10 @@ class Grid:
         centre = np.asarray(target.centroid_m[:2])
         owner, samples = self._samples(points, np.broadcast_to(centre, points.shape))
         reach = np.asarray(target.size_m[:2]) / 2 + self.resolution_m
-        own = (np.abs(samples - centre) <= reach).all(axis=1)
-        hidden = ~own & (self.values_at(self.occupancy, samples, FREE) == HIDING)
+        hiding = np.flatnonzero(self.values_at(self.occupancy, samples, FREE) == HIDING)
+        own = (np.abs(samples[hiding] - centre) <= reach).all(axis=1)
         seen = np.ones(len(points), bool)
-        seen[owner[hidden]] = False
+        seen[owner[hiding[~own]]] = False
         return seen
 
     def has_sight(self, xy: ArrayLike, target: Target) -> bool:
@@ -185,8 +189,10 @@ class Grid:
 
 def are_within(points: Floats, boxes: Floats) -> Bools:
     """Returns for points (N, 2) whether each is inside any of the rectangles (K, 2, 2), lower and upper corner."""
-    inside: Bools = (points[:, None] > boxes[:, 0]) & (points[:, None] < boxes[:, 1])
-    return np.asarray((inside[..., 0] & inside[..., 1]).any(axis=1))
+    inside = np.ones((len(boxes), len(points)), bool)
+    for k in (0, 1):
+        inside &= (points[:, k] > boxes[:, 0, k, None]) & (points[:, k] < boxes[:, 1, k, None])
+    return np.asarray(inside.any(axis=0))
 
 
 def body_centre(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_content", "author_scene"]
 
-AUTHOR_VERSION = "20"
+AUTHOR_VERSION = "21"
 """Version of the authoring; incremented when the same (name, seed) gives another scene. Part of the cache key."""
 
 

@@ -44,10 +44,8 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
         if placement.model.name not in known:
             known[placement.model.name] = _pieces(placement.model.pieces)
         _place(scene, path, known[placement.model.name], _to_world(placement))
-    seed = plan.seed if plan.texture_seed is None else plan.texture_seed
-    images = {
-        name: encode_texture(name, seed) for name in sorted({part.surface.texture for part in scene.parts} - {""})
-    }
+    names = sorted({part.surface.texture for part in scene.parts} - {""})
+    images = {name: encode_texture(name, plan.texture_seed) for name in names}
     return scene.extraction(1.0, {name: hashlib.sha256(made_from.encode()).hexdigest()}, images)
 
 

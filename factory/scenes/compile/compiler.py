@@ -24,6 +24,7 @@ from factory.scenes.compile.textures import TextureBook, load_textures
 from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction, Part
 from factory.scenes.importer.assets import read_asset
+from factory.scenes.light import USUAL_DETAIL, LightDetail
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.navigation.collider import solid_triangles, weld
 from factory.scenes.navigation.floor import find_floor_height
@@ -115,6 +116,7 @@ def compile_extraction(
     source: str,
     rules: RuleBook | None = None,
     chosen: TargetList | None = None,
+    detail: LightDetail = USUAL_DETAIL,
 ) -> CompiledScene:
     """Compiles an extracted stage.
 
@@ -125,6 +127,7 @@ def compile_extraction(
         source: origin of the stage, recorded in the package.
         rules: category rules; the built-in table when `None`.
         chosen: target list of the user; all targets that the rules find when `None`.
+        detail: resolution of the light map, and number of rays.
 
     Raises:
         UsageError: `chosen` names prims that the stage does not have.
@@ -144,7 +147,7 @@ def compile_extraction(
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
     terrain = Terrain(grid, grid.connected_floor(), SpawnConfig(), _taken(shown.candidates, floor_m))
     survey = _survey(file, terrain, shown, floor_m, notes)
-    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes)
+    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes, detail)
     info = SceneInfo(
         name=name,
         source=source,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from factory.scenes.compile.shade import corner_colours, glow_brightness, glows_by_name, reflectance, texture_layer
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
-from factory.scenes.light import LightMap, TooManyPieces, bake_light
+from factory.scenes.light import USUAL_DETAIL, LightDetail, LightMap, TooManyPieces, bake_light
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ def lay_out_geometry(
     book: TextureBook,
     floor_m: float,
     notes: list[str],
+    detail: LightDetail = USUAL_DETAIL,
 ) -> Geometry:
     """Groups parts by instance and texture, and bakes their light map.
 
@@ -50,6 +51,7 @@ def lay_out_geometry(
         book: textures of the scene.
         floor_m: height of the floor, metres.
         notes: list that receives a note if the light cannot be baked.
+        detail: resolution of the light map, and number of rays.
     """
     keys = [(ids[owner], texture_layer(part, book)) for part, owner in zip(parts, owners, strict=True)]
     order = sorted(range(len(parts)), key=lambda row: (keys[row], parts[row].path))
@@ -59,7 +61,7 @@ def lay_out_geometry(
     groups = np.repeat(np.arange(len(counts)), counts // 3)
     ordered = [parts[row] for row in order]
     grey = np.concatenate([reflectance(part, book) for part in ordered])
-    light = _lit(triangles, groups, _brightness(ordered, book), floor_m, grey, notes)
+    light = _lit(triangles, groups, _brightness(ordered, book), floor_m, grey, notes, detail)
     return Geometry(
         positions=triangles.reshape(-1, 3).astype(np.float32),
         uvs=np.concatenate([_uvs(parts[row], keys[row][1]) for row in order]).astype(np.float32),
@@ -80,10 +82,11 @@ def _lit(
     floor_m: float,
     grey: NDArray[np.float64],
     notes: list[str],
+    detail: LightDetail,
 ) -> LightMap:
     """Bakes the light map; with too many charts, returns an empty map and adds a note."""
     try:
-        return bake_light(triangles, groups, brightness, floor_m, grey)
+        return bake_light(triangles, groups, brightness, floor_m, grey, detail)
     except TooManyPieces as error:
         notes.append(f"shown without baked light: {error}; decimate the densest meshes to have it")
         return LightMap(np.zeros((0, 3, 2), np.float32), np.zeros((0, 0, 3), np.uint8))

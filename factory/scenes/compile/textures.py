@@ -9,6 +9,7 @@ import hashlib
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -74,15 +75,22 @@ def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Pictu
         notes.append(f"{name} is missing, shown in one colour; put it where the material looks for it")
         return None
     try:
-        with Image.open(io.BytesIO(data)) as image:
-            if max(image.size) > _MAX_SOURCE_PX:
-                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels")
-            plain = _eight_bit(image)
-            size = (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX)
-            return np.asarray(plain if plain.size == size else plain.resize(size, Image.Resampling.LANCZOS))
+        return _read(data)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         notes.append(f"{name} cannot be read ({error}), shown in one colour; save it again as 8-bit PNG or JPEG")
         return None
+
+
+@lru_cache(maxsize=MAX_LAYERS)
+def _read(data: bytes) -> Picture:
+    """Returns the pixels of an image, read-only. The layouts that a process builds share textures."""
+    with Image.open(io.BytesIO(data)) as image:
+        if max(image.size) > _MAX_SOURCE_PX:
+            raise ValueError(f"{image.size[0]} x {image.size[1]} pixels")
+        plain, size = _eight_bit(image), (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX)
+        pixels = np.array(plain if plain.size == size else plain.resize(size, Image.Resampling.LANCZOS))
+    pixels.flags.writeable = False
+    return pixels
 
 
 def _eight_bit(image: Image.Image) -> Image.Image:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from factory.scenes.light.charts import Charts, find_charts
 from factory.scenes.light.contact import contact_shade
 from factory.scenes.light.curves import Bends, find_bends
-from factory.scenes.light.irradiance import lamp_light, sky_light
+from factory.scenes.light.irradiance import Rays, lamp_light, sky_light
 from factory.scenes.light.lamps import Lamps, find_lamps
 from factory.scenes.light.smooth import even_out, fill_hidden, smooth_charts
 from factory.scenes.light.texels import Texels, lay_texels
@@ -34,6 +34,23 @@ _MIDDLE_GREY = 0.5
 
 
 @dataclass(frozen=True)
+class LightDetail:
+    """Resolution of a light map, and number of rays of its texels."""
+
+    density: float = 1.0
+    """Texels per metre, relative to the usual number."""
+    sky: Rays = FINE_SKY
+    """Rays to the surroundings."""
+    lamps: Rays = FINE_LAMPS
+    """Rays to the lamps."""
+
+
+USUAL_DETAIL = LightDetail()
+LAYOUT_DETAIL = LightDetail(0.7, (16, 32), (12, 12))
+"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0215)."""
+
+
+@dataclass(frozen=True)
 class LightMap:
     """Baked light map of a scene."""
 
@@ -44,7 +61,12 @@ class LightMap:
 
 
 def bake_light(
-    triangles: Floats, groups: Ints, brightness: Floats, floor_m: float, reflectance: Floats | None = None
+    triangles: Floats,
+    groups: Ints,
+    brightness: Floats,
+    floor_m: float,
+    reflectance: Floats | None = None,
+    detail: LightDetail = USUAL_DETAIL,
 ) -> LightMap:
     """Bakes the light map of a scene.
 
@@ -54,6 +76,7 @@ def bake_light(
         brightness: (T,) emitted luminance; 0 for surfaces without emission.
         floor_m: height of the floor, metres.
         reflectance: (T,) luminance 0..1 of each surface in full light, for the exposure; middle grey when `None`.
+        detail: resolution of the light map, and number of rays.
     """
     charts = find_charts(triangles, groups)
     bends = find_bends(charts, triangles, groups)
@@ -61,11 +84,11 @@ def bake_light(
     np.maximum.at(glow, charts.of_triangle, brightness)
     bounds = np.array((triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))))
     caster, lamps = Caster(triangles), find_lamps(charts, glow, bounds, floor_m)
-    layout = unwrap(charts, _interest(caster, charts, bends, lamps), bends.least_texels())
+    layout = unwrap(charts, detail.density * _interest(caster, charts, bends, lamps), bends.least_texels())
     texels = lay_texels(charts, bends, layout)
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
-    cast, known = _cast_light(caster, texels.cast(), lamps, owner)
+    cast, known = _cast_light(caster, texels.cast(), lamps, owner, detail)
     touch = contact_shade(triangles, floor_m, texels.points.mean(axis=1), texels.axes[:, 2])
     filled = fill_hidden(np.concatenate((cast, texel_maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
@@ -76,10 +99,10 @@ def bake_light(
     return LightMap(layout.uvs.astype(np.float32), picture)
 
 
-def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tuple[Floats, Bools]:
+def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detail: LightDetail) -> tuple[Floats, Bools]:
     """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
-    sky, open_spots = sky_light(caster, texels, FINE_SKY)
-    whole, free = lamp_light(caster, texels, open_spots, lamps, FINE_LAMPS)
+    sky, open_spots = sky_light(caster, texels, detail.sky)
+    whole, free = lamp_light(caster, texels, open_spots, lamps, detail.lamps)
     known = texel_mask(owner.shape, texels, np.asarray(open_spots.any(axis=1)))
     bent = texel_mask(owner.shape, texels, texels.is_bent)
     cast = texel_maps(owner.shape, texels, sky, free, whole)
