@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,25 +93,30 @@ def build_scene(
         require_building()
         tell()
         try:
-            scene = _compile_builtin(name, seed, called or name, rules or rules_of(name), targets)
+            scene = _compile_builtin(name, seed, called or name, rules, targets)
         except WorldError as error:
             raise LayoutError(f"{name}, seed {seed}: {error}") from error
-        if rules is None and targets is None:
-            _require_categories(name, seed, {target.category for target in scene.info.targets})
         write_whole(path, encode_scene(scene) if _is_paper(name, seed) else encode_scene(scene, _LEVEL))
     return path
 
 
-def _compile_builtin(name: str, seed: int, called: str, rules: RuleBook, targets: TargetList | None) -> CompiledScene:
+def _compile_builtin(
+    name: str, seed: int, called: str, rules: RuleBook | None, targets: TargetList | None
+) -> CompiledScene:
     """Compiles a layout; the paper's four from USD files, whose digests their packages record."""
     from factory.scenes.compile.compiler import compile_extraction, compile_stage  # only now: most scenes are cached
     from factory.scenes.light import LAYOUT_DETAIL
 
-    source = f"built-in {name}, seed {seed}"
+    source, book = f"built-in {name}, seed {seed}", rules or rules_of(name)
     if not _is_paper(name, seed):
-        return compile_extraction(name, author_content(name, seed), called, source, rules, targets, LAYOUT_DETAIL)
+        required = {category for group in BUILTIN_CATEGORIES[name] for category in group}
+        is_usual = rules is None and targets is None
+        content = author_content(name, seed)
+        return compile_extraction(
+            name, content, called, source, book, targets, LAYOUT_DETAIL, required if is_usual else ()
+        )
     with tempfile.TemporaryDirectory(prefix="scene-") as directory:
-        return compile_stage(author_scene(name, seed, Path(directory)), called, source, rules, targets)
+        return compile_stage(author_scene(name, seed, Path(directory)), called, source, book, targets)
 
 
 def _is_paper(name: str, seed: int) -> bool:
@@ -122,12 +127,6 @@ def rules_of(name: str) -> RuleBook:
     """Returns the rules of a built-in scene: of the paper's categories, or of the categories of a family."""
     seen, held_out = BUILTIN_CATEGORIES[name]
     return builtin_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
-
-
-def _require_categories(name: str, seed: int, found: Collection[str]) -> None:
-    missing = sorted({category for group in BUILTIN_CATEGORIES[name] for category in group} - set(found))
-    if missing:
-        raise LayoutError(f"{name}, seed {seed}: no reachable {', '.join(missing)}; use another seed")
 
 
 def import_scene(

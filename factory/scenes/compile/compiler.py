@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -117,6 +117,7 @@ def compile_extraction(
     rules: RuleBook | None = None,
     chosen: TargetList | None = None,
     detail: LightDetail = USUAL_DETAIL,
+    required: Collection[str] = (),
 ) -> CompiledScene:
     """Compiles an extracted stage.
 
@@ -128,10 +129,11 @@ def compile_extraction(
         rules: category rules; the built-in table when `None`.
         chosen: target list of the user; all targets that the rules find when `None`.
         detail: resolution of the light map, and number of rays.
+        required: categories that must have a reachable target; checked before the light is computed.
 
     Raises:
         UsageError: `chosen` names prims that the stage does not have.
-        WorldError: the stage has no visible mesh, no floor or no reachable target.
+        WorldError: the stage has no visible mesh, no floor, no reachable target or none of a required category.
     """
     rules = rules or builtin_rules()
     notes = list(extraction.notes)
@@ -147,6 +149,8 @@ def compile_extraction(
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
     terrain = Terrain(grid, grid.connected_floor(), SpawnConfig(), _taken(shown.candidates, floor_m))
     survey = _survey(file, terrain, shown, floor_m, notes)
+    if missing := sorted(set(required) - {target.category for target in survey.targets}):
+        raise WorldError(f"no reachable {', '.join(missing)}; use another seed")
     geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes, detail)
     info = SceneInfo(
         name=name,
