@@ -1,0 +1,36 @@
+"""Finds rooms that the robot cannot reach because furniture stands in the way. Does not move furniture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factory.scenes.author.placement import FloorPlan, Rectangle
+from workers.geometry.grid import Grid
+
+_CELL_M = 0.05
+_BORDER_M = 0.5
+
+
+def cut_off_rooms(plan: FloorPlan) -> list[str]:
+    """Returns the kinds of the rooms without a place in the largest connected floor, with the clearance that a scene
+    package requires. Door zones count as floor, footprints of standing props as obstacles."""
+    areas = [room.area for room in plan.rooms]
+    if not areas:
+        return []
+    x0, y0 = (min(getattr(area, side) for area in areas) - _BORDER_M for side in ("x0", "y0"))
+    x1, y1 = (max(getattr(area, side) for area in areas) + _BORDER_M for side in ("x1", "y1"))
+    occupied = np.ones((round((y1 - y0) / _CELL_M) + 1, round((x1 - x0) / _CELL_M) + 1), np.uint8)
+
+    def cells(area: Rectangle) -> tuple[slice, slice]:
+        rows, columns = (
+            slice(max(int((low - start) // _CELL_M), 0), max(int(-((start - high) // _CELL_M)), 0))
+            for low, high, start in ((area.y0, area.y1, y0), (area.x0, area.x1, x0))
+        )
+        return rows, columns
+
+    for area in (*areas, *plan.kept_clear):
+        occupied[cells(area)] = 0
+    for area in plan.taken:
+        occupied[cells(area)] = 1
+    floor = Grid(occupied, (x0, y0), _CELL_M).connected_floor()
+    return [room.kind for room in plan.rooms if not floor[cells(room.area)].any()]
