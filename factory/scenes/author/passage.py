@@ -1,4 +1,4 @@
-"""Finds rooms that the robot cannot reach because furniture stands in the way. Does not move furniture."""
+"""Finds rooms that the robot cannot reach because furniture blocks the passage. Does not move furniture."""
 
 from __future__ import annotations
 
