@@ -18,6 +18,7 @@ from factory.scenes.author.geometry import bounds, triangle_count
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.placement import FloorPlan
 from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
+from factory.scenes.rules import builtin_rules
 from schemas.errors import UsageError
 from schemas.terms import BUILTIN_CATEGORIES, PAPER_SCENES
 
@@ -221,3 +222,20 @@ def test_unknown_scene_names_the_known_ones(tmp_path: Path) -> None:
 
 def test_the_author_version_is_set() -> None:
     assert AUTHOR_VERSION
+
+
+def test_the_families_have_45_categories_with_three_different_variants_each() -> None:
+    categories = {
+        name for family in ("home", "shop", "school") for group in BUILTIN_CATEGORIES[family] for name in group
+    }
+    looks: dict[str, set[bytes]] = {name: set() for name in categories}
+    props = PropBuilder(0)
+    for name, entry in CATALOGUE.items():
+        rule = builtin_rules().match(name)
+        if rule is not None and rule.category in looks:
+            for variant in range(entry.variants):
+                pieces = props.model(name, variant).pieces
+                shapes = b"".join(np.round(piece.mesh.points, 3).tobytes() for piece in pieces)
+                looks[rule.category].add(shapes + repr([piece.material for piece in pieces]).encode())
+    assert len(categories) >= 45
+    assert {name for name, different in looks.items() if len(different) < 3} == set()
