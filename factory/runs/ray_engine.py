@@ -20,6 +20,7 @@ from factory.keys import admit, create_authority
 from factory.runs.ray_worker import RayWorker
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.identity import Role
+from schemas.protocol.reachability import why_unreachable
 from schemas.support.closing import Closing
 from schemas.support.extras import require_package
 from schemas.terms import RendererKind
@@ -31,6 +32,8 @@ _MOST_DEATHS = 8
 """Maximum number of workers that exit with an error without a new episode."""
 _LEAVE_S = 10.0
 _HUB = "hub"
+_NAMED_CLUSTERS = ("auto", "local")
+"""Addresses of Ray that name no host."""
 
 log = structlog.get_logger(__name__)
 
@@ -53,12 +56,13 @@ class RayCluster(Closing):
         renderer: Renderer of the simulations.
 
     Raises:
-        UsageError: Ray or the package for certificates is not installed, or no cluster answers at the address.
+        UsageError: Ray or the package for certificates is not installed, the address is not valid, or no cluster answers.
     """
 
     def __init__(self, address: str | None, keys: Path, cores: int | None, renderer: RendererKind) -> None:
         require_package("ray", "`--engine ray`")
         require_package("cryptography", "`--engine ray`")
+        require_reachable(address)
         import ray
 
         self._ray: Any = ray
@@ -151,6 +155,24 @@ class RayCluster(Closing):
             self._ray.kill(one.actor)
         self._nodes.clear()
         self._ray.shutdown()
+
+
+def require_reachable(address: str | None) -> None:
+    """Checks that a server accepts connections at the address of a cluster; Ray itself tries for minutes.
+
+    Args:
+        address: HOST:PORT, `ray://HOST:PORT`, `auto` or `local`; `None` starts a cluster on this host.
+
+    Raises:
+        UsageError: The address is not valid, or no connection can be opened.
+    """
+    if address is None or address in _NAMED_CLUSTERS:
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not (port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 1 << 16):
+        raise UsageError(f"{address!r} is not the address of a Ray cluster; example: 10.0.0.1:6379")
+    if cause := why_unreachable((f"tcp/{host}:{port}",), None):
+        raise UsageError(f"no Ray cluster at {address}: {cause}; start one with `ray start --head`")
 
 
 def _contents(folder: Path) -> Mapping[str, bytes]:

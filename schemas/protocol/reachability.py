@@ -41,9 +41,7 @@ def _cause(endpoint: str, tls: TlsFiles | None, timeout_s: float) -> str:
     except socket.gaierror as error:
         return f"host {host} cannot be resolved ({error.strerror}); check the name, or write its address"
     except ConnectionRefusedError:
-        return (
-            f"host {host} refuses connections to port {port}; the coordinator does not run there, or uses another port"
-        )
+        return f"host {host} refuses connections to port {port}; no server runs there, or it uses another port"
     except TimeoutError:
         return f"host {host} does not answer on port {port}; check the address and the firewall"
     except OSError as error:
