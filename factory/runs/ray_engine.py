@@ -56,7 +56,7 @@ class RayCluster(Closing):
         renderer: Renderer of the simulations.
 
     Raises:
-        UsageError: Ray or the package for certificates is not installed, the address is not valid, or no cluster answers.
+        UsageError: Ray or the package for certificates is missing, the address is not valid, or no cluster answers.
     """
 
     def __init__(self, address: str | None, keys: Path, cores: int | None, renderer: RendererKind) -> None:
