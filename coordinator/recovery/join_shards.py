@@ -19,7 +19,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.database.engine import open_writer
-from coordinator.ledger.given_up import end_given_up
+from coordinator.ledger.unfinished_jobs import end_unfinished_jobs
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.repair import record_failures, record_whole
 from coordinator.ledger.tables import episodes
@@ -195,7 +195,7 @@ def join_shards(
             if state.finished:
                 kept = list_episodes(place).episodes.keys() | validated_files(place, target.plan).keys()
                 with engine.begin() as connection:
-                    end_given_up(connection, numbers, kept, str(state.shard), now)
+                    end_unfinished_jobs(connection, numbers, kept, str(state.shard), now)
             gathered += len(copied)
             rejected += refused
             on_progress(done, len(shards))

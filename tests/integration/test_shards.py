@@ -154,7 +154,7 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
     assert report.digest == read_dataset_meta(site.place).dataset_digest
     with sqlite3.connect(out / "ledger.db") as ledger:
         ((reason,),) = ledger.execute("SELECT reason FROM jobs WHERE state = 'failed'").fetchall()
-    assert "quarantined in shard 1/1 after 2 failures of workers, last crash: as asked" in reason
+    assert "quarantined in shard 1/1 after 2 worker failures; the last was crash: as asked" in reason
     assert join_shards(target, found, checker, datetime.now(UTC)) == report.model_copy(update={"gathered": 0})
 
 
