@@ -28,7 +28,7 @@ from coordinator.protocol.router import Router
 from coordinator.recheck import Rechecks
 from coordinator.status.health import HealthMonitor
 from coordinator.table_writer import TableWriter
-from coordinator.transfer.contract import Nearby
+from coordinator.transfer.contract import FindLocalBundle
 from coordinator.transfer.layouts import LayoutStore
 from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Pullers
@@ -78,7 +78,7 @@ class Coordinator(Closing):
             self._tables = TableWriter(run, options.gate)
             stack.callback(self._tables.write_splits)
             stack.callback(self._tables.write)
-            self._pullers = stack.enter_context(self._open_pullers(run, options.nearby, root, scenes))
+            self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
             chores.check_free_space()
             handler = stack.enter_context(self._open_request_handler(run))
@@ -185,7 +185,7 @@ class Coordinator(Closing):
         )
 
     def _open_pullers(
-        self, run: RunContext, nearby: Nearby, home: Path, scenes: MutableMapping[str, SceneEntry]
+        self, run: RunContext, find_local_bundle: FindLocalBundle, home: Path, scenes: MutableMapping[str, SceneEntry]
     ) -> Pullers:
         layouts = None
         if isinstance(run.checker, Validator):  # an evaluation, whose results another validator checks, builds nothing
@@ -201,7 +201,7 @@ class Coordinator(Closing):
             run.settings,
             self._tables.note_change,
             run.meters,
-            nearby,
+            find_local_bundle,
             layouts,
         )
 

@@ -213,10 +213,12 @@ def _start_view(plan: Plan, info: SceneInfo, planned: PlannedJob) -> StartView |
     if plan.instructions.unique == "off":
         return None if within_rad is None else StartView(within_rad=within_rad)
     target = {info.target(episode.target_id).instance_id}
-    alike = referents(info, episode.category) - target
+    same_category = referents(info, episode.category) - target
     is_exempt = episode.category in plan.part(episode.scene).ambiguous
-    rivals = frozenset() if is_exempt else referents_of(episode, info) - target
-    return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
+    others = frozenset() if is_exempt else referents_of(episode, info) - target
+    return StartView(
+        within_rad=within_rad, other_referents=tuple(sorted(others)), same_category=tuple(sorted(same_category))
+    )
 
 
 def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned: PlannedJob) -> StartView | None:
@@ -227,8 +229,8 @@ def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned:
     if language.balanced:  # the same in all draws of an episode; otherwise ranks that rarely occur would get rarer
         rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
         ranks = (float(rng.random()), float(rng.random()))
-    alike = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
-    return StartView(alike=tuple(sorted(alike)), least_alike=language.in_view, ranks=ranks)
+    same_category = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
+    return StartView(same_category=tuple(sorted(same_category)), least_same_category=language.in_view, ranks=ranks)
 
 
 def _draw(options: Sequence[Option], rng: np.random.Generator) -> Option:

@@ -19,10 +19,10 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.database.engine import open_writer
-from coordinator.ledger.unfinished_jobs import end_unfinished_jobs
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.repair import record_failures, record_whole
 from coordinator.ledger.tables import episodes
+from coordinator.ledger.unfinished_jobs import end_unfinished_jobs
 from coordinator.packing import pack_settled
 from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import failures_of, validated_files

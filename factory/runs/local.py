@@ -132,7 +132,7 @@ def run_locally(
         take_over=run.take_over,
         shard=run.shard,
         find_states=run.find_states,
-        nearby=lambda lease: find_bundle(spool, lease),
+        find_local_bundle=lambda lease: find_bundle(spool, lease),
     )
     with Coordinator(run.root, run.plan, run.catalog, options) as coordinator, pages(coordinator):
         write_target_lists(run.catalog, run.store or run.root)

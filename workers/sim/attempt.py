@@ -129,7 +129,7 @@ def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> b
     if parts is not None:
         is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
         is_wanted = is_shown or not view.shows_target
-        if not (is_wanted and ((view.rivals or view.least_alike) if is_shown else view.alike)):
+        if not (is_wanted and ((view.other_referents or view.least_same_category) if is_shown else view.same_category)):
             return is_wanted
     image = renderer.render_depth_and_ids(pose)
     return not start_view_findings(view, own, bearing_rad, image.ids, image.depth, job.camera, least)

@@ -97,7 +97,8 @@ _HISTORY = f"""
             WHERE a.job_id = jobs.id AND a.settles AND a.outcome IN ({_TASK_FAILURES})) AS task_failures,
         (SELECT e.attempt FROM events AS e WHERE e.job_id = jobs.id ORDER BY e.id DESC LIMIT 1) AS last_attempt,
         (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.RETRIED}') AS retries,
-        (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event IN ({_WORKER_FAILED})) AS worker_failures,
+        (SELECT count(*) FROM events AS e
+            WHERE e.job_id = jobs.id AND e.event IN ({_WORKER_FAILED})) AS worker_failures,
         (SELECT f.attempt FROM jobs AS f WHERE f.idx = jobs.idx AND f.draw = jobs.draw - 1) AS former
     FROM jobs WHERE state IN ({_OPEN}) AND (misses > 0 OR attempt != 1 OR draw > 0 OR crashes != 0 OR not_before > 0
         OR EXISTS (SELECT 1 FROM events AS e WHERE e.job_id = jobs.id))
@@ -233,7 +234,7 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
             yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)
         if row.attempt > expected:
-            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, but the recorded attempts give {expected}"
+            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, its recorded attempts give {expected}"
         failures = row.task_failures
         if row.misses > failures or (not row.retries and row.misses != failures % plan.budget.attempts_per_draw):
             yield f"is damaged: episode {row.idx} counts {row.misses} task failures, but {failures} are recorded"

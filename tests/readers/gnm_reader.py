@@ -2,7 +2,7 @@
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/gnm_judge.py PAPER EXPORT [CHECKOUT]
+    python tests/readers/gnm_reader.py PAPER EXPORT [CHECKOUT]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to gnm`. CHECKOUT:
 robodhruv/visualnav-transformer, which is not on a package index; its loader needs torch, torchvision, lmdb and tqdm.
@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from paper_tree import Paper, psnr
 from PIL import Image
-from verdict import named, say
+from result import named, print_row
 
 NAME = "minivla_nav"
 CONTEXT, PREDICTED = 5, 5
@@ -39,17 +39,17 @@ class PlainNumpy(pickle.Unpickler):
 
 def main() -> None:
     paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
-    say(export, named("pillow", "numpy"), judge_expectations(paper, export))
+    print_row(export, named("pillow", "numpy"), check_expectations(paper, export))
     if len(sys.argv) < 4:
         sys.stderr.write("ViNT's own loader was not tested: give a checkout of robodhruv/visualnav-transformer\n")
         return
     with tempfile.TemporaryDirectory() as place:
         splits = prepare(Path(sys.argv[3]), export, Path(place))
         for split in ("train", "test"):
-            say(export, f"ViNT_Dataset, {named('torch')}", judge_loader(export, splits / split))
+            print_row(export, f"ViNT_Dataset, {named('torch')}", check_loader(export, splits / split))
 
 
-def judge_expectations(paper: Paper, export: Path) -> str:
+def check_expectations(paper: Paper, export: Path) -> str:
     """Checks lists, pickles, images and configuration as the published loaders read them."""
     lists = {path.parent.name: path.read_text().split() for path in export.glob(f"data_splits/{NAME}/*/traj_names.txt")}
     assert {"train", "test"} <= lists.keys()
@@ -62,7 +62,7 @@ def judge_expectations(paper: Paper, export: Path) -> str:
         with (export / NAME / name / "traj_data.pkl").open("rb") as file:
             data = PlainNumpy(file).load()
         position, yaw = data["position"], data["yaw"]
-        judge_trajectory(paper.array(name, "poses").astype(np.float64), position, yaw)
+        check_trajectory(paper.array(name, "poses").astype(np.float64), position, yaw)
         steps.append(np.linalg.norm(np.diff(position, axis=0), axis=1))
         images = sorted((export / NAME / name).glob("*.jpg"), key=lambda path: int(path.stem))
         assert [path.stem for path in images] == [str(number) for number in range(len(position))]
@@ -77,7 +77,7 @@ def judge_expectations(paper: Paper, export: Path) -> str:
     )
 
 
-def judge_trajectory(poses: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
+def check_trajectory(poses: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
     """Checks that arrays equal the poses and that waypoints are ahead in the frame of the robot."""
     assert (position.dtype, yaw.dtype, position.shape, yaw.shape) == (float, float, (len(poses), 2), (len(poses),))
     np.testing.assert_array_equal(position, poses[:, :2])
@@ -101,7 +101,7 @@ def prepare(checkout: Path, export: Path, place: Path) -> Path:
     return place / "splits"
 
 
-def judge_loader(export: Path, split_folder: Path) -> str:
+def check_loader(export: Path, split_folder: Path) -> str:
     """Creates the loader of ViNT and NoMaD and checks forty samples."""
     from vint_train.data.vint_dataset import ViNT_Dataset
 

@@ -1,6 +1,6 @@
-"""Checks shared by the judges of LeRobot 0.3 and 0.6: rows and frames of an export, chunks, shuffled batches.
+"""Checks shared by the readers of LeRobot 0.3 and 0.6: rows and frames of an export, chunks, shuffled batches.
 
-Runs in the environments of the two judges; does not import this project.
+Runs in the environments of the two readers; does not import this project.
 """
 
 import json
@@ -29,7 +29,7 @@ class Listed(NamedTuple):
     tasks: list[str]
 
 
-def judge_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
+def check_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
     """Compares every episode's rows, and frames at its beginning, middle and end, with the paper's tree."""
     assert len(data) == data.meta.total_frames == sum(episode.length for episode in episodes)
     stride = RECORDED_HZ // data.fps
@@ -37,7 +37,7 @@ def judge_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
     for episode in episodes:
         job = paper.meta(episode.name)["job"]
         assert (episode.tasks, episode.split) == ([job["instruction"]], job["split"])
-        judge_rows(paper, data, episode, start, stride)
+        check_rows(paper, data, episode, start, stride)
         for frame in sorted({0, 1, episode.length // 2, episode.length - 2, episode.length - 1}):
             item, t = data[start + frame], frame * stride
             assert item["task"] == job["instruction"]
@@ -52,12 +52,12 @@ def judge_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
             compared += 1
         start += episode.length
     assert worst >= LEAST_PSNR_DB, f"{worst:.1f} dB"
-    said = f"{len(data)} frames, {compared} compared, RGB at least {worst:.1f} dB"
-    said += f", depth at most {deepest:.1f} mm off" if DEPTH in data.features else ""
-    return said + (", ids equal" if IDS in data.features else "")
+    result = f"{len(data)} frames, {compared} compared, RGB at least {worst:.1f} dB"
+    result += f", depth at most {deepest:.1f} mm off" if DEPTH in data.features else ""
+    return result + (", ids equal" if IDS in data.features else "")
 
 
-def judge_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int) -> None:
+def check_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int) -> None:
     """Compares poses and mean commands of all kept frames with the paper's tree."""
     actions, poses = paper.array(episode.name, "actions_continuous"), paper.array(episode.name, "poses")
     assert episode.length == len(range(0, len(actions), stride))
@@ -75,12 +75,12 @@ def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:
     return float(error.max())
 
 
-def judge_batches(export: Path, first_length: int) -> tuple[Any, str]:
+def check_batches(export: Path, first_length: int) -> tuple[Any, str]:
     """Checks chunks of actions, past images, and a shuffled loader with worker processes; returns the dataset."""
     fps = json.loads((export / "meta/info.json").read_text())["fps"]
     deltas = {RGB: [-1 / fps, 0.0], "action": [n / fps for n in range(CHUNK)]}
     # pyav: forked loader processes would share the open files of torchcodec's decoders
-    data = LeRobotDataset("judge/nav", root=export, delta_timestamps=deltas, video_backend="pyav")
+    data = LeRobotDataset("test/nav", root=export, delta_timestamps=deltas, video_backend="pyav")
     last = data[first_length - 1]
     assert last["action"].shape == (CHUNK, 2)
     assert last["action_is_pad"].tolist() == [False] + [True] * (CHUNK - 1)

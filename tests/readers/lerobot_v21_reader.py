@@ -3,7 +3,7 @@
 Runs in a separate environment (Python 3.12, `lerobot==0.3.3 av==15.1.0`, the last release that reads v2.1; see
 `make test-formats`), does not import this project, and exits with code 1 at the first failed check.
 
-    python tests/judges/lerobot_v21_judge.py PAPER EXPORT [EXPORT ...]
+    python tests/readers/lerobot_v21_reader.py PAPER EXPORT [EXPORT ...]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to lerobot-v2.1`.
 Isaac-GR00T is not on a package index: the operations of `LeRobotSingleDataset` (N1, N1.5) and
@@ -19,9 +19,9 @@ import av
 import numpy as np
 import pandas as pd
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from lerobot_frames import RECORDED_HZ, Listed, judge_batches, judge_frames
+from lerobot_frames import RECORDED_HZ, Listed, check_batches, check_frames
 from paper_tree import Paper, mean_commands
-from verdict import named, say
+from result import named, print_row
 
 DEFAULT_COLUMN = {"state": "observation.state", "action": "action"}
 NEEDED_STATISTICS = {"min", "max", "mean", "std", "q01", "q99"}
@@ -30,58 +30,58 @@ NEEDED_STATISTICS = {"min", "max", "mean", "std", "q01", "q99"}
 def main() -> None:
     paper, reader = Paper(Path(sys.argv[1])), named("lerobot")
     for export in map(Path, sys.argv[2:]):
-        say(export, f"{reader}, pyav", judge_lerobot(paper, export))
-        say(export, reader, judge_parts(export))
-        say(export, reader, judge_statistics(export))
-        say(export, "GR00T's way of reading", judge_gr00t(paper, export))
+        print_row(export, f"{reader}, pyav", check_lerobot(paper, export))
+        print_row(export, reader, check_parts(export))
+        print_row(export, reader, check_statistics(export))
+        print_row(export, "GR00T's way of reading", check_gr00t(paper, export))
 
 
-def judge_lerobot(paper: Paper, export: Path) -> str:
-    data = LeRobotDataset("judge/nav", root=export, video_backend="pyav")
+def check_lerobot(paper: Paper, export: Path) -> str:
+    data = LeRobotDataset("test/nav", root=export, video_backend="pyav")
     listed = [
         Listed(line["episode_id"], line["episode_index"], line["length"], line["split"], line["tasks"])
         for line in lines_of(export / "meta/episodes.jsonl")
     ]
     assert data.num_episodes == len(listed)
-    return judge_frames(paper, data, listed)
+    return check_frames(paper, data, listed)
 
 
-def judge_parts(export: Path) -> str:
+def check_parts(export: Path) -> str:
     """Checks chunks of actions as openpi requests them, shuffled batches, and a single episode."""
     first = lines_of(export / "meta/episodes.jsonl")[0]
-    _, said = judge_batches(export, first["length"])
-    part = LeRobotDataset("judge/nav", root=export, episodes=[0], video_backend="pyav")
+    _, result = check_batches(export, first["length"])
+    part = LeRobotDataset("test/nav", root=export, episodes=[0], video_backend="pyav")
     assert len(part) == first["length"]
     assert part[first["length"] - 1]["task"] == first["tasks"][0]
-    return f"{said}, one episode alone"
+    return f"{result}, one episode alone"
 
 
-def judge_statistics(export: Path) -> str:
+def check_statistics(export: Path) -> str:
     """Compares the statistics that LeRobot aggregates from the episodes with those of the export."""
-    added = LeRobotDataset("judge/nav", root=export, video_backend="pyav").meta.stats
-    told = json.loads((export / "meta/stats.json").read_text())
-    assert added.keys() == told.keys()
+    added = LeRobotDataset("test/nav", root=export, video_backend="pyav").meta.stats
+    values = json.loads((export / "meta/stats.json").read_text())
+    assert added.keys() == values.keys()
     for key, found in added.items():
         for name in ("min", "max", "mean", "std"):
-            np.testing.assert_allclose(found[name], told[key][name], rtol=1e-5, atol=1e-6, err_msg=f"{key} {name}")
+            np.testing.assert_allclose(found[name], values[key][name], rtol=1e-5, atol=1e-6, err_msg=f"{key} {name}")
     return f"statistics of {len(added)} features added up"
 
 
-def judge_gr00t(paper: Paper, export: Path) -> str:
+def check_gr00t(paper: Paper, export: Path) -> str:
     """Reads every episode by the names in `meta/modality.json`."""
     info = json.loads((export / "meta/info.json").read_text())
     modality = json.loads((export / "meta/modality.json").read_text())
     tasks = {line["task_index"]: line["task"] for line in lines_of(export / "meta/tasks.jsonl")}
-    judge_gr00t_statistics(export, modality)
+    check_gr00t_statistics(export, modality)
     for name in modality["video"]:
-        judge_gr00t_camera(info["features"][modality["video"][name].get("original_key", name)], info["fps"])
+        check_gr00t_camera(info["features"][modality["video"][name].get("original_key", name)], info["fps"])
     for line in lines_of(export / "meta/episodes.jsonl"):
         number = line["episode_index"]
         place = {"episode_chunk": number // info["chunks_size"], "episode_index": number}
         table = pd.read_parquet(export / info["data_path"].format(**place))
         assert len(table) == line["length"]
         parts = {kind: parts_of(kind, modality, table) for kind in DEFAULT_COLUMN}
-        judge_motion(paper, line["episode_id"], parts, RECORDED_HZ // info["fps"])
+        check_motion(paper, line["episode_id"], parts, RECORDED_HZ // info["fps"])
         for entry in modality["annotation"].values():
             assert [tasks[index] for index in table[entry["original_key"]]] == line["tasks"] * len(table)
         for name, entry in modality["video"].items():
@@ -92,7 +92,7 @@ def judge_gr00t(paper: Paper, export: Path) -> str:
     return f"{sum(len(modality[kind]) for kind in modality)} names of modality.json in every episode"
 
 
-def judge_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:
+def check_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:
     """Slices the parts of state and action out of every statistic of their column."""
     stats = json.loads((export / "meta/stats.json").read_text())
     for found in stats.values():
@@ -104,7 +104,7 @@ def judge_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:
                 assert np.array(values)[chosen].shape == chosen.shape, f"{kind}.{name} of {statistic}: {values}"
 
 
-def judge_gr00t_camera(feature: dict[str, Any], fps: int) -> None:
+def check_gr00t_camera(feature: dict[str, Any], fps: int) -> None:
     names = feature["names"]
     assert [feature["shape"][names.index(side)] for side in ("height", "width", "channels")] == [640, 640, 3]
     assert feature["info"]["video.fps"] == fps
@@ -121,7 +121,7 @@ def parts_of(kind: str, modality: dict[str, Any], table: pd.DataFrame) -> dict[s
     return found
 
 
-def judge_motion(paper: Paper, name: str, parts: dict[str, dict[str, np.ndarray]], stride: int) -> None:
+def check_motion(paper: Paper, name: str, parts: dict[str, dict[str, np.ndarray]], stride: int) -> None:
     """Compares the parts with poses and commands of the paper's tree."""
     poses, actions = paper.array(name, "poses"), paper.array(name, "actions_continuous")
     odometry, twist = parts["state"]["odometry"], parts["state"]["twist"]

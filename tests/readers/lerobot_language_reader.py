@@ -3,7 +3,7 @@
 Runs in a separate environment (Python 3.12, `lerobot[dataset]==0.6.1`, see `make test-language`), does not import this
 project, and exits with code 1 at the first failed check.
 
-    python tests/judges/lerobot_language_judge.py DATASET EXPORT
+    python tests/readers/lerobot_language_reader.py DATASET EXPORT
 
 DATASET: a relabelled dataset. EXPORT: its export with `--to lerobot`, at the recorded rate.
 """
@@ -13,25 +13,25 @@ from pathlib import Path
 
 from lerobot.datasets.language_render import active_at
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from said import Said, counted
-from verdict import named, say
+from relabelled import RelabelledTables, counted
+from result import named, print_row
 
 
 def main() -> None:
-    said, export = Said(Path(sys.argv[1])), Path(sys.argv[2])
-    data = LeRobotDataset("judge/nav", root=export, video_backend="pyav")
+    tables, export = RelabelledTables(Path(sys.argv[1])), Path(sys.argv[2])
+    data = LeRobotDataset("test/nav", root=export, video_backend="pyav")
     names = [found["episode_id"] for found in data.meta.episodes]
-    assert sorted(names) == sorted(said.first)
+    assert sorted(names) == sorted(tables.first)
     for found in data.meta.episodes:
-        judge_episode(said, data, found["episode_id"], found["dataset_from_index"], found["length"])
-    told = f"{len(names)} instructions, {counted(map(said.steps, names))}, active subtask of every frame"
-    say(export, named("lerobot"), told)
+        check_episode(tables, data, found["episode_id"], found["dataset_from_index"], found["length"])
+    result = f"{len(names)} instructions, {counted(map(tables.steps, names))}, active subtask of every frame"
+    print_row(export, named("lerobot"), result)
 
 
-def judge_episode(said: Said, data: LeRobotDataset, name: str, first: int, length: int) -> None:
+def check_episode(tables: RelabelledTables, data: LeRobotDataset, name: str, first: int, length: int) -> None:
     """Checks the task, and the active subtask of every frame with LeRobot's own function."""
-    steps = said.steps(name)
-    assert data[first]["task"] == said.first[name], name
+    steps = tables.steps(name)
+    assert data[first]["task"] == tables.first[name], name
     rows = data.hf_dataset.select(range(first, first + length)).with_format(None)
     found = []
     for t, row in enumerate(rows):

@@ -21,8 +21,8 @@ from schemas.errors import InvalidBundle
 from schemas.protocol.keys import host_of
 
 
-class Judgement(NamedTuple):
-    """Result of the validation of a valid bundle."""
+class ValidatedBundle(NamedTuple):
+    """Result of the validation of a bundle without violations."""
 
     receipt: BundleReceipt
     """Row of the episode."""
@@ -30,8 +30,8 @@ class Judgement(NamedTuple):
     """Whether the frames were validated here; `False` if only the worker has validated them."""
 
 
-class BundleJudge:
-    """Thread-safe validation of bundles.
+class SpotCheckedValidation:
+    """Thread-safe validation of bundles, complete or with spot checks.
 
     A host's first bundle is always validated completely. After an invalid bundle, all bundles of the host are.
 
@@ -48,7 +48,7 @@ class BundleJudge:
         self._is_trusted: dict[str, bool] = {}
         """Mapping of host to the result of its complete validations; hosts without one are missing."""
 
-    def judge(self, pull: Pull, path: Path, *, is_local: bool) -> Judgement:
+    def validate(self, pull: Pull, path: Path, *, is_local: bool) -> ValidatedBundle:
         """Validates a bundle.
 
         Args:
@@ -74,7 +74,7 @@ class BundleJudge:
             self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
         if pull.is_validated and scope is Scope.ALL:
             self._is_trusted.setdefault(host, True)
-        return Judgement(receipt, scope is not Scope.CLAIM)
+        return ValidatedBundle(receipt, scope is not Scope.CLAIM)
 
     def _scope(self, pull: Pull) -> Scope:
         trusts = self._share is not None and pull.is_validated and self._is_trusted.get(host_of(pull.sid), False)

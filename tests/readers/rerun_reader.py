@@ -3,7 +3,7 @@
 Runs in an environment with `rerun-sdk` and this project (it calls `factory view`, but does not import the project).
 Exits with code 1 at the first failed check.
 
-    python tests/judges/rerun_judge.py DATASET PAPER MCAP LEROBOT [LEROBOT ...]
+    python tests/readers/rerun_reader.py DATASET PAPER MCAP LEROBOT [LEROBOT ...]
 
 PAPER, MCAP, LEROBOT: the same episodes as `factory export --to` those formats.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from paper_tree import Paper
 from rerun.chunk import Chunk, RrdReader
 from rerun.experimental import LeRobotReader
-from verdict import named, say
+from result import named, print_row
 
 CAMERA = "/world/robot/camera"
 STRIDE = 4
@@ -34,18 +34,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         seen, made = Path(place) / "view.rrd", Path(place) / "mcap.rrd"
         run("-m", "factory", "view", str(dataset), name, "--save", str(seen), "--stride", str(STRIDE))
-        say(dataset, f"factory view, {reader}", judge_view(paper, name, seen))
+        print_row(dataset, f"factory view, {reader}", check_view(paper, name, seen))
         run("-m", "rerun", "mcap", "convert", str(mcap / f"episodes/{name}.mcap"), "-o", str(made))
-        say(mcap, reader, judge_mcap(paper, name, made))
+        print_row(mcap, reader, check_mcap(paper, name, made))
     for lerobot in lerobots:
-        say(lerobot, f"LeRobotReader, {reader}", judge_lerobot(lerobot))
+        print_row(lerobot, f"LeRobotReader, {reader}", check_lerobot(lerobot))
 
 
 def run(*words: str) -> None:
     subprocess.run([sys.executable, *words], stdout=subprocess.DEVNULL, check=True, timeout=600)
 
 
-def judge_view(paper: Paper, name: str, path: Path) -> str:
+def check_view(paper: Paper, name: str, path: Path) -> str:
     """Checks poses of every step, depth and ids of every shown frame, map, target, path and instruction."""
     rows = rows_of(path)
     poses = paper.array(name, "poses")
@@ -74,12 +74,12 @@ def rows_of(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:
         for column in batch.schema.names:
             if ":" in column:
                 values = batch[column].to_pylist()
-                told = {step: value for step, value in zip(steps, values, strict=True) if value is not None}
-                found.setdefault((chunk.entity_path, column), {}).update(told)
+                known = {step: value for step, value in zip(steps, values, strict=True) if value is not None}
+                found.setdefault((chunk.entity_path, column), {}).update(known)
     return found
 
 
-def judge_mcap(paper: Paper, name: str, path: Path) -> str:
+def check_mcap(paper: Paper, name: str, path: Path) -> str:
     """Checks that every topic has every step."""
     rows = Counter[str]()
     for chunk in RrdReader(path).stream():
@@ -90,7 +90,7 @@ def judge_mcap(paper: Paper, name: str, path: Path) -> str:
     return f"{name}: {len(topics)} topics with {steps} messages each"
 
 
-def judge_lerobot(export: Path) -> str:
+def check_lerobot(export: Path) -> str:
     """Checks that every episode is listed with its rows."""
     info = json.loads((export / "meta/info.json").read_text())
     reader = LeRobotReader(export)

@@ -2,7 +2,7 @@
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/ros2_judge.py PAPER EXPORT
+    python tests/readers/ros2_reader.py PAPER EXPORT
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to mcap --ros2`.
 """
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from paper_tree import Paper
 from PIL import Image
+from result import named, print_row
 from rosbags.highlevel import AnyReader
-from verdict import named, say
 
 COLOUR, DEPTH, IDS = "/camera/rgb/image_raw/compressed", "/camera/depth/image_raw", "/camera/ids/image_raw"
 
@@ -26,12 +26,12 @@ def main() -> None:
     paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
     files = sorted((export / "episodes").glob("*.mcap"))
     assert [file.stem for file in files] == sorted(path.name for path in paper.episodes.iterdir())
-    messages = sum((judge_file(paper, file) for file in files), Counter[str]())
-    said = f"{messages.total()} messages, {messages[COLOUR]} frames equal to the paper's tree"
-    say(export, named("rosbags"), f"{len(files)} files, {said}")
+    messages = sum((check_file(paper, file) for file in files), Counter[str]())
+    result = f"{messages.total()} messages, {messages[COLOUR]} frames equal to the paper's tree"
+    print_row(export, named("rosbags"), f"{len(files)} files, {result}")
 
 
-def judge_file(paper: Paper, path: Path) -> Counter[str]:
+def check_file(paper: Paper, path: Path) -> Counter[str]:
     """Decodes every message of a file and compares frames, poses and commands."""
     counts: Counter[str] = Counter()
     poses, actions = (paper.array(path.stem, name) for name in ("poses", "actions_continuous"))

@@ -2,7 +2,7 @@
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/video_judge.py EXPORT [EXPORT ...]
+    python tests/readers/video_reader.py EXPORT [EXPORT ...]
 
 EXPORT: a dataset as `factory export --to lerobot` or `lerobot-v2.1`. ffprobe is part of FFmpeg (`apt install ffmpeg`).
 """
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import av
 import pyarrow.parquet as pq
-from verdict import named, say
+from result import named, print_row
 
 
 class Expected(NamedTuple):
@@ -48,9 +48,9 @@ def main() -> None:
         assert {path for path, _ in videos} == set(export.glob("videos/**/*.mp4"))
         for reader, see in readers.items():
             for path, expected in videos:
-                judge(path, expected, see(path))
+                check_video(path, expected, see(path))
             frames = sum(expected.frames for _, expected in videos)
-            say(export, reader, f"{frames} frames of {len(videos)} videos in time, episodes begin on key frames")
+            print_row(export, reader, f"{frames} frames of {len(videos)} videos in time, episodes begin on key frames")
 
 
 def expected_of(export: Path) -> list[tuple[Path, Expected]]:
@@ -105,7 +105,7 @@ def see_with_ffprobe(path: Path) -> Seen:
     return Seen(times, keys, stream["codec_name"], stream["pix_fmt"])
 
 
-def judge(path: Path, expected: Expected, seen: Seen) -> None:
+def check_video(path: Path, expected: Expected, seen: Seen) -> None:
     assert (seen.codec, seen.pix_fmt) == (expected.codec, expected.pix_fmt), f"{path}: {seen.codec}, {seen.pix_fmt}"
     assert len(seen.times_s) == expected.frames, f"{path}: {len(seen.times_s)} frames, expected {expected.frames}"
     late = max(abs(time - number / expected.fps) for number, time in enumerate(seen.times_s))

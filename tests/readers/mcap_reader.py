@@ -2,7 +2,7 @@
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/mcap_judge.py PAPER EXPORT
+    python tests/readers/mcap_reader.py PAPER EXPORT
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to mcap`.
 """
@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from paper_tree import Paper
 from PIL import Image
-from verdict import named, say
+from result import named, print_row
 
 PUBLISHED = "foxglove."
 EACH_STEP = ("/camera/rgb", "/camera/depth", "/camera/ids", "/tf", "/odom", "/action", "/camera/calibration")
@@ -31,14 +31,14 @@ def main() -> None:
     paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
     files = sorted((export / "episodes").glob("*.mcap"))
     assert [file.stem for file in files] == sorted(path.name for path in paper.episodes.iterdir())
-    schemas = judge_schemas(files[0])
-    say(export, named("foxglove-schemas-protobuf"), f"{schemas} schemas equal to the published ones")
-    messages = sum((judge_file(paper, file) for file in files), Counter[str]())
-    said = f"{messages.total()} messages, {messages['/camera/rgb']} frames equal to the paper's tree"
-    say(export, named("mcap", "mcap-protobuf-support"), f"{len(files)} files, {said}")
+    schemas = check_schemas(files[0])
+    print_row(export, named("foxglove-schemas-protobuf"), f"{schemas} schemas equal to the published ones")
+    messages = sum((check_file(paper, file) for file in files), Counter[str]())
+    result = f"{messages.total()} messages, {messages['/camera/rgb']} frames equal to the paper's tree"
+    print_row(export, named("mcap", "mcap-protobuf-support"), f"{len(files)} files, {result}")
 
 
-def judge_schemas(path: Path) -> int:
+def check_schemas(path: Path) -> int:
     """Compares the descriptors in a file with the published classes, field by field; returns their number."""
     with path.open("rb") as file:
         schemas = list(make_reader(file).get_summary().schemas.values())
@@ -51,17 +51,17 @@ def judge_schemas(path: Path) -> int:
         leaf = schema.name.removeprefix(PUBLISHED)
         module = importlib.import_module(f"foxglove_schemas_protobuf.{leaf}_pb2")
         ours, theirs = pool.FindMessageTypeByName(schema.name), getattr(module, leaf).DESCRIPTOR
-        judge_message(ours, theirs, set())
+        check_message(ours, theirs, set())
     return len(published)
 
 
-def judge_message(ours: Any, theirs: Any, done: set[str]) -> None:
+def check_message(ours: Any, theirs: Any, done: set[str]) -> None:
     """Compares two descriptors and their nested messages."""
     assert fields(ours) == fields(theirs), f"{ours.full_name}: {fields(ours)}, published {fields(theirs)}"
     done.add(ours.full_name)
     for field in ours.fields:
         if field.message_type is not None and field.message_type.full_name not in done:
-            judge_message(field.message_type, theirs.fields_by_name[field.name].message_type, done)
+            check_message(field.message_type, theirs.fields_by_name[field.name].message_type, done)
 
 
 def fields(message: Any) -> list[tuple[Any, ...]]:
@@ -78,7 +78,7 @@ def fields(message: Any) -> list[tuple[Any, ...]]:
     ]
 
 
-def judge_file(paper: Paper, path: Path) -> Counter[str]:
+def check_file(paper: Paper, path: Path) -> Counter[str]:
     """Compares every decoded message of a file with the episode; returns the messages by topic."""
     name, seen = path.stem, Counter[str]()
     hz = paper.meta(name)["job"]["task"]["control_hz"]
@@ -86,14 +86,14 @@ def judge_file(paper: Paper, path: Path) -> Counter[str]:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for schema, channel, message, decoded in reader.iter_decoded_messages():
             seen[channel.topic] += 1
-            judge_decoded(paper, name, schema.name, channel.topic, decoded, round(message.log_time * hz / 1e9))
+            check_decoded(paper, name, schema.name, channel.topic, decoded, round(message.log_time * hz / 1e9))
     steps = len(paper.array(name, "poses"))
     expected = {**dict.fromkeys(EACH_STEP, steps), **dict.fromkeys(ONCE, 1)}
     assert {topic: seen[topic] for topic in expected} == expected, f"{path}: {dict(seen)}, expected {expected}"
     return seen
 
 
-def judge_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any, t: int) -> None:
+def check_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any, t: int) -> None:
     """Compares the comparable fields of one message."""
     if topic == "/camera/rgb":
         assert schema == "foxglove.CompressedImage"
@@ -109,8 +109,8 @@ def judge_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any
         row = (place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z)
         np.testing.assert_array_equal(row, paper.array(name, "poses")[t])
     elif topic == "/action":
-        told = np.array((decoded.v_mps, decoded.w_rps), np.float32)
-        np.testing.assert_array_equal(told, paper.array(name, "actions_continuous")[t])
+        values = np.array((decoded.v_mps, decoded.w_rps), np.float32)
+        np.testing.assert_array_equal(values, paper.array(name, "actions_continuous")[t])
         assert [decoded.v_token, decoded.w_token] == paper.array(name, "actions_tokens")[t].tolist()
     elif topic == "/instruction":
         assert decoded.message == paper.meta(name)["job"]["instruction"]

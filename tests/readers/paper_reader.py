@@ -4,7 +4,7 @@ The `meta.json` of the tree lacks time and worker; the other values are compared
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/paper_judge.py DATASET PAPER
+    python tests/readers/paper_reader.py DATASET PAPER
 
 PAPER: DATASET as `factory export --to paper`.
 """
@@ -17,19 +17,21 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import zstandard
-from verdict import named, say
+from result import named, print_row
 
 
 def main() -> None:
     dataset, paper = Path(sys.argv[1]), Path(sys.argv[2])
     bundles = sorted((dataset / "episodes").glob("*.zip"))
     assert [bundle.stem for bundle in bundles] == sorted(path.name for path in (paper / "episodes").iterdir())
-    files = [judge_episode(bundle, paper / "episodes" / bundle.stem) for bundle in bundles]
-    say(paper, f"zipfile, {named('zstandard')}", f"{sum(files)} files of {len(files)} episodes equal to the bundles")
-    say(paper, named("pyarrow"), judge_tables(dataset, paper))
+    files = [check_episode(bundle, paper / "episodes" / bundle.stem) for bundle in bundles]
+    print_row(
+        paper, f"zipfile, {named('zstandard')}", f"{sum(files)} files of {len(files)} episodes equal to the bundles"
+    )
+    print_row(paper, named("pyarrow"), check_tables(dataset, paper))
 
 
-def judge_episode(bundle: Path, folder: Path) -> int:
+def check_episode(bundle: Path, folder: Path) -> int:
     """Compares every member of a bundle with its file: raw bytes, and decompressed bytes for depth."""
     with zipfile.ZipFile(bundle) as stored:
         expected = {name.removesuffix(".zst"): name for name in stored.namelist()}
@@ -52,7 +54,7 @@ def metadata_of(data: bytes) -> dict[str, Any]:
     return values
 
 
-def judge_tables(dataset: Path, paper: Path) -> str:
+def check_tables(dataset: Path, paper: Path) -> str:
     """Checks that the rows of the tree equal those of the dataset, with the published columns first."""
     ours, theirs = pq.read_table(paper / "metadata.parquet"), pq.read_table(dataset / "metadata.parquet")
     assert ours.equals(theirs.select(ours.column_names))

@@ -2,7 +2,7 @@
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/datasets_judge.py DATASET PAPER LEROBOT WEBDATASET
+    python tests/readers/datasets_reader.py DATASET PAPER LEROBOT WEBDATASET
 
 PAPER, LEROBOT, WEBDATASET: the same episodes as `factory export --to` those formats.
 """
@@ -16,34 +16,34 @@ from typing import Any
 import datasets
 import numpy as np
 from paper_tree import Paper
-from verdict import named, say
+from result import named, print_row
 
 
 def main() -> None:
     dataset, tree, lerobot, shards = map(Path, sys.argv[1:])
     paper = Paper(tree)
     with tempfile.TemporaryDirectory() as cache:
-        for place, judge in (
-            (dataset, judge_rows),
-            (tree, judge_rows),
-            (lerobot, judge_lerobot),
-            (shards, judge_shards),
+        for place, check in (
+            (dataset, check_rows),
+            (tree, check_rows),
+            (lerobot, check_lerobot),
+            (shards, check_shards),
         ):
-            say(place, named("datasets"), judge(paper, place, cache))
+            print_row(place, named("datasets"), check(paper, place, cache))
 
 
-def judge_rows(paper: Paper, place: Path, cache: str) -> str:
+def check_rows(paper: Paper, place: Path, cache: str) -> str:
     """Checks one row for each episode in its split, with its instruction."""
     splits = datasets.load_dataset(str(place), cache_dir=cache)
-    told = {
+    values = {
         row["episode_id"]: (row["instruction"], split, row["num_steps"])
         for split, table in splits.items()
         for row in table
     }
-    assert told == {path.name: facts(paper, path.name) for path in paper.episodes.iterdir()}
+    assert values == {path.name: facts(paper, path.name) for path in paper.episodes.iterdir()}
     pictures = [row["thumbnail"] for table in splits.values() for row in table if "thumbnail" in row]
     assert {picture.size for picture in pictures} <= {(160, 160)}
-    return f"{len(told)} rows in {len(splits)} splits, {len(pictures)} thumbnails"
+    return f"{len(values)} rows in {len(splits)} splits, {len(pictures)} thumbnails"
 
 
 def facts(paper: Paper, name: str) -> tuple[str, str, int]:
@@ -51,7 +51,7 @@ def facts(paper: Paper, name: str) -> tuple[str, str, int]:
     return job["instruction"], job["split"], len(paper.array(name, "poses"))
 
 
-def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
+def check_lerobot(paper: Paper, place: Path, cache: str) -> str:
     """Checks both configurations of the card, with frames in the order of the episodes."""
     episodes = datasets.load_dataset(str(place), "episodes", split="train", cache_dir=cache)
     frames = datasets.load_dataset(str(place), "frames", split="train", cache_dir=cache).with_format("numpy")
@@ -60,7 +60,7 @@ def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
     return f"frames: {len(frames)} rows with the poses of the paper's tree; episodes: {len(episodes)}"
 
 
-def judge_shards(paper: Paper, place: Path, cache: str) -> str:
+def check_shards(paper: Paper, place: Path, cache: str) -> str:
     """Streams every split; checks all samples of its first episode and the names of all samples."""
     splits = sorted({shard["split"] for shard in json.loads((place / "shards.json").read_text())["shards"]})
     samples = 0

@@ -1,9 +1,9 @@
 """Builds the RLDS recipe with TFDS, reads it back and compares every step with the paper's tree.
 
-Runs in an environment with `tensorflow`, `tensorflow-datasets` and this project (the builder needs it; the judge does
+Runs in an environment with `tensorflow`, `tensorflow-datasets` and this project (the builder needs it; the reader does
 not import it). Exits with code 1 at the first failed check.
 
-    python tests/judges/rlds_judge.py DATASET PAPER BUILT
+    python tests/readers/rlds_reader.py DATASET PAPER BUILT
 
 PAPER: DATASET as `factory export --to paper`. BUILT: a folder that does not exist, for the built dataset.
 """
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import tensorflow_datasets as tfds
 from paper_tree import Paper, mean_commands
-from verdict import named, say
+from result import named, print_row
 
 RECIPE = Path(__file__).parents[2] / "docs/formats/rlds/build.py"
 RECORDED_HZ, FPS, IMAGE_PX = 60, 10, 640
@@ -26,22 +26,22 @@ RECORDED_HZ, FPS, IMAGE_PX = 60, 10, 640
 def main() -> None:
     dataset, tree, built = map(Path, sys.argv[1:])
     paper = Paper(tree)
-    told = {"MINIVLA_DATASET": str(dataset.resolve()), "MINIVLA_FPS": str(FPS), "MINIVLA_IMAGE_PX": str(IMAGE_PX)}
-    subprocess.run([sys.executable, str(RECIPE), str(built)], env={**os.environ, **told}, check=True)
+    values = {"MINIVLA_DATASET": str(dataset.resolve()), "MINIVLA_FPS": str(FPS), "MINIVLA_IMAGE_PX": str(IMAGE_PX)}
+    subprocess.run([sys.executable, str(RECIPE), str(built)], env={**os.environ, **values}, check=True)
     builder = tfds.builder_from_directory(built / "minivla_nav/1.0.0")
     seen: dict[str, int] = {}
     for split in builder.info.splits:
         for episode in builder.as_dataset(split=split):
             name = episode["episode_metadata"]["episode_id"].numpy().decode()
-            seen[name] = judge_episode(paper, name, split, list(tfds.as_numpy(episode["steps"])))
+            seen[name] = check_episode(paper, name, split, list(tfds.as_numpy(episode["steps"])))
     assert seen.keys() == {path.name for path in paper.episodes.iterdir()}
-    said = (
+    result = (
         f"{sum(seen.values())} steps of {len(seen)} episodes in {len(builder.info.splits)} splits, built and read back"
     )
-    say(built, named("tensorflow-datasets", "tensorflow"), f"{said}, equal to the paper's tree")
+    print_row(built, named("tensorflow-datasets", "tensorflow"), f"{result}, equal to the paper's tree")
 
 
-def judge_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any]]) -> int:
+def check_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any]]) -> int:
     """Compares every step of an episode; returns the number of steps."""
     job, stride = paper.meta(name)["job"], RECORDED_HZ // FPS
     assert split == job["split"]

@@ -1,8 +1,8 @@
 """Opens an export with the sensors of a rig with LeRobot's loader and compares it with the paper layout.
 
-Runs in the environment of `lerobot_judge.py`; does not import this project. Exits with code 1 at a failed check.
+Runs in the environment of `lerobot_reader.py`; does not import this project. Exits with code 1 at a failed check.
 
-    python tests/judges/lerobot_rig_judge.py PAPER EXPORT
+    python tests/readers/lerobot_rig_reader.py PAPER EXPORT
 
 PAPER: the dataset as `factory export --to paper --rig RIG`. EXPORT: the same episodes as `factory export --to lerobot
 --rig RIG --depth --ids`, at any frame rate.
@@ -18,7 +18,7 @@ import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from paper_tree import psnr
 from PIL import Image
-from verdict import named, say
+from result import named, print_row
 
 LEAST_PSNR_DB = 25.0
 FRAMES = 12
@@ -28,7 +28,7 @@ def main() -> None:
     paper, export = Path(sys.argv[1]), Path(sys.argv[2])
     rig = json.loads((export / "meta/rig.json").read_text())
     assert rig == json.loads((paper / "rig.json").read_text())
-    data = LeRobotDataset("judge/rig", root=export, video_backend="pyav")
+    data = LeRobotDataset("test/rig", root=export, video_backend="pyav")
     seen: Counter[str] = Counter()
     for found in data.meta.episodes:
         sensors = paper / "episodes" / found["episode_id"] / "sensors"
@@ -36,14 +36,14 @@ def main() -> None:
             item = data[found["dataset_from_index"] + frame]
             for sensor in rig["sensors"]:
                 step = frame * rig["control_hz"] // data.fps
-                judge_sensor(item, sensor, sensors / sensor["name"], step // sensor["every_steps"])
+                check_sensor(item, sensor, sensors / sensor["name"], step // sensor["every_steps"])
                 seen[sensor["name"]] += 1
     assert set(seen) == {sensor["name"] for sensor in rig["sensors"]}
-    said = f"{len(seen)} sensors of rig {rig['name']}, {seen.total()} measurements equal to the paper layout"
-    say(export, f"{named('lerobot')}, pyav", said)
+    result = f"{len(seen)} sensors of rig {rig['name']}, {seen.total()} measurements equal to the paper layout"
+    print_row(export, f"{named('lerobot')}, pyav", result)
 
 
-def judge_sensor(item: dict[str, Any], sensor: dict[str, Any], folder: Path, number: int) -> None:
+def check_sensor(item: dict[str, Any], sensor: dict[str, Any], folder: Path, number: int) -> None:
     """Compares the measurement of a sensor in a row with its measurement of that number."""
     name, file = sensor["name"], f"{number * sensor['every_steps']:06d}"
     match sensor["model"]:
@@ -57,10 +57,10 @@ def judge_sensor(item: dict[str, Any], sensor: dict[str, Any], folder: Path, num
             parts = [np.load(folder / f"{kind}.npy")[number] for kind in ("poses", "twists")]
             assert np.array_equal(item["observation.state"].numpy(), np.concatenate(parts).astype(np.float32))
         case _:
-            judge_camera(item, sensor, folder, file)
+            check_camera(item, sensor, folder, file)
 
 
-def judge_camera(item: dict[str, Any], camera: dict[str, Any], folder: Path, file: str) -> None:
+def check_camera(item: dict[str, Any], camera: dict[str, Any], folder: Path, file: str) -> None:
     """Compares colour, depth and ids of a camera, as far as it has them."""
     key = f"observation.images.{camera['name']}"
     if "rgb" in camera["outputs"]:

@@ -2,7 +2,7 @@
 
 Does not import this project. Exits with code 1 at the first failed check.
 
-    python tests/judges/webdataset_judge.py PAPER EXPORT
+    python tests/readers/webdataset_reader.py PAPER EXPORT
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to webdataset`.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import webdataset
 from paper_tree import Paper
-from verdict import named, say
+from result import named, print_row
 
 
 def main() -> None:
@@ -22,13 +22,13 @@ def main() -> None:
     shards = sorted(export.glob("*.tar"))
     seen: Counter[str] = Counter()
     for sample in webdataset.WebDataset([str(shard) for shard in shards], shardshuffle=False).decode("rgb8"):
-        seen[judge_sample(paper, sample)] += 1
+        seen[check_sample(paper, sample)] += 1
     expected = {path.name: len(paper.array(path.name, "poses")) for path in paper.episodes.iterdir()}
     assert seen == expected, f"samples by episode {dict(seen)}, expected {expected}"
-    say(export, named("webdataset"), f"{seen.total()} samples of {len(shards)} shards equal to the paper's tree")
+    print_row(export, named("webdataset"), f"{seen.total()} samples of {len(shards)} shards equal to the paper's tree")
 
 
-def judge_sample(paper: Paper, sample: dict) -> str:
+def check_sample(paper: Paper, sample: dict) -> str:
     """Compares a complete sample; returns the id of its episode."""
     about = sample["json"]
     name, t, meta = about["episode_id"], about["step"], paper.meta(about["episode_id"])
@@ -38,11 +38,11 @@ def judge_sample(paper: Paper, sample: dict) -> str:
     np.testing.assert_array_equal(sample["rgb.png"], paper.rgb(name, t))
     np.testing.assert_array_equal(sample["depth.npy.gz"], paper.depth(name, t))
     np.testing.assert_array_equal(sample["seg.npy.gz"], paper.ids(name, t))
-    told = sample["action.json"]
+    values = sample["action.json"]
     np.testing.assert_array_equal(
-        np.array((told["v_mps"], told["w_rps"]), np.float32), paper.array(name, "actions_continuous")[t]
+        np.array((values["v_mps"], values["w_rps"]), np.float32), paper.array(name, "actions_continuous")[t]
     )
-    assert [told["v_token"], told["w_token"]] == paper.array(name, "actions_tokens")[t].tolist()
+    assert [values["v_token"], values["w_token"]] == paper.array(name, "actions_tokens")[t].tolist()
     return str(name)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 
-class Said:
+class RelabelledTables:
     """Tables of a relabelled dataset with routes."""
 
     def __init__(self, root: Path) -> None:

@@ -1,4 +1,4 @@
-"""Reads the paper's tree, the reference of the judges for other exports. Does not import this project."""
+"""Reads the paper's tree, the reference of the readers of other exports. Does not import this project."""
 
 import json
 from pathlib import Path

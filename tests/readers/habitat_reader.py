@@ -5,7 +5,7 @@ project, and exits with code 1 at the first failed check. The simulator has no w
 modules of habitat-lab that cannot be imported without it, none of which reads episodes, and trimesh opens the
 scenes. VLN-CE's `VLNCEDatasetV1` parses files like the loader tested here.
 
-    python tests/judges/habitat_judge.py PAPER EXPORT
+    python tests/readers/habitat_reader.py PAPER EXPORT
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to vlnce`.
 """
@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 from omegaconf import DictConfig
 from paper_tree import Paper
-from verdict import named, say
+from result import named, print_row
 
 
 def stand_in(module: str, **names: Any) -> None:
@@ -49,17 +49,17 @@ def main() -> None:
         data = load(export, folder.name)
         paths = json.loads(gzip.decompress((folder / f"{folder.name}_gt.json.gz").read_bytes()))
         for episode in data.episodes:
-            judge_episode(paper, episode, data.instruction_vocab, folder.name)
-            judge_paths(paper, episode, paths)
+            check_episode(paper, episode, data.instruction_vocab, folder.name)
+            check_paths(paper, episode, paths)
             scenes.setdefault(episode.scene_id, []).append(episode)
-        judge_choice(export, folder.name, data)
-        say(
+        check_choice(export, folder.name, data)
+        print_row(
             export, named("habitat-lab"), f"{len(data.episodes)} episodes of {folder.name} with starts, goals and paths"
         )
     names = {episode.info["minivla_episode_id"] for found in scenes.values() for episode in found}
     assert names == {path.name for path in paper.episodes.iterdir()}
     for path, episodes in scenes.items():
-        say(export, named("trimesh"), judge_scene(Path(path), episodes))
+        print_row(export, named("trimesh"), check_scene(Path(path), episodes))
 
 
 def load(export: Path, split: str, scenes: tuple[str, ...] = ("*",)) -> VLNDatasetV1:
@@ -77,7 +77,7 @@ def configuration(export: Path, split: str, scenes: tuple[str, ...] = ("*",)) ->
     )
 
 
-def judge_episode(paper: Paper, episode: Any, words: VocabDict, split: str) -> None:
+def check_episode(paper: Paper, episode: Any, words: VocabDict, split: str) -> None:
     """Checks start, goal and instruction of the episode with Habitat's geometry."""
     meta = paper.meta(episode.info["minivla_episode_id"])
     x, y, _ = meta["target_centroid_m"]
@@ -95,13 +95,13 @@ def judge_episode(paper: Paper, episode: Any, words: VocabDict, split: str) -> N
     assert abs(math.remainder(bearing - expected, 2 * math.pi)) < 1e-4, f"{bearing} rad, expected {expected}"
     assert goal.radius == meta["job"]["task"]["success_radius_m"]
     assert episode.info["split"] == split == meta["job"]["split"]
-    said = episode.instruction
-    assert said.instruction_text == meta["job"]["instruction"]
-    read = words.token_idx_2_string(said.instruction_tokens).removesuffix(" ?")
-    assert read.replace(" .", ".") == said.instruction_text.lower(), read
+    instruction = episode.instruction
+    assert instruction.instruction_text == meta["job"]["instruction"]
+    read = words.token_idx_2_string(instruction.instruction_tokens).removesuffix(" ?")
+    assert read.replace(" .", ".") == instruction.instruction_text.lower(), read
 
 
-def judge_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
+def check_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
     """Checks that the nDTW path contains every pose, and that the reference path has the same ends."""
     poses = paper.array(episode.info["minivla_episode_id"], "poses").astype(np.float64)
     expected = np.column_stack([poses[:, 0], poses[:, 2], -poses[:, 1]])
@@ -110,7 +110,7 @@ def judge_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
     np.testing.assert_allclose(np.array(episode.reference_path)[[0, -1]], expected[[0, -1]], atol=1e-6)
 
 
-def judge_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
+def check_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
     """Checks that Habitat splits the work by scenes and iterates over all episodes."""
     names = VLNDatasetV1.get_scenes_to_load(configuration(export, split))
     parts = [load(export, split, (name,)) for name in names]
@@ -122,7 +122,7 @@ def judge_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
     assert len({episode.episode_id for episode in iterator}) == len(data.episodes)
 
 
-def judge_scene(path: Path, episodes: list[Any]) -> str:
+def check_scene(path: Path, episodes: list[Any]) -> str:
     """Checks that the mesh loads with its textures, and that starts are above a floor and within walls."""
     scene = trimesh.load(path, force="scene")
     meshes = list(scene.geometry.values())

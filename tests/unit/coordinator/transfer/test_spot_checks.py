@@ -10,7 +10,7 @@ import pytest
 
 from coordinator.meters import Meters
 from coordinator.protocol.pulls import Pull
-from coordinator.transfer.judge import BundleJudge
+from coordinator.transfer.spot_checks import SpotCheckedValidation
 from coordinator.validation.scope import Scope
 from schemas.errors import InvalidBundle
 from schemas.protocol.messages import Lease
@@ -47,10 +47,10 @@ def pull_of(index: int, host: str = "a", *, is_validated: bool = True) -> Pull:
 def scopes_of(pulls: list[Pull], share: float | None, secret: bytes = b"s") -> str:
     """Returns the first letter of each scope: a for all, c for the claim."""
     recorder = Recorder()
-    judge = BundleJudge(recorder, Meters(), share, secret)
+    validation = SpotCheckedValidation(recorder, Meters(), share, secret)
     for pull in pulls:
-        verdict = judge.judge(pull, Path(), is_local=False)
-        assert verdict.is_checked == (recorder.scopes[-1] is Scope.ALL)
+        validated = validation.validate(pull, Path(), is_local=False)
+        assert validated.is_checked == (recorder.scopes[-1] is Scope.ALL)
     return "".join(scope.value[0] for scope in recorder.scopes)
 
 
@@ -70,13 +70,13 @@ def test_a_bundle_that_its_worker_has_not_validated_is_validated_completely() ->
 def test_no_bundle_of_a_host_is_trusted_after_an_invalid_one() -> None:
     pulls = [pull_of(1), pull_of(2), pull_of(3, is_validated=False), pull_of(4), pull_of(5)]
     recorder = Recorder(invalid=(3,))
-    judge = BundleJudge(recorder, Meters(), 0.0)
+    validation = SpotCheckedValidation(recorder, Meters(), 0.0)
     for pull in pulls:
         if pull.job.index == 3:
             with pytest.raises(InvalidBundle):
-                judge.judge(pull, Path(), is_local=False)
+                validation.validate(pull, Path(), is_local=False)
         else:
-            judge.judge(pull, Path(), is_local=False)
+            validation.validate(pull, Path(), is_local=False)
     assert [scope.value for scope in recorder.scopes] == ["all", "claim", "all", "all", "all"]
 
 
@@ -90,6 +90,6 @@ def test_spot_checks_have_the_share_of_the_settings_and_depend_on_the_secret() -
     assert set(scopes_of(pulls[:50], 1.0)) == {"a"}
 
 
-def test_judges_draw_their_own_secret() -> None:
+def test_each_process_draws_a_new_secret() -> None:
     pulls = [pull_of(number) for number in range(1, 200)]
     assert scopes_of(pulls, 0.5, b"") != scopes_of(pulls, 0.5, b"")

@@ -1,6 +1,6 @@
-"""Writes a dataset with the same features with LeRobot's writer and prints its schema; runs in the judge's environment.
+"""Writes a dataset with the same features with LeRobot's writer and prints its schema; runs in the reader's environment.
 
-    python tests/judges/lerobot_reference.py > tests/judges/lerobot_schema.json
+    python tests/readers/lerobot_reference.py > tests/readers/lerobot_schema.json
 
 Its output is stored in `lerobot_schema.json`; the quick suite compares exports with it.
 """
@@ -49,7 +49,7 @@ def write(root: Path) -> None:
     rgb = RGBEncoderConfig(vcodec="h264", g=2, crf=19, preset="veryfast")
     depth = DepthEncoderConfig(depth_min=0.0, depth_max=30.0, g=10, preset="superfast")
     dataset = LeRobotDataset.create(
-        "judge/reference", FPS, FEATURES, root=root, robot_type="nova_carter", rgb_encoder=rgb, depth_encoder=depth
+        "test/reference", FPS, FEATURES, root=root, robot_type="nova_carter", rgb_encoder=rgb, depth_encoder=depth
     )
     for _ in range(2):
         for t in range(4):

@@ -1,11 +1,11 @@
-"""Prints the result of a judge: one row of the table of `formats.py`. Does not import this project."""
+"""Prints the result of a reader: one row of the table of `formats.py`. Does not import this project."""
 
 import sys
 from importlib.metadata import version
 from pathlib import Path
 
 
-def say(export: Path, reader: str, read_back: str) -> None:
+def print_row(export: Path, reader: str, read_back: str) -> None:
     """Prints one row: export, reader, and result."""
     sys.stdout.write(f"| `{export.name}` | {reader} | {read_back} |\n")
     sys.stdout.flush()
