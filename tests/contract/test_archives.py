@@ -98,7 +98,7 @@ def test_a_file_on_the_same_disk_is_linked_and_left_to_its_owner(kind: Kind) -> 
             place = archive.publish(staged, 5)
         assert place.read_bytes() == source.read_bytes() == b"bundle"
         with archive.stage(6) as dropped:
-            dropped.take(source)
+            dropped.link(source)
         assert source.read_bytes() == b"bundle"
         with archive.stage(6) as staged:
             with pytest.raises(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""Writes a dataset with the same features with LeRobot's writer and prints its schema; runs in the reader's environment.
+"""Writes a dataset with the same features with LeRobot's writer and prints its schema, in the reader's environment.
 
     python tests/readers/lerobot_reference.py > tests/readers/lerobot_schema.json
 
