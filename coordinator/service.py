@@ -54,7 +54,7 @@ class Coordinator(Closing):
     """Running coordinator; a context manager. Closing it loses no data.
 
     Args:
-        root: dataset directory, or with `options.store` the local home; created, or opened to resume the run.
+        root: dataset directory, or with `options.store` the state directory; created, or opened to resume the run.
         plan: plan of the run.
         catalog: compiled scenes of the plan.
         options: options of the coordinator; by default it listens on loopback, with a ledger in the directory.
@@ -185,13 +185,17 @@ class Coordinator(Closing):
         )
 
     def _open_pullers(
-        self, run: RunContext, find_local_bundle: FindLocalBundle, home: Path, scenes: MutableMapping[str, SceneEntry]
+        self,
+        run: RunContext,
+        find_local_bundle: FindLocalBundle,
+        state_dir: Path,
+        scenes: MutableMapping[str, SceneEntry],
     ) -> Pullers:
         layouts = None
         if isinstance(run.checker, Validator):  # an evaluation, whose results another validator checks, builds nothing
             check = run.checker.check_package
             layouts = LayoutStore(
-                run.archive, home, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock
+                run.archive, state_dir, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock
             )
         return Pullers(
             run.archive,

@@ -51,7 +51,7 @@ class JoinTarget:
 
     root: Place
     """Root of the dataset."""
-    home: Path
+    state_dir: Path
     """Local directory of the dataset: `root`, or the state directory of a dataset in object storage."""
     url: str
     """URL of the ledger."""
@@ -182,7 +182,7 @@ def join_shards(
     gathered = 0
     with ExitStack() as stack:
         store = target.root if isinstance(target.root, ObjectPath) else None
-        archive = stack.enter_context(open_archive(target.home, store))
+        archive = stack.enter_context(open_archive(target.state_dir, store))
         engine = open_writer(target.url)
         stack.callback(engine.dispose)
         open_run(engine, target.plan, target.catalog, CoordinatorSettings().lease_ttl_s, now)

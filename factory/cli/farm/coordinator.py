@@ -123,7 +123,7 @@ def start(
         rendering = prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     plan, is_new = begin(plan_name, site, changes)
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
-    require_room(site.home, settings.reserve_bytes)
+    require_room(site.state_dir, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         gate_mode = gate_mode if is_new else "skip"
         catalog = _build(plan, site, stop, gate_mode) if rendering is None else rendering.catalog
@@ -142,7 +142,7 @@ def start(
             find_states=simulate_all if rendering is None else rendering.states,
         )
         with (
-            Coordinator(site.home, plan, catalog, options) as coordinator,
+            Coordinator(site.state_dir, plan, catalog, options) as coordinator,
             run_pages(coordinator, site, http, http_token, ledger, evaluations),
         ):
             write_target_lists(catalog, site.place)

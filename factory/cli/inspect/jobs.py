@@ -229,9 +229,9 @@ def _ask(site: Site, request: AdminRequest, ledger: str | None, tls: Path | None
 
     now = datetime.now(UTC)
     if tls is None:
-        return administer(site.home, request, now, ledger)
+        return administer(site.state_dir, request, now, ledger)
     files, name = read_credentials(tls)
-    return administer(site.home, request, now, ledger, name=name, tls=files)
+    return administer(site.state_dir, request, now, ledger, name=name, tls=files)
 
 
 def _print_reply(reply: AdminReply, action: AdminAction) -> None:

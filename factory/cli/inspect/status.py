@@ -69,7 +69,7 @@ def command(
 
 
 def _has_ledger(site: Site, ledger: str | None) -> bool:
-    return ledger is not None or (site.home / LEDGER_FILE).is_file()
+    return ledger is not None or (site.state_dir / LEDGER_FILE).is_file()
 
 
 def _source(

@@ -138,7 +138,7 @@ def command(
         run = LocalRun(
             plan,
             catalog,
-            site.home,
+            site.state_dir,
             processes,
             renderer,
             verbose,
