@@ -233,11 +233,11 @@ def test_a_shard_in_a_bucket_is_taken_over_only_if_its_state_does_not_change(
     monkeypatch.setenv("MINIVLA_STATE", str(tmp_path / "node-2"))
     second, stop = site_of(url), threading.Event()
     assert may_take_over(second, stop, patience_s=0.2, pause_s=0.1)
-    beating = threading.Timer(0.05, recorder.finish, [progress])
-    beating.start()
+    heartbeat_due = threading.Timer(0.05, recorder.finish, [progress])
+    heartbeat_due.start()
     with pytest.raises(WorldError, match="another process runs the shard"):
         may_take_over(second, stop, patience_s=60.0, pause_s=0.1)
-    beating.join()
+    heartbeat_due.join()
     with (
         Coordinator(second.state_dir, PLAN, room_catalog(tmp_path), replace(options, take_over=True)),
         pytest.raises(WorldError, match="has taken over the shard"),

@@ -113,7 +113,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
 def _root_prims_note(stage: Any) -> str:
     """Returns the note on the imported prims of a stage without a valid defaultPrim."""
     wanted = stage.GetRootLayer().defaultPrim
-    found = f"defaultPrim {wanted!r} is not there" if wanted else "no defaultPrim authored"
+    found = f"defaultPrim {wanted!r} does not exist" if wanted else "no defaultPrim authored"
     return f"{found}; all root prims are taken: {_roots(stage)}; deactivate those that are not of the scene"
 
 

@@ -1,4 +1,4 @@
-"""Tests paraphrases by a loopback endpoint: usable patterns are kept, and everything else is left out and counted."""
+"""Tests paraphrases by a loopback endpoint: usable patterns are kept, and everything else is counted and not added."""
 
 import json
 import threading
