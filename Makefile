@@ -55,7 +55,7 @@ bench: $(READY)
 	$(VENV)/bin/python -m tests.benchmarks.figures render coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
-# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
+# (PEERS=--no-peers omits them); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 --record $(RECORD) $(PEERS)
 

@@ -236,7 +236,7 @@ class ObjectArchive(PackingArchive, Closing):
 
 
 def other_holder(root: ObjectPath, state_dir: Path) -> str:
-    """Returns the path and host of another state directory that holds a dataset; empty if there is none."""
+    """Returns the path and host of another state directory that has locked a dataset; empty if there is none."""
     holder, name = _holder(root), state_dir / _NAME
     if not holder or (name.exists() and holder.get("home") == name.read_text(encoding="ascii")):
         return ""

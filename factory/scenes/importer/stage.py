@@ -144,7 +144,7 @@ def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
         file = Path(str(layer.realPath).partition("[")[0])
         if layer.realPath and not file.resolve().is_relative_to(folder):
             yield (
-                f"{_user_of(stage, layer)}: layer {layer.GetDisplayName()} lies outside of the stage's folder; read "
+                f"{_user_of(stage, layer)}: layer {layer.GetDisplayName()} is outside of the stage's folder; read "
                 "from where it is; move it below the folder to keep the scene as it is"
             )
 

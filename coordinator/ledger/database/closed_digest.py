@@ -1,6 +1,6 @@
-"""Seal of a ledger: its digest when it was closed, so that the next start need not audit an unchanged file.
+"""Digest of a closed ledger (`ledger.digest`), so that the next start need not audit an unchanged file.
 
-Does not open the ledger. A ledger on a database server has no seal.
+Does not open the ledger. A ledger on a database server has no digest.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ _SUFFIX = ".digest"
 _PIECE_BYTES = 1 << 20
 
 
-def write_seal(url: str) -> None:
+def write_closed_digest(url: str) -> None:
     """Records the digest of a closed ledger. Writes nothing while it has a log, which the digest does not cover."""
-    with contextlib.suppress(OSError):  # without a seal, the next start audits the ledger
+    with contextlib.suppress(OSError):  # without the digest, the next start audits the ledger
         for file in _whole_file(url):
             file.with_suffix(_SUFFIX).write_text(_digest(file))
 
 
-def is_sealed(url: str) -> bool:
+def is_unchanged(url: str) -> bool:
     """Returns whether a ledger has the bytes with which this version of the software has closed it."""
     try:
         return any(file.with_suffix(_SUFFIX).read_text() == _digest(file) for file in _whole_file(url))
