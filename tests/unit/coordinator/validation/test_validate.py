@@ -112,7 +112,7 @@ ROLLOUT = {
     "tier": (lambda p: p.with_job(tier=Tier.MID), "spawn distance 1.600 m is outside tier mid"),
     "no success": (lambda p: p.with_rollout(end_reason=EndReason.TIMEOUT), "only successes are archived"),
     "far away": (lambda p: with_pose(p, slice(None), 0, -0.05, add=True), "no success: 1.6275 m from the target"),
-    "still rolling": (lambda p: with_pose(p, -1, 0, 0.001, add=True), "no success: 0.0600 m/s during the last 5 steps"),
+    "still rolling": (lambda p: with_pose(p, -1, 0, 0.001, add=True), "no success: 0.0600 m/s during the last 2 steps"),
     "token": (lambda p: p.with_arrays(actions_tokens=np.zeros((12, 2), np.int16)), "is not the nearest grid point"),
 }
 MOTION = {
