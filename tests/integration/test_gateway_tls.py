@@ -39,7 +39,8 @@ VERSION = version("minivla-factory")
 
 @pytest.fixture(scope="module")
 def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_authority(tmp_path_factory.mktemp("tls") / "pki", ("node", "other"), ("admin",), gateways=("gw1", "gw2"))
+    root = tmp_path_factory.mktemp("tls") / "pki"
+    return make_authority(root, ("node", "other"), ("admin",), gateways=("gw1", "gw2"))
 
 
 @pytest.fixture
