@@ -23,8 +23,8 @@ from schemas.language.generator.minimal import (
 )
 from schemas.language.generator.search import Search
 from schemas.language.grammar import SentencePattern
-from schemas.language.graph import UNKNOWN
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.kinds import UNKNOWN
 from schemas.language.mistakes import MistakeKind, with_mistake
 from schemas.language.reading import Reader
 from schemas.language.scene import SceneLanguage
@@ -34,7 +34,7 @@ from schemas.terms import CATEGORIES, COLOUR_NAMES
 _TRIES = 8
 _FEW = 4
 """Number of features of a short search."""
-_WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
+_WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article", "material")
 _SYNONYMS = 6
 
 
@@ -84,8 +84,7 @@ class Composer:
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
-        source = self._by_language[code].grammar
-        return Search(scene.facts, seen, number, families, source.nouns, source.rooms)
+        return Search(scene.facts, seen, number, families, self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
         """Returns a few features, drawn by their weights, for a short search; after half of the tries, all features."""

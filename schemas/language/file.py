@@ -51,6 +51,14 @@ Mistakes = Annotated[dict[MistakeKind, Fraction], Field(max_length=len(MistakeKi
 """Share of sentences by kind of error."""
 
 
+_WITHOUT_VIEW = frozenset(
+    {
+        *(Family.COLOUR, Family.MATERIAL, Family.SUPERCLASS, Family.SIZE, Family.SUPPORT, Family.WALL),
+        *(Family.STATE, Family.COUNT),
+    }
+)
+
+
 class TextKind(StrEnum):
     """Kind of text that a relabelling writes."""
 
@@ -158,7 +166,7 @@ class LanguageSpec(Model):
     @property
     def needs_view(self) -> bool:
         """Whether expressions may depend on the start pose."""
-        return bool(self.families - {Family.COLOUR, Family.SUPERCLASS, Family.SIZE, Family.SUPPORT, Family.WALL})
+        return bool(self.families - _WITHOUT_VIEW)
 
     @property
     def families(self) -> frozenset[Family]:

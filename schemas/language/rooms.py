@@ -18,6 +18,8 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 
 OPENING_M = 2.4
 """Largest width of an opening in a wall along the axes of the grid, metres; a wider one does not divide a room."""
+WIDE_M = 5.0
+"""Largest width of an opening in a wall that may look as if it divides a room, metres."""
 DOOR_M = 1.3
 """Largest width of a door in any direction, metres."""
 MIN_ROOM_M2 = 3.0
@@ -82,14 +84,17 @@ def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
     return occupancy._replace(values=walls)
 
 
-def divide_rooms(walls: CellGrid, inside: Bools) -> tuple[CellGrid, tuple[SceneRoom, ...]]:
+def divide_rooms(
+    walls: CellGrid, inside: Bools, opening_m: float = OPENING_M
+) -> tuple[CellGrid, tuple[SceneRoom, ...]]:
     """Returns the number of the room of each cell, 0 outside of rooms, and the rooms.
 
     Args:
         walls: grid of walls.
         inside: (H, W) cells within the building.
+        opening_m: largest width of an opening between two collinear walls that divides a room, metres.
     """
-    free = inside & ~_close_openings(np.asarray(walls.values, bool), walls.resolution_m)
+    free = inside & ~_close_openings(np.asarray(walls.values, bool), walls.resolution_m, opening_m)
     clearance = scipy.ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * walls.resolution_m
     seeds, count = scipy.ndimage.label(clearance > DOOR_M / 2)
     cost = np.where(free, 1, 255).astype(np.uint8)
@@ -110,9 +115,9 @@ def divide_rooms(walls: CellGrid, inside: Bools) -> tuple[CellGrid, tuple[SceneR
     return walls._replace(values=labels), tuple(rooms)
 
 
-def _close_openings(walls: Bools, resolution_m: float) -> Bools:
+def _close_openings(walls: Bools, resolution_m: float, opening_m: float) -> Bools:
     """Returns the walls with the gaps between two collinear runs of cells filled, along both axes."""
-    longest, least = OPENING_M / resolution_m, _SHORTEST_RUN_M / resolution_m
+    longest, least = opening_m / resolution_m, _SHORTEST_RUN_M / resolution_m
     closed = walls.copy()
     for lines, filled in ((walls, closed), (walls.T, closed.T)):
         for line, target in zip(lines, filled, strict=True):

@@ -45,6 +45,14 @@ TOUCH_M = Band(0.15, 0.3)
 OVERLAP = Band(0.5, 0.1)
 """Smallest share of the footprint within that of the landmark for `on` and `under`. `min_supported_area_ratio` of
 Sr3D is 0.3."""
+THING_M = 0.08
+"""Smallest extent of a thing that surely is something on a top, metres."""
+REST_M = (-0.03, 0.05)
+"""Height of the lower side of a thing above the top on which it surely rests, metres."""
+BESIDE_M = Band(0.35, 1.2)
+"""Gap of footprints for `with_beside`, metres."""
+BESIDE_OTHER_M = 0.3
+"""Smallest difference of the gaps to this object and to the next one that has a top, metres."""
 WALL_BASE_M = Band(0.3, 0.1)
 """Smallest height of the lower side for `on_wall`, metres."""
 CORNER_M = Band(0.45, 1.2)

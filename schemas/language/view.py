@@ -23,6 +23,10 @@ _FREE_SHARE = 0.5
 _BEFORE_M = 0.12
 """Length before the object at which a line of sight ends, metres: the object itself does not block it."""
 _STEP_CELLS = 1.5
+_AROUND = np.array(
+    [[(r * math.cos(a), r * math.sin(a)) for r in np.arange(6) * 0.15] for a in np.arange(8) * math.pi / 4]
+)
+"""Offsets in eight directions within which a start is in one room only, metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Points of a footprint, the centre first, in half extents."""
 
@@ -39,6 +43,8 @@ class SceneView:
     """Heading, radians."""
     room: int
     """Room of the start, or 0."""
+    area: int
+    """Part of the room of the start; 0 if unknown, or if the start is close to another part or room."""
     sure: Bools
     """(N,) objects that are surely visible."""
     possible: Bools
@@ -84,10 +90,21 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         clear = (blocked == 0) & inside[near]
         sure[near] = (clear.mean(axis=1) >= _FREE_SHARE) & (distance[near, 0] <= VISIBLE_M) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
-    room = graph.room_at(x, y)
+    room, area = graph.room_at(x, y), _area_around(graph, x, y)
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
-    return SceneView(float(eye[0]), float(eye[1]), yaw, room, sure, possible, middle_rad, distance[:, 0])
+    return SceneView(float(eye[0]), float(eye[1]), yaw, room, area, sure, possible, middle_rad, distance[:, 0])
+
+
+def _area_around(graph: SceneGraph, x: float, y: float) -> int:
+    """Returns the part of a room at a point, if no other room or part is near; otherwise 0, as in a doorway."""
+    points = np.array((x, y)) + _AROUND
+    for grid in (graph.room_grid, graph.area_grid):
+        labels = np.asarray(grid.at(points), np.int64)
+        free = np.logical_and.accumulate(labels > 0, axis=1)  # up to the first wall in each direction
+        if len(np.unique(labels[free])) != 1:
+            return 0
+    return int(graph.area_grid.at(np.array((x, y))))
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:

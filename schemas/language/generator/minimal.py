@@ -41,7 +41,7 @@ def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expres
     found: list[Expression] = []
     for head in search.heads():
         if head.masks.sure[search.number]:
-            bare = _bits(search.facts.described(head.kind, None)) if head.colour is not None else -1
+            bare = -1 if head.is_bare else _bits(search.facts.described(head.kind, None))
             found += _with_head(search, head, list(zip(parts, bits, strict=True)), own, bare)
     return found
 
@@ -53,23 +53,23 @@ def _with_head(
 
     Args:
         search: parts of expressions for the target.
-        head: kind and colour.
+        head: kind, perhaps with colour or material.
         parts: relations, each with the objects that it possibly fits as bits.
         own: bit of the target.
-        bare: objects that the kind without the colour fits, as bits; -1 for a head without colour.
+        bare: objects that the kind alone fits, as bits; -1 for a head without colour and material.
     """
     base = _bits(head.masks)
     if base == own:
         if bare != own:
             yield expression_of(head, ())
         return
-    plain = head._replace(colour=None, masks=search.facts.described(head.kind, None))
+    plain = head._replace(colour=None, material=None, masks=search.facts.described(head.kind, None))
     without = {selector_of(one) for one in search.selectors(plain)} if bare >= 0 else set()
     yield from (one for one in search.selectors(head) if selector_of(one) not in without and _is_readable(one))
     useful = []
     for part, bits in parts:
         if bare >= 0 and bare & bits == own:
-            continue  # the colour can be dropped
+            continue  # colour or material can be dropped
         if base & bits == own:
             yield expression_of(head, (part,))
         elif base & bits != base:
@@ -121,13 +121,14 @@ def indefinite_expressions(search: Search) -> list[Expression]:
 
 
 def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
-    """Returns the expression with one more part that surely holds for the target: a colour or a relation."""
+    """Returns the expression with one more part that surely holds for the target: colour, material or a relation."""
     found: list[Expression] = []
     if expression.selectors:
         return found  # another part would change the objects among which it selects
     for head in search.heads():
-        if head.kind == expression.kind and head.colour is not None and expression.colour is None:
-            found.append(expression.model_copy(update={"colour": head.colour}))
+        looks = {name: value for name in ("colour", "material") if (value := getattr(head, name)) is not None}
+        if head.kind == expression.kind and looks and all(getattr(expression, name) is None for name in looks):
+            found.append(expression.model_copy(update=looks))
     if len(expression.clauses) < 2:
         named = {clause.relation for clause in expression.clauses}
         for part in search.parts():

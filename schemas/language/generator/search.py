@@ -15,6 +15,7 @@ import numpy as np
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import (
+    COUNTED,
     FAMILY,
     Clause,
     Expression,
@@ -26,10 +27,13 @@ from schemas.language.expression import (
     ViewSide,
 )
 from schemas.language.generator.facts import Described, Masks, SceneFacts, ViewFacts
-from schemas.language.graph import UNKNOWN
+from schemas.language.grammar import Grammar
+from schemas.language.kinds import UNKNOWN
 from schemas.support.numpy_types import Floats
 
 _NEARBY_M = 6.0
+_COUNTS = range(2, 7)
+"""Numbers of objects that are named."""
 
 
 class ExpressionPart(NamedTuple):
@@ -40,12 +44,18 @@ class ExpressionPart(NamedTuple):
 
 
 class ExpressionHead(NamedTuple):
-    """Kind, perhaps with a colour."""
+    """Kind, perhaps with a colour or a material."""
 
     kind: str
     colour: str | None
     masks: Masks
     is_super: bool
+    material: str | None = None
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether it names neither colour nor material."""
+        return self.colour is None and self.material is None
 
 
 @dataclass(frozen=True)
@@ -57,36 +67,46 @@ class Search:
         view: relations from the start; `None` if none is known.
         number: number of the target in the scene graph.
         families: features that may be used.
-        nouns: kinds that the language can name.
-        rooms: types of rooms that the language can name.
+        words: grammar of the language, which limits what can be named.
     """
 
     facts: SceneFacts
     view: ViewFacts | None
     number: int
     families: Collection[Family]
-    nouns: Collection[str]
-    rooms: Collection[str]
+    words: Grammar
+
+    @property
+    def nouns(self) -> Collection[str]:
+        """Kinds that the language can name."""
+        return self.words.nouns
+
+    @property
+    def rooms(self) -> Collection[str]:
+        """Types of rooms that the language can name."""
+        return self.words.rooms
 
     def heads(self) -> list[ExpressionHead]:
-        """Returns the kinds and colours that fit the target."""
+        """Returns the kinds that fit the target: alone, with its colour, and with its material."""
         each, table = self.facts.graph.objects[self.number], self.facts.graph.kinds
         kinds = [(each.kind, False)]
         if Family.SUPERCLASS in self.families:
             kinds += [(name, True) for name in table.superclasses_of(each.kind)]
-        colours: list[str | None] = [None]
+        looks: list[tuple[str | None, str | None]] = [(None, None)]
         if Family.COLOUR in self.families and each.colour != UNKNOWN and table.of(each.kind).plain:
-            colours.append(each.colour)
+            looks.append((each.colour, None))
+        if Family.MATERIAL in self.families and each.materials[:1] and each.materials[0] in self.words.materials:
+            looks.append((None, each.materials[0]))
         return [
-            ExpressionHead(kind, colour, self.facts.described(kind, colour), is_super)
+            ExpressionHead(kind, colour, self.facts.described(kind, colour, material), is_super, material)
             for kind, is_super in kinds
             if kind in self.nouns
-            for colour in colours
+            for colour, material in looks
         ]
 
     def parts(self) -> list[ExpressionPart]:
         """Returns the relations that surely hold for the target, without superlatives."""
-        found = [*self._alone(), *self._rooms()]
+        found = [*self._alone(), *self._rooms(), *self._counts()]
         for relation, masks in self._pairs():
             found += self._to_landmarks(relation, masks)
         if Family.BETWEEN in self.families:
@@ -99,21 +119,38 @@ class Search:
             if FAMILY[relation] in self.families and masks.sure[self.number]:
                 yield ExpressionPart(Clause(relation=relation), masks)
 
+    def _counts(self) -> Iterator[ExpressionPart]:
+        is_surface = self.facts.graph.kinds.of(self.facts.graph.objects[self.number].kind).surface
+        if Family.COUNT not in self.families or not is_surface:
+            return
+        for relation in sorted(COUNTED):
+            for kind in self.words.plurals:
+                for count in _COUNTS:
+                    masks = self.facts.counted(relation, kind, count)
+                    if masks.sure[self.number]:
+                        landmark = Landmark(kind=kind, definite=False)
+                        yield ExpressionPart(Clause(relation=relation, landmarks=(landmark,), count=count), masks)
+
     def _rooms(self) -> Iterator[ExpressionPart]:
         graph = self.facts.graph
         room = graph.objects[self.number].room
         if Family.ROOM not in self.families or not room:
             return
-        masks = self.facts.in_room(room)
-        if self.view is not None and self.view.view.room == room and len(graph.rooms) > 1:
-            yield ExpressionPart(Clause(relation=Relation.THIS_ROOM), masks)
+        if self.view is not None and self.view.view.room == room and self.view.view.area and len(graph.rooms) > 1:
+            masks = self.facts.in_room(room, self.view.view.area)
+            if masks.sure[self.number]:
+                yield ExpressionPart(Clause(relation=Relation.THIS_ROOM), masks)
         kind = graph.types[room - 1]
         if kind in self.rooms and graph.unique_room(str(kind)) == room:
-            yield ExpressionPart(Clause(relation=Relation.IN_ROOM, room=kind), masks)
+            masks = self.facts.in_typed_room(room)
+            if masks.sure[self.number]:
+                yield ExpressionPart(Clause(relation=Relation.IN_ROOM, room=kind), masks)
         if len(graph.rooms) > 1:
-            for each in self._descriptions(np.flatnonzero(masks.sure).tolist()):
+            pairs = self.facts.same_room
+            for each in self._descriptions(np.flatnonzero(pairs.sure[self.number]).tolist()):
                 if each.landmark.definite and each.landmark.colour is None:
-                    yield ExpressionPart(Clause(relation=Relation.SAME_ROOM, landmarks=(each.landmark,)), masks)
+                    clause = Clause(relation=Relation.SAME_ROOM, landmarks=(each.landmark,))
+                    yield ExpressionPart(clause, pairs.of_any(each))
 
     def _pairs(self) -> Iterator[tuple[Relation, Masks]]:
         pairs = {Relation.NEXT_TO: self.facts.next_to, **self.facts.support}
@@ -153,7 +190,7 @@ class Search:
 
     def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[Expression]:
         """Returns the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
-        key = head.kind, head.colour, tuple(part.clause for part in parts)
+        key = head.kind, head.colour, head.material, tuple(part.clause for part in parts)
         if key not in self._selected:
             among = head.masks
             for part in parts:
@@ -240,4 +277,4 @@ def _is_least(values: Floats, number: int, others: list[int]) -> bool:
 def expression_of(head: ExpressionHead, parts: Sequence[ExpressionPart], definite: bool = True) -> Expression:
     """Returns the expression of a head and relations."""
     clauses = tuple(part.clause for part in parts)
-    return Expression(kind=head.kind, colour=head.colour, clauses=clauses, definite=definite)
+    return Expression(kind=head.kind, colour=head.colour, material=head.material, clauses=clauses, definite=definite)

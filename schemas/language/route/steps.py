@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,7 +15,8 @@ from schemas.language.expression import Expression, Family
 from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
-from schemas.language.graph import UNKNOWN
+from schemas.language.grammar import Grammar
+from schemas.language.kinds import UNKNOWN
 from schemas.language.route import thresholds as limit
 from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, room_changes
 from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
@@ -72,14 +73,14 @@ class RouteSearch:
         place: scene of the path.
         path: driven path.
         number: number of the target in the scene graph.
-        nouns: kinds that the language can name.
+        words: grammar of the language, which limits what can be named.
         rng: random generator.
     """
 
     def __init__(
-        self, place: SceneRoutes, path: DrivenPath, number: int, nouns: Collection[str], rng: np.random.Generator
+        self, place: SceneRoutes, path: DrivenPath, number: int, words: Grammar, rng: np.random.Generator
     ) -> None:
-        self._place, self._path, self._target, self._nouns, self._rng = place, path, number, nouns, rng
+        self._place, self._path, self._target, self._words, self._rng = place, path, number, words, rng
         self._graph, self._facts = place.scene.graph, place.scene.facts
         self._views: dict[int, SceneView] = {}
 
@@ -235,7 +236,7 @@ class RouteSearch:
     def _named(self, number: int, start: int, end: int) -> Expression | None:
         """Returns the shortest description of an object that fits no other object near the step, or `None`."""
         each = self._graph.objects[number]
-        if each.kind not in self._nouns:
+        if not self._words.names(each.kind):
             return None
         has_colour = each.colour != UNKNOWN and self._graph.kinds.of(each.kind).plain
         rivals = self._rivals(start, end)
@@ -286,7 +287,8 @@ class RouteSearch:
         named = self._named(self._target, start, end)
         if named is None:
             seen = ViewFacts(self._facts, self._view(start))
-            search = Search(self._facts, seen, self._target, _LATER if start else frozenset(Family), self._nouns, ())
+            families, words = _LATER if start else frozenset(Family), self._words.model_copy(update={"rooms": {}})
+            search = Search(self._facts, seen, self._target, families, words)
             fitting = minimal_expressions(search, self._rng)
             if not fitting:
                 return None

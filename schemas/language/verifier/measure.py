@@ -113,6 +113,24 @@ class Footprints:
         touching = at_most(rest, limit.TOUCH_M)
         return min(touching, at_least(self._share(number, other), limit.OVERLAP)) if touching else Truth.NO
 
+    def holds(self, number: int, thing: int) -> Truth:
+        """Returns whether an object has a thing on its top."""
+        return self.rests_on(thing, number)
+
+    def carries(self, number: int, *, something: bool) -> Truth:
+        """Returns whether an object has something on its flat top, or nothing."""
+        top, outline = self._objects[number].top, self._outlines[number]
+        if top is None:
+            return Truth.MAYBE
+        if not top.above:
+            return Truth.NO if something else Truth.YES
+        for (x0, y0, z0), (x1, y1, z1) in top.above:
+            lies = limit.REST_M[0] <= z0 - top.height_m <= limit.REST_M[1]
+            is_large = max(x1 - x0, y1 - y0, z1 - z0) >= limit.THING_M
+            if lies and is_large and _contains(outline, complex(x0 + x1, y0 + y1) / 2):
+                return Truth.YES if something else Truth.NO
+        return Truth.MAYBE
+
     def is_under(self, number: int, other: int) -> Truth:
         """Returns whether an object is below the top of a landmark and within its outline."""
         each, above = self._objects[number], self._objects[other]

@@ -54,7 +54,7 @@ def test_a_doorway_is_found_between_two_rooms_and_nowhere_else():
 
 def test_a_route_names_the_doorway_the_turn_and_the_target_in_their_order():
     poses = driven(*TO_SOFA)
-    found = RouteSearch(place(), DrivenPath(poses), number_at(3.5, 2.5), grammar("en").nouns, np.random.default_rng(0))
+    found = RouteSearch(place(), DrivenPath(poses), number_at(3.5, 2.5), grammar("en"), np.random.default_rng(0))
     steps = found.steps()
     kinds = [each.step.kind for each in steps if each.step.kind in (StepKind.DOOR, StepKind.TURN, StepKind.STOP)]
     assert kinds == [StepKind.DOOR, StepKind.TURN, StepKind.STOP]
