@@ -17,11 +17,11 @@ from schemas.language.expression import Clause, Expression, Family, Landmark, Re
 from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import (
-    indefinite_expressions,
-    minimal_expressions,
+    indefinite_candidates,
+    minimal_candidates,
     redundant_expressions,
 )
-from schemas.language.generator.search import Search
+from schemas.language.generator.search import Candidate, Search
 from schemas.language.grammar import SentencePattern
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.kinds import UNKNOWN
@@ -42,7 +42,7 @@ class _Options(NamedTuple):
     """Expressions for a target by their features, with the search that found them."""
 
     search: Search
-    groups: Mapping[frozenset[Family], list[Expression]]
+    groups: Mapping[frozenset[Family], list[Candidate]]
 
 
 class Composer:
@@ -84,7 +84,7 @@ class Composer:
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
-        return Search(scene.facts, seen, number, families, self._by_language[code].grammar)
+        return Search(scene.parts, seen, number, families, self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
         """Returns a few features, drawn by their weights, for a short search; after half of the tries, all features."""
@@ -131,13 +131,13 @@ class Composer:
 
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
-    ) -> dict[frozenset[Family], list[Expression]]:
+    ) -> dict[frozenset[Family], list[Candidate]]:
         """Returns the possible expressions by their features."""
         is_one = self.spec.fit == "one"
         kind = search.facts.graph.objects[number].kind
-        groups: dict[frozenset[Family], list[Expression]] = defaultdict(list)
-        for expression in minimal_expressions(search, rng) if is_one else indefinite_expressions(search):
-            groups[features_of(expression, kind)].append(expression)
+        groups: dict[frozenset[Family], list[Candidate]] = defaultdict(list)
+        for candidate in minimal_candidates(search, rng) if is_one else indefinite_candidates(search):
+            groups[candidate.families(kind)].append(candidate)
         return groups
 
     def _one(
@@ -158,7 +158,8 @@ class Composer:
         names = sorted(groups, key=sorted)
         weights = [_mean_weight(self.spec, group) for group in names]
         group = groups[names[draw_index(weights, rng)]]
-        expression, is_minimal = group[int(rng.integers(len(group)))], True
+        expression = group[int(rng.integers(len(group)))].expression(self.spec.fit == "one")
+        is_minimal = True
         if self.spec.redundant and rng.random() < self.spec.redundant:
             longer = redundant_expressions(options.search, expression)
             if longer:

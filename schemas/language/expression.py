@@ -91,6 +91,8 @@ STATES = frozenset({Relation.EMPTY, Relation.LADEN})
 """Relations of an object to anything that is on it."""
 COUNTED = frozenset({Relation.WITH_BESIDE, Relation.WITH_ON})
 """Relations to a number of objects."""
+OF_START = FROM_VIEW | OF_VIEWER | {Relation.THIS_ROOM}
+"""Relations that depend on the start pose, without superlatives."""
 SUPERLATIVES = frozenset({Relation.NEAREST_TO, Relation.FARTHEST_FROM, Relation.NEAREST_YOU})
 """Relations that select one of the objects that the rest of the expression fits."""
 FAMILY = MappingProxyType(

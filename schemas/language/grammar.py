@@ -139,6 +139,11 @@ class Grammar(Model):
                 name = f"{self.code}_paraphrase_{register}_{number:03d}"
                 yield SentencePattern(name, register, False, text[: slot.start()], slot[2] or "nom", text[slot.end() :])
 
+    @cached_property
+    def kinds(self) -> frozenset[str]:
+        """Kinds that the language can name, and types of rooms."""
+        return frozenset({*self.nouns, *(f"in {room}" for room in self.rooms)})
+
     def names(self, kind: str) -> bool:
         """Returns whether the language has a noun for a kind."""
         return kind in self.nouns

@@ -12,7 +12,17 @@ import numpy as np
 
 from schemas.language.kinds import UNNAMED, Kinds, kinds
 from schemas.language.objects import RawObject, find_objects
-from schemas.language.rooms import WIDE_M, CellGrid, SceneRoom, divide_rooms, find_walls, nearest_room, wall_gaps
+from schemas.language.rooms import (
+    THRESHOLD_M,
+    WIDE_M,
+    CellGrid,
+    SceneRoom,
+    divide_rooms,
+    find_walls,
+    nearest_room,
+    opening_gaps,
+    wall_gaps,
+)
 from schemas.language.tops import SurfaceTop, find_tops
 from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
@@ -74,7 +84,7 @@ class SceneGraph:
     room_grid: CellGrid
     """Number of the room of each cell."""
     area_grid: CellGrid
-    """Number of the part of a room of each cell; wide openings divide rooms into parts."""
+    """Number of the part of a room of each cell, which wide openings divide; 0 close to an opening."""
     sight_grid: CellGrid
     """0 free, 1 occupied by an object, 2 wall."""
     floor_m: float
@@ -116,7 +126,11 @@ class SceneGraph:
 
     def room_at(self, x: float, y: float) -> int:
         """Returns the room at a point, or 0."""
-        return int(self.room_grid.at(np.array((x, y))))
+        return self.room_grid.label_at(x, y)
+
+    def area_at(self, x: float, y: float) -> int:
+        """Returns the part of a room at a point; 0 if it is unknown or close to an opening."""
+        return self.area_grid.label_at(x, y)
 
     def unique_room(self, kind: str) -> int:
         """Returns the only room of a type; 0 if there is none or several."""
@@ -163,7 +177,9 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     types = tuple(_room_type(room, objects, table) for room in rooms)
     sight = np.where(walls.values, 2, scene.occupancy > 0).astype(np.uint8)
     sight_grid = occupancy._replace(values=sight)
-    return SceneGraph(objects, rooms, types, room_grid, area_grid, sight_grid, info.floor_height_m, table)
+    inner = np.where(opening_gaps(walls, WIDE_M) < THRESHOLD_M, 0, area_grid.values)
+    inner_grid = area_grid._replace(values=inner)
+    return SceneGraph(objects, rooms, types, room_grid, inner_grid, sight_grid, info.floor_height_m, table)
 
 
 def _room_of_leaf(each: RawObject, walls: CellGrid, room_grid: CellGrid) -> int:

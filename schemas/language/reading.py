@@ -71,6 +71,9 @@ class Reader:
             self._patterns[self.normal(pattern.before)].append((self.normal(pattern.after), pattern))
         self._groups = self._tables(source)
         self._relations = list(self._clause_patterns(source))
+        self._by_start: dict[str, list[tuple[Relation, tuple[str, ...]]]] = defaultdict(list)
+        for relation, parts in self._relations:
+            self._by_start[parts[0][:1] if parts[0] not in _SLOTS else ""].append((relation, parts))
         self._opener, self._joiner = self.normal(source.opener).strip(), self.normal(source.joiner).strip()
 
     @cached_property
@@ -134,7 +137,8 @@ class Reader:
         return found
 
     def _clause(self, text: str, at: int) -> Iterator[tuple[Clause, int]]:
-        for relation, parts in self._relations:
+        start = self._blank(text, at)
+        for relation, parts in (*self._by_start.get(text[start : start + 1], ()), *self._by_start.get("", ())):
             landmarks: list[Landmark] = []
             room: str | None = None
             count: int | None = None
@@ -237,6 +241,8 @@ def _forms(text: str) -> list[str]:
     return [_GENDERED.sub(chosen, text) for chosen in found[1].split("|")] if found else [text]
 
 
+_SLOTS = frozenset({"0", "1", "room", "count", "many"})
+"""Parts of a relation that are not literal."""
 _GROUPS = ("article", "ordinal", "size", "state", "colour", "material", "noun", "side")
 
 

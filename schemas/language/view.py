@@ -23,10 +23,6 @@ _FREE_SHARE = 0.5
 _BEFORE_M = 0.12
 """Length before the object at which a line of sight ends, metres: the object itself does not block it."""
 _STEP_CELLS = 1.5
-_AROUND = np.array(
-    [[(r * math.cos(a), r * math.sin(a)) for r in np.arange(6) * 0.15] for a in np.arange(8) * math.pi / 4]
-)
-"""Offsets in eight directions within which a start is in one room only, metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Points of a footprint, the centre first, in half extents."""
 
@@ -44,7 +40,7 @@ class SceneView:
     room: int
     """Room of the start, or 0."""
     area: int
-    """Part of the room of the start; 0 if unknown, or if the start is close to another part or room."""
+    """Part of the room of the start; 0 if unknown, or if the start is close to an opening."""
     sure: Bools
     """(N,) objects that are surely visible."""
     possible: Bools
@@ -90,21 +86,10 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         clear = (blocked == 0) & inside[near]
         sure[near] = (clear.mean(axis=1) >= _FREE_SHARE) & (distance[near, 0] <= VISIBLE_M) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
-    room, area = graph.room_at(x, y), _area_around(graph, x, y)
+    room, area = graph.room_at(x, y), graph.area_at(x, y)
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
     return SceneView(float(eye[0]), float(eye[1]), yaw, room, area, sure, possible, middle_rad, distance[:, 0])
-
-
-def _area_around(graph: SceneGraph, x: float, y: float) -> int:
-    """Returns the part of a room at a point, if no other room or part is near; otherwise 0, as in a doorway."""
-    points = np.array((x, y)) + _AROUND
-    for grid in (graph.room_grid, graph.area_grid):
-        labels = np.asarray(grid.at(points), np.int64)
-        free = np.logical_and.accumulate(labels > 0, axis=1)  # up to the first wall in each direction
-        if len(np.unique(labels[free])) != 1:
-            return 0
-    return int(graph.area_grid.at(np.array((x, y))))
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:
@@ -126,6 +111,18 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
     count = max(2, math.ceil(float(np.abs(steps).max()) / _STEP_CELLS))
     share = ((np.arange(count) + 0.5) / count).astype(np.float32)
     rows, columns = grid.values.shape
-    row = (np.float32(start[1]) + steps[..., 1, None] * share).astype(np.int32).clip(0, rows - 1)
-    column = (np.float32(start[0]) + steps[..., 0, None] * share).astype(np.int32).clip(0, columns - 1)
-    return np.asarray(np.take(grid.values, row * columns + column).max(axis=-1), np.uint8)
+    row = np.float32(start[1]) + steps[..., 1, None] * share
+    column = np.float32(start[0]) + steps[..., 0, None] * share
+    if not _are_inside(start, steps, rows, columns):
+        row, column = row.clip(0, rows - 1), column.clip(0, columns - 1)
+    cells = row.astype(np.int32)
+    cells *= columns
+    cells += column.astype(np.int32)
+    return np.asarray(grid.values.ravel()[cells].max(axis=-1), np.uint8)
+
+
+def _are_inside(start: Floats, steps: NDArray[np.float32], rows: int, columns: int) -> bool:
+    """Returns whether both ends of all lines, in cells, are within the grid."""
+    flat = steps.reshape(-1, 2)
+    low, high = start + flat.min(axis=0), start + flat.max(axis=0)
+    return bool((np.minimum(low, start) >= 0).all() and (np.maximum(high, start) < (columns - 1, rows - 1)).all())

@@ -26,8 +26,8 @@ from schemas.language.expression import (
     Size,
 )
 from schemas.language.generator.facts import Masks, ViewFacts
-from schemas.language.generator.minimal import selector_of
-from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search
+from schemas.language.generator.parts import ExpressionPart, part_of
+from schemas.language.generator.search import Candidate, ExpressionHead, Search
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
 from schemas.language.scene import SceneLanguage
@@ -140,7 +140,7 @@ def search_of(view: SceneView | None, number: int, scene: SceneLanguage | None =
     """Returns the search for expressions of an object with all features and English words."""
     scene, words = scene or two_rooms(), grammar("en")
     seen = None if view is None else ViewFacts(scene.facts, view)
-    return Search(scene.facts, seen, number, tuple(Family), words)
+    return Search(scene.parts, seen, number, tuple(Family), words)
 
 
 def changed(expression: Expression) -> Iterator[Expression]:
@@ -210,7 +210,7 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
         if found is None:
             return True  # a definite landmark that does not exist
         masks = masks.both(found)
-        parts += (ExpressionPart(clause, found),)
+        parts += (part_of(clause, found),)
     if not masks.possible[search.number]:
         return True
     if expression.selectors:
@@ -222,11 +222,14 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
 
 def _is_wrongly_selected(expression: Expression, search: Search, masks: Masks) -> bool:
     """Returns whether the selector of an expression selects another object than the target."""
-    wanted = selector_of(expression)
+    chosen = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)
+    wanted = expression.size, expression.ordinal, chosen
     for number in np.flatnonzero(masks.sure).tolist():
         if number != search.number:
             other = dataclasses.replace(search, number=number)
-            if any(selector_of(one) == wanted for one in other._selectors(_head(expression, masks), (), masks)):
+            if any(
+                one.selector == wanted for one in other._selectors(Candidate(_head(expression, masks)), None, masks)
+            ):
                 return True
     return False
 

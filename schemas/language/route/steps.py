@@ -288,7 +288,7 @@ class RouteSearch:
         if named is None:
             seen = ViewFacts(self._facts, self._view(start))
             families, words = _LATER if start else frozenset(Family), self._words.model_copy(update={"rooms": {}})
-            search = Search(self._facts, seen, self._target, families, words)
+            search = Search(self._place.scene.parts, seen, self._target, families, words)
             fitting = minimal_expressions(search, self._rng)
             if not fitting:
                 return None

@@ -158,7 +158,7 @@ def test_the_verifier_accepts_what_is_written_in_every_language_and_nothing_more
     scene, source, rng, written = canteen(), grammar(code), np.random.default_rng(0), 0
     patterns = [each for each in source.sentences if each.case != "bare"]
     for name in _TABLES:
-        found = minimal_expressions(Search(scene.facts, None, table(name), {family}, source), rng)
+        found = minimal_expressions(Search(scene.parts, None, table(name), {family}, source), rng)
         for place, expression in enumerate(found):
             for number in range(3):
                 choice = dict.fromkeys(("kind", "landmark", "relation", "material", "article"), number)
