@@ -23,6 +23,7 @@ from schemas.language.rooms import (
     opening_gaps,
     wall_gaps,
 )
+from schemas.language.thresholds import TOUCH_M
 from schemas.language.tops import SurfaceTop, find_tops
 from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
@@ -111,6 +112,13 @@ class SceneGraph:
     def area_of(self) -> Ints:
         """(N,) part of a room of each object, 0 if unknown."""
         return np.array([each.area for each in self.objects], np.int64)
+
+    @cached_property
+    def hangs(self) -> Bools:
+        """(N,) objects that hang on a wall or above a door, so that they are seen from one side only."""
+        gaps = np.array([min(each.wall_gap_m, each.high_m[0] - each.low_m[0]) for each in self.objects])
+        thin = np.minimum(gaps, (self.high - self.low)[:, 1]) <= TOUCH_M.bad
+        return np.asarray(thin & (np.array([each.base_m for each in self.objects]) > TOUCH_M.bad))
 
     def areas_of_type(self, room: int, kind: str) -> frozenset[int]:
         """Returns the parts of a room that show its type: those with an object of the type, or its only part."""

@@ -34,7 +34,7 @@ _BEYOND_M = 0.3
 _APART_M = 2.0
 """Smallest distance between two objects passed, metres."""
 _NEAR_M = 3.0
-_NEARER_M = (4.0, 2.5, 1.5, 0.8)
+_NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
 """Distances from the end at which a last step begins if no words fit the target from farther away, metres."""
 _SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
 _EVERY = 6
