@@ -49,10 +49,12 @@ class Size(StrEnum):
 
 
 class ViewSide(StrEnum):
-    """End of the view from which objects are counted."""
+    """Order in which objects are counted: across the view from one end, or along the heading on one side."""
 
     LEFT = "left"  # from the left edge of the image
     RIGHT = "right"  # from the right edge of the image
+    AHEAD_LEFT = "ahead_left"  # along the left side of the way ahead, such as the racks of an aisle
+    AHEAD_RIGHT = "ahead_right"  # along the right side of the way ahead
 
 
 class Family(StrEnum):
@@ -91,6 +93,8 @@ STATES = frozenset({Relation.EMPTY, Relation.LADEN})
 """Relations of an object to anything that is on it."""
 COUNTED = frozenset({Relation.WITH_BESIDE, Relation.WITH_ON})
 """Relations to a number of objects."""
+AHEAD_SIDES = MappingProxyType({ViewSide.AHEAD_LEFT: 1.0, ViewSide.AHEAD_RIGHT: -1.0})
+"""Sides of the way ahead; positive to the left."""
 OF_START = FROM_VIEW | OF_VIEWER | {Relation.THIS_ROOM}
 """Relations that depend on the start pose, without superlatives."""
 SUPERLATIVES = frozenset({Relation.NEAREST_TO, Relation.FARTHEST_FROM, Relation.NEAREST_YOU})
@@ -149,12 +153,12 @@ class Clause(Model):
 
 
 class Ordinal(Model):
-    """Place in the view at the start."""
+    """Place in the view at the start, or along the way ahead."""
 
     number: Annotated[int, Field(ge=1, le=4)]
     """Number, from 1."""
     side: ViewSide
-    """End at which counting starts."""
+    """Order in which objects are counted."""
 
 
 class Expression(Model):

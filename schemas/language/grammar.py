@@ -17,7 +17,7 @@ from pydantic import Field
 
 from schemas.base import Model, Name
 from schemas.errors import UsageError
-from schemas.language.expression import Clause, Expression, Landmark, Relation, Size
+from schemas.language.expression import AHEAD_SIDES, Clause, Expression, Landmark, Ordinal, Relation, Size
 from schemas.language.kinds import DATA
 from schemas.support.suggest import did_you_mean
 
@@ -184,7 +184,7 @@ class Grammar(Model):
         named = article if case != "bare" else "bare"
         parts = {
             "article": "" if case == "bare" else self._article(article, gender, case, choice.get("article", 0)),
-            "ordinal": "" if expression.ordinal is None else self.ordinals[str(expression.ordinal.number)],
+            "ordinal": "" if expression.ordinal is None else self.ordinals[_place(expression.ordinal)],
             "size": "" if expression.size is None else _nth(self.sizes[expression.size], choice.get("size", 0)),
             "colour": ""
             if expression.colour is None
@@ -252,10 +252,15 @@ class Grammar(Model):
         return _GENDER.sub(lambda found: found[1].split("|")[place], text)
 
 
+def _place(ordinal: Ordinal) -> str:
+    """Returns the key of an ordinal number; the leftmost object has none."""
+    return "first" if ordinal.number == 1 and ordinal.side in AHEAD_SIDES else str(ordinal.number)
+
+
 def _side(expression: Expression) -> str:
     ordinal = expression.ordinal
     assert ordinal is not None
-    return f"{ordinal.side}most" if ordinal.number == 1 else str(ordinal.side)
+    return f"{ordinal.side}most" if ordinal.number == 1 and ordinal.side not in AHEAD_SIDES else str(ordinal.side)
 
 
 def _nth(words: Sequence[str], number: int) -> str:

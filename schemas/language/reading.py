@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from schemas.language.expression import Clause, Expression, Landmark, Ordinal, Relation, Size, ViewSide
+from schemas.language.expression import AHEAD_SIDES, Clause, Expression, Landmark, Ordinal, Relation, Size, ViewSide
 from schemas.language.grammar import SLOT, Grammar, SentencePattern, grammar
 
 _SPACE = re.compile(r"\s+")
@@ -204,7 +204,7 @@ class Reader:
         for key, words in source.articles.items():
             self._add(tables["article"], words, key.partition("_")[0] == "the")
         for number, word in source.ordinals.items():
-            self._add(tables["ordinal"], [word], int(number))
+            self._add(tables["ordinal"], [word], 1 if number == "first" else int(number))
         for number, word in source.numbers.items():
             self._add(tables["number"], [word], int(number))
         groups = (
@@ -260,6 +260,8 @@ def _expression(noun: _Noun, clauses: tuple[Clause, ...]) -> Expression | None:
     number, side = parts.get("ordinal"), parts.get("side")
     is_extreme = side in ("leftmost", "rightmost")
     if (number is not None or is_extreme) != (side is not None) or (number is not None and is_extreme):
+        return None
+    if number == 1 and side not in AHEAD_SIDES:
         return None
     ordinal = None
     if side is not None:

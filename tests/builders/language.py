@@ -157,7 +157,7 @@ def changed(expression: Expression) -> Iterator[Expression]:
     if expression.size is not None:
         yield from (expression.model_copy(update={"size": size}) for size in Size if size is not expression.size)
     if expression.ordinal is not None:
-        other = "right" if expression.ordinal.side == "left" else "left"
+        other = _OTHER_SIDE[expression.ordinal.side]
         number = expression.ordinal.number
         yield expression.model_copy(update={"ordinal": Ordinal(number=number, side=other)})
         if number > 1:
@@ -168,6 +168,7 @@ def changed(expression: Expression) -> Iterator[Expression]:
             yield expression.model_copy(update={"clauses": clauses})
 
 
+_OTHER_SIDE = {"left": "right", "right": "left", "ahead_left": "ahead_right", "ahead_right": "ahead_left"}
 _EXCHANGED = (
     frozenset({Relation.NEXT_TO, Relation.UNDER, Relation.ON}) | FROM_VIEW,
     OF_VIEWER,

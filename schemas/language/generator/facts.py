@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import Landmark, Relation
+from schemas.language.expression import AHEAD_SIDES, Landmark, Relation, ViewSide
 from schemas.language.graph import SceneGraph, SceneObject
 from schemas.language.kinds import UNKNOWN
 from schemas.language.thresholds import Band
@@ -359,6 +359,50 @@ class ViewFacts:
         graph, eye = self.scene.graph, np.array((self.view.x, self.view.y))
         apart = np.maximum(0, np.maximum(graph.low[:, :2] - eye, eye - graph.high[:, :2]))
         return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
+
+    @cached_property
+    def _frame(self) -> tuple[Floats, Floats]:
+        """(N, 4) corners of the bounding rectangles along the heading and to the left of its axis, metres."""
+        graph, view = self.scene.graph, self.view
+        x = np.stack([side[:, 0] for side in (graph.low, graph.high, graph.high, graph.low)], axis=1) - view.x
+        y = np.stack([side[:, 1] for side in (graph.low, graph.low, graph.high, graph.high)], axis=1) - view.y
+        cos, sin = math.cos(view.yaw), math.sin(view.yaw)
+        return x * cos + y * sin, y * cos - x * sin
+
+    def row(self, among: Masks, side: ViewSide) -> list[int]:
+        """Returns the objects that are counted along one side of the way ahead, up to the first that is not certain.
+
+        Args:
+            among: objects to count.
+            side: side of the way ahead.
+        """
+        graph, view = self.scene.graph, self.view
+        along, across = self._frame[0], AHEAD_SIDES[side] * self._frame[1]
+        middle, near, far = along.mean(axis=1), across.min(axis=1), across.max(axis=1)
+        ahead = _above(middle, limit.ROW_AHEAD_M)
+        aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad).both(_below(near, limit.ROW_GAP_M))
+        here = Masks(graph.room_of == view.room, (graph.room_of == view.room) | (graph.room_of == 0))
+        found = among.both(ahead).both(aside).both(here)
+        numbers = np.flatnonzero(found.possible & ~self._hidden(found, along, near))
+        order = numbers[np.argsort(middle[numbers], kind="stable")].tolist()
+        if not view.room:
+            return []
+        certain: list[int] = []
+        for place, number in enumerate(order):
+            nearby = order[place - 1 : place] + order[place + 1 : place + 2]
+            is_apart = all(abs(middle[number] - middle[other]) >= limit.ROW_STEP_M for other in nearby)
+            if not (found.sure[number] and is_apart):
+                break
+            certain.append(number)
+        return certain
+
+    def _hidden(self, found: Masks, along: Floats, near: Floats) -> Bools:
+        """Returns (N,) objects that another counted one covers, as seen from the axis of the heading."""
+        low, high = along.min(axis=1), along.max(axis=1)
+        shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+        covers = shared >= limit.ROW_HIDDEN * (high - low)  # [cover, object]
+        covers &= near >= near[:, None] + limit.ROW_HIDDEN_M
+        return np.asarray((covers & found.sure[:, None]).any(axis=0))
 
     @cached_property
     def ego(self) -> dict[Relation, Masks]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import (
+    AHEAD_SIDES,
     FAMILY,
     OF_START,
     OF_VIEWER,
@@ -30,6 +31,7 @@ from schemas.language.generator.facts import Masks, SceneFacts, ViewFacts
 from schemas.language.generator.parts import ExpressionPart, SceneParts, is_least, part_of
 from schemas.language.grammar import Grammar
 from schemas.language.kinds import UNKNOWN
+from schemas.language.view import SceneView
 
 
 class ExpressionHead(NamedTuple):
@@ -218,7 +220,13 @@ class Search:
 
     def _ordinals(self, among: Masks) -> Iterator[Ordinal]:
         assert self.view is not None
-        view = self.view.view
+        yield from self._across(among, self.view.view)
+        for side in AHEAD_SIDES:
+            row = self.view.row(among, side)
+            if self.number in row[:4]:
+                yield _ORDINALS[row.index(self.number) + 1, side]
+
+    def _across(self, among: Masks, view: SceneView) -> Iterator[Ordinal]:
         seen = np.flatnonzero(among.possible & view.possible)
         if self.number not in seen or int(np.count_nonzero(among.sure & view.sure)) < 2:
             return

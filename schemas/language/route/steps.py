@@ -36,6 +36,8 @@ _APART_M = 2.0
 _NEAR_M = 3.0
 _NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
 """Distances from the end at which a last step begins if no words fit the target from farther away, metres."""
+_CUTS_RAD = (math.radians(60), math.radians(90), math.radians(120))
+"""Headings at which a long turn is divided, against that at its start."""
 _SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
 _EVERY = 6
 
@@ -99,10 +101,10 @@ class RouteSearch:
                 turned = float(self._path.yaw[part.end - 1] - self._path.yaw[begun])
                 if abs(turned) < _SMALLEST_RAD and not own:
                     continue
-                turn = self._turn(turned, own)
-                if turn is None:
+                turns = self._turned(begun, part.end, own)
+                if not turns:
                     return []
-                found.append(SpannedStep(turn, begun, part.end))
+                found += turns
             else:
                 is_last = number == len(parts) - 1
                 run = self._run(part._replace(start=begun), own, is_last)
@@ -112,18 +114,53 @@ class RouteSearch:
             begun = found[-1].end if found else 0
         return found
 
-    def _turn(self, turned_rad: float, changes: list[RoomChange]) -> RouteStep | None:
-        """Returns the step of a turn, perhaps in a doorway; `None` if it has no clear description."""
-        side = RobotSide.LEFT if turned_rad > 0 else RobotSide.RIGHT
+    def _turned(self, start: int, end: int, changes: list[RoomChange]) -> list[SpannedStep]:
+        """Returns the steps of a turn, perhaps with a doorway; empty if it has no clear description."""
         doors = [each for each in changes if doorway_of(self._place.doorways, each, self._path.xy[each.frame])]
-        if len(doors) == 1:
-            is_corner = limit.CORNER_RAD[0] <= abs(turned_rad) < limit.CORNER_RAD[1]
-            kind = self._graph.types[doors[0].after - 1]
-            return RouteStep(kind=StepKind.CORNER, side=side, room=kind) if is_corner else None
-        size = None if doors else turn_size(turned_rad)
+        turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
+        if not doors:
+            return self._turn(start, end)
+        if len(doors) > 1:
+            return []
+        if abs(turned) >= limit.CORNER_RAD[1]:
+            return self._divided(start, end, doors[0])
+        return self._through(start, end, doors[0])
+
+    def _turn(self, start: int, end: int) -> list[SpannedStep]:
+        turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
+        size, side = turn_size(turned), RobotSide.LEFT if turned > 0 else RobotSide.RIGHT
         if size is None:
-            return None
-        return RouteStep(kind=StepKind.TURN, size=size, side=None if size is TurnSize.AROUND else side)
+            return []
+        step = RouteStep(kind=StepKind.TURN, size=size, side=None if size is TurnSize.AROUND else side)
+        return [SpannedStep(step, start, end)]
+
+    def _through(self, start: int, end: int, change: RoomChange) -> list[SpannedStep]:
+        """Returns the step of a turn through a doorway, or of a doorway with hardly any turn."""
+        turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
+        kind, side = self._graph.types[change.after - 1], RobotSide.LEFT if turned > 0 else RobotSide.RIGHT
+        if abs(turned) >= limit.CORNER_RAD[1]:
+            return []
+        if abs(turned) >= limit.CORNER_RAD[0]:
+            return [SpannedStep(RouteStep(kind=StepKind.CORNER, side=side, room=kind), start, end)]
+        doorway = doorway_of(self._place.doorways, change, self._path.xy[change.frame])
+        if doorway is None or not self._is_clear(doorway, start):
+            return []
+        return [SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), start, end)]
+
+    def _divided(self, start: int, end: int, change: RoomChange) -> list[SpannedStep]:
+        """Returns a long turn in two steps: one through the doorway, and one before or after it."""
+        left = np.abs(self._path.yaw - self._path.yaw[start])
+        after = self._frame_at(float(self._path.along[change.frame]) + _BEYOND_M + 0.2)
+        for cut in (after, *(start + int(np.searchsorted(left[start:end], share)) for share in _CUTS_RAD)):
+            if change.frame + 1 < cut < end:
+                door, turn = self._through(start, cut, change), self._turn(cut, end)
+            elif start < cut <= change.frame:
+                door, turn = self._turn(start, cut), self._through(cut, end, change)
+            else:
+                continue
+            if door and turn:
+                return [*door, *turn]
+        return []
 
     def _cut(self, part: PathPart) -> list[PathPart]:
         """Returns a last turn in two parts: until the heading of the end is reached, and the rest."""

@@ -10,12 +10,12 @@ from collections.abc import Mapping, Set
 from typing import NamedTuple
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation
+from schemas.language.expression import AHEAD_SIDES, SUPERLATIVES, Clause, Expression, Landmark, Relation
 from schemas.language.graph import SceneGraph
 from schemas.language.kinds import UNKNOWN
 from schemas.language.reading import Reader, Reading
 from schemas.language.verifier.measure import Footprints, Truth, angle_between, at_least, at_most
-from schemas.language.verifier.selection import Selected, by_size, counted, extreme
+from schemas.language.verifier.selection import Selected, by_size, counted, counted_ahead, extreme
 from schemas.language.view import SceneView
 
 
@@ -199,6 +199,10 @@ class Verifier:
             return Truth.YES if each.area in areas else Truth.MAYBE
         return Truth.NO if each.room else Truth.MAYBE
 
+    def _in_room(self, number: int, room: int) -> Truth:
+        own = self.graph.objects[number].room
+        return Truth.MAYBE if not room or not own else Truth.YES if own == room else Truth.NO
+
     def _counts(self, relation: Relation, number: int, things: Mapping[int, Truth], count: int) -> Truth:
         """Returns whether exactly a number of things are beside or on an object."""
         near = self._is_beside if relation is Relation.WITH_BESIDE else self._prints.holds
@@ -293,7 +297,11 @@ class Verifier:
             return dict.fromkeys(truths, Truth.MAYBE)
         if expression.ordinal is not None:
             assert view is not None
-            return counted(truths, expression.ordinal.number, expression.ordinal.side, view)
+            place, side = expression.ordinal.number, expression.ordinal.side
+            if side in AHEAD_SIDES:
+                here = {number: min(truth, self._in_room(number, view.room)) for number, truth in truths.items()}
+                return counted_ahead(here, place, side, view, self._prints)
+            return counted(truths, place, side, view)
         if expression.size is not None:
             return by_size(truths, expression.size, self._prints)
         clause = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)

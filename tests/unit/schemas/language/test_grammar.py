@@ -47,6 +47,8 @@ EXPRESSIONS = (
     Expression(kind="trash_can", definite=False, clauses=(near("table", definite=False, colour="brown"),)),
     Expression(kind="table", ordinal=Ordinal(number=3, side="right")),
     Expression(kind="sofa", colour="blue", ordinal=Ordinal(number=1, side="left")),
+    Expression(kind="rack", ordinal=Ordinal(number=1, side="ahead_left")),
+    Expression(kind="shelf", ordinal=Ordinal(number=4, side="ahead_right")),
     Expression(kind="plant", size="tallest", clauses=(Clause(relation="this_room"),)),
     Expression(kind="table", material="wood", clauses=(near("plant"),)),
     Expression(kind="shelf", definite=False, colour="gray", material="metal"),
