@@ -32,8 +32,8 @@ from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
-_FEW = 4
-"""Number of features of a short search."""
+_FEW, _SHORT_SEARCHES = 4, 2
+"""Number of features of a short search, and of such searches."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article", "material")
 _SYNONYMS = 6
 
@@ -87,9 +87,9 @@ class Composer:
         return Search(scene.parts, seen, number, families, self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
-        """Returns a few features, drawn by their weights, for a short search; after half of the tries, all features."""
+        """Returns a few features, drawn by their weights, for a short search; after two tries, all features."""
         every = self.spec.families
-        if len(every) <= _FEW or turn >= _TRIES // 2:
+        if len(every) <= _FEW or turn >= _SHORT_SEARCHES:
             return every
         shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
         drawn: set[Family] = set()
@@ -121,6 +121,8 @@ class Composer:
             if (code, families) not in options:
                 search = self._search(scene, seen, number, code, families)
                 options[code, families] = _Options(search, self._grouped(search, number, rng))
+            if all(self._is_hopeless(each, options) for each in self._by_language):
+                break
             one = self._one(scene, view, number, held_out, code, options[code, families], rng)
             if one is not None:
                 found.setdefault(one.text, one)
@@ -128,6 +130,11 @@ class Composer:
             wrong = self.write_false_premise(scene, view, number, held_out, rng)
             found |= {} if wrong is None else {wrong.text: wrong}
         return list(found.values())
+
+    def _is_hopeless(self, code: str, options: Mapping[tuple[str, frozenset[Family]], _Options]) -> bool:
+        """Returns whether a search with all features has found nothing in a language."""
+        found = options.get((code, self.spec.families))
+        return found is not None and not found.groups
 
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator

@@ -314,6 +314,26 @@ def _is_laden(top: SurfaceTop, each: SceneObject) -> bool:
     return bool((inside & rests & (size >= limit.THING_M)).any())
 
 
+class _Wayside(NamedTuple):
+    """Objects along one side of the way ahead; distances (N,) in metres."""
+
+    masks: Masks
+    """Objects ahead and beside the way."""
+    middle: Floats
+    low: Floats
+    high: Floats
+    """Distances of the middle and both ends along the heading."""
+    near: Floats
+    """Distance of the near side from the axis of the heading."""
+
+    def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
+        """Returns which of some objects another one that is surely counted covers, as seen from the axis."""
+        low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
+        shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+        covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)
+        return np.asarray((covers & is_sure[:, None]).any(axis=0))
+
+
 @dataclass(frozen=True)
 class ViewFacts:
     """Relations of a scene graph that depend on the start pose."""
@@ -361,48 +381,48 @@ class ViewFacts:
         return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
 
     @cached_property
-    def _frame(self) -> tuple[Floats, Floats]:
-        """(N, 4) corners of the bounding rectangles along the heading and to the left of its axis, metres."""
+    def _ways(self) -> dict[ViewSide, _Wayside]:
+        """Objects along both sides of the way ahead."""
         graph, view = self.scene.graph, self.view
         x = np.stack([side[:, 0] for side in (graph.low, graph.high, graph.high, graph.low)], axis=1) - view.x
         y = np.stack([side[:, 1] for side in (graph.low, graph.low, graph.high, graph.high)], axis=1) - view.y
         cos, sin = math.cos(view.yaw), math.sin(view.yaw)
-        return x * cos + y * sin, y * cos - x * sin
+        along, left = x * cos + y * sin, y * cos - x * sin
+        middle = along.mean(axis=1)
+        room = graph.room_of
+        here = Masks((room == view.room) & (room > 0), (room == view.room) | (room == 0) | (view.room == 0))
+        here = here.both(_above(middle, limit.ROW_AHEAD_M))
+        found = {}
+        for side, sign in AHEAD_SIDES.items():
+            near, far = (sign * left).min(axis=1), (sign * left).max(axis=1)
+            aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad)
+            masks = here.both(aside).both(_below(near, limit.ROW_GAP_M))
+            found[side] = _Wayside(masks, middle, along.min(axis=1), along.max(axis=1), near)
+        return found
 
-    def row(self, among: Masks, side: ViewSide) -> list[int]:
+    def row(self, among: Masks, side: ViewSide, number: int) -> list[int]:
         """Returns the objects that are counted along one side of the way ahead, up to the first that is not certain.
 
         Args:
             among: objects to count.
             side: side of the way ahead.
+            number: object that is looked for; without it, nothing is counted.
         """
-        graph, view = self.scene.graph, self.view
-        along, across = self._frame[0], AHEAD_SIDES[side] * self._frame[1]
-        middle, near, far = along.mean(axis=1), across.min(axis=1), across.max(axis=1)
-        ahead = _above(middle, limit.ROW_AHEAD_M)
-        aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad).both(_below(near, limit.ROW_GAP_M))
-        here = Masks(graph.room_of == view.room, (graph.room_of == view.room) | (graph.room_of == 0))
-        found = among.both(ahead).both(aside).both(here)
-        numbers = np.flatnonzero(found.possible & ~self._hidden(found, along, near))
-        order = numbers[np.argsort(middle[numbers], kind="stable")].tolist()
-        if not view.room:
+        way = self._ways[side]
+        if not way.masks.sure[number]:
             return []
+        found = among.both(way.masks)
+        numbers = np.flatnonzero(found.possible)
+        numbers = numbers[~way.hidden(numbers, found.sure[numbers])]
+        order = numbers[np.argsort(way.middle[numbers], kind="stable")].tolist()
         certain: list[int] = []
-        for place, number in enumerate(order):
-            nearby = order[place - 1 : place] + order[place + 1 : place + 2]
-            is_apart = all(abs(middle[number] - middle[other]) >= limit.ROW_STEP_M for other in nearby)
-            if not (found.sure[number] and is_apart):
+        for place, each in enumerate(order):
+            nearby = order[max(place - 1, 0) : place] + order[place + 1 : place + 2]
+            is_apart = all(abs(way.middle[each] - way.middle[other]) >= limit.ROW_STEP_M for other in nearby)
+            if not (found.sure[each] and is_apart):
                 break
-            certain.append(number)
+            certain.append(each)
         return certain
-
-    def _hidden(self, found: Masks, along: Floats, near: Floats) -> Bools:
-        """Returns (N,) objects that another counted one covers, as seen from the axis of the heading."""
-        low, high = along.min(axis=1), along.max(axis=1)
-        shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
-        covers = shared >= limit.ROW_HIDDEN * (high - low)  # [cover, object]
-        covers &= near >= near[:, None] + limit.ROW_HIDDEN_M
-        return np.asarray((covers & found.sure[:, None]).any(axis=0))
 
     @cached_property
     def ego(self) -> dict[Relation, Masks]:

@@ -222,8 +222,8 @@ class Search:
         assert self.view is not None
         yield from self._across(among, self.view.view)
         for side in AHEAD_SIDES:
-            row = self.view.row(among, side)
-            if self.number in row[:4]:
+            row = self.view.row(among, side, self.number)[:4]
+            if self.number in row:
                 yield _ORDINALS[row.index(self.number) + 1, side]
 
     def _across(self, among: Masks, view: SceneView) -> Iterator[Ordinal]:
