@@ -283,7 +283,7 @@ def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = Non
 
     Args:
         model: model to write.
-        exclude: fields to leave out, as pydantic's `model_dump` takes them.
+        exclude: fields to omit, as pydantic's `model_dump` takes them.
     """
     data = model.model_dump(mode="json", exclude=exclude)
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

@@ -215,10 +215,12 @@ def _start_view(plan: Plan, entry: SceneEntry, planned: PlannedJob) -> StartView
     if plan.instructions.unique == "off":
         return None if within_rad is None else StartView(within_rad=within_rad)
     target = {info.target(episode.target_id).instance_id}
-    alike = referents(info, episode.category) - target
+    same_category = referents(info, episode.category) - target
     is_exempt = episode.category in plan.part(episode.scene).ambiguous
-    rivals = frozenset() if is_exempt else referents_of(episode, info) - target
-    return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
+    others = frozenset() if is_exempt else referents_of(episode, info) - target
+    return StartView(
+        within_rad=within_rad, other_referents=tuple(sorted(others)), same_category=tuple(sorted(same_category))
+    )
 
 
 def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned: PlannedJob) -> StartView | None:
@@ -229,8 +231,8 @@ def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned:
     if language.balanced:
         rng = _rank_rng(plan, planned)
         ranks = (float(rng.random()), float(rng.random()))
-    alike = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
-    return StartView(alike=tuple(sorted(alike)), least_alike=language.in_view, ranks=ranks)
+    same_category = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
+    return StartView(same_category=tuple(sorted(same_category)), least_same_category=language.in_view, ranks=ranks)
 
 
 def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned: PlannedJob) -> StartView:
@@ -243,7 +245,7 @@ def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned:
         among=tuple(among),
         share=float(_rank_rng(plan, planned).random()),
     )
-    return StartView(least_alike=language.in_view, choice=choice)
+    return StartView(least_same_category=language.in_view, choice=choice)
 
 
 def _rank_rng(plan: Plan, planned: PlannedJob) -> np.random.Generator:

@@ -22,8 +22,8 @@ from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
+from coordinator.ledger.database.closed_digest import is_unchanged
 from coordinator.ledger.database.engine import is_server, shown_url, sqlite_files
-from coordinator.ledger.database.seal import is_sealed
 from coordinator.ledger.gateway_episodes import record_at_core, recorded_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
@@ -209,7 +209,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
         WorldError: a database server stores a damaged ledger, which only its administrator can replace.
         UsageError: the ledger has a newer format.
     """
-    trouble = "" if is_sealed(url) else ledger_trouble(url, catalog)
+    trouble = "" if is_unchanged(url) else ledger_trouble(url, catalog)
     if not trouble:
         return
     if is_server(url) and "lacks the tables" not in trouble:

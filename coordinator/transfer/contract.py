@@ -13,12 +13,12 @@ from schemas.job import Job
 from schemas.protocol.messages import Lease
 from schemas.scene import Target
 
-Nearby = Callable[[Lease], Path | None]
+FindLocalBundle = Callable[[Lease], Path | None]
 """Function that returns the path of a lease's bundle on this machine, or `None` if unknown."""
 
 
-def nothing_nearby(_lease: Lease) -> None:
-    """Finds no bundle on this machine."""
+def no_local_bundle(_lease: Lease) -> None:
+    """Returns `None`: every bundle is transferred over the network."""
 
 
 class BundleValidator(Protocol):

@@ -59,8 +59,8 @@ def choice_findings(meta: EpisodeMeta) -> list[str]:
     if view is None or view.choice is None:
         return ["objects that could be the target, of a job whose plan names the target"] if choices else []
     found = []
-    if len(choices) <= view.least_alike:
-        found.append(f"{len(choices)} objects could be the target, the plan requires {view.least_alike + 1}")
+    if len(choices) <= view.least_same_category:
+        found.append(f"{len(choices)} objects could be the target, the plan requires {view.least_same_category + 1}")
     stray = sorted(set(choices).difference(view.choice.among))
     if stray or list(choices) != sorted(set(choices)):
         found.append(f"choices {list(choices)}, the job permits {list(view.choice.among)}, each once, in this order")

@@ -33,7 +33,7 @@ from schemas.language.grammar import LANGUAGES, grammar
 from schemas.scene import decode_scene
 
 
-def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
+def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
     """Validates an open bundle in the current process."""
     try:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
@@ -93,7 +93,7 @@ def main(arguments: list[str]) -> int:
         task, file = received
         _allow_cpu(limits)
         with file:
-            verdict = judge(task, file)
+            verdict = verdict_of(task, file)
         sys.stdout.write(f"{verdict.model_dump_json()}\n")
         sys.stdout.flush()
     return 0

@@ -1,6 +1,6 @@
 """Renders the pictures of docs/scenes: views, frames, categories and map of a scene; maps and views of a family.
 
-A family has one sheet of maps and one of views, each with twelve layouts. Seeds without a layout are left out.
+A family has one sheet of maps and one of views, each with twelve layouts. Seeds without a layout are omitted.
 
 python docs/site/scene_pictures.py [SCENE|FAMILY ...]
 """

@@ -88,7 +88,7 @@ class RelabelReport(Model):
     rejected: dict[str, int] = Field(default_factory=dict)
     """Number of sentences that the verifier rejected, by reason, in this call."""
     paraphrases: ParaphraseReport | None = None
-    """Paraphrases that an endpoint was asked for in this call; `None` if it was not asked."""
+    """Paraphrases that were requested from an endpoint in this call; `None` without a request."""
 
 
 class _Job(NamedTuple):

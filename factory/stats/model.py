@@ -316,7 +316,7 @@ class LanguageStatistics(Model):
     others_in_scene: float | None
     """Mean number of other objects of the named category in the scene."""
     false_premises: Count
-    """Number of instructions that fit no object; the other measures leave them out."""
+    """Number of instructions that fit no object; the other measures exclude them."""
 
     @property
     def is_sound(self) -> bool:

@@ -21,7 +21,7 @@ from schemas.language.generator.minimal import (
     minimal_candidates,
     redundant_expressions,
 )
-from schemas.language.generator.search import Candidate, Search
+from schemas.language.generator.search import ExpressionCandidate, Search
 from schemas.language.grammar import SentencePattern
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.kinds import UNKNOWN
@@ -42,7 +42,7 @@ class _Options(NamedTuple):
     """Expressions for a target by their features, with the search that found them."""
 
     search: Search
-    groups: Mapping[frozenset[Family], list[Candidate]]
+    groups: Mapping[frozenset[Family], list[ExpressionCandidate]]
 
 
 class Composer:
@@ -138,11 +138,11 @@ class Composer:
 
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
-    ) -> dict[frozenset[Family], list[Candidate]]:
+    ) -> dict[frozenset[Family], list[ExpressionCandidate]]:
         """Returns the possible expressions by their features."""
         is_one = self.spec.fit == "one"
         kind = search.facts.graph.objects[number].kind
-        groups: dict[frozenset[Family], list[Candidate]] = defaultdict(list)
+        groups: dict[frozenset[Family], list[ExpressionCandidate]] = defaultdict(list)
         for candidate in minimal_candidates(search, rng) if is_one else indefinite_candidates(search):
             groups[candidate.families(kind)].append(candidate)
         return groups

@@ -207,7 +207,7 @@ class Grammar(Model):
         return _SPACES.sub(" ", _fill(self.layout, words)).strip()
 
     def _adjective(self, clause: Clause, choice: Mapping[str, int]) -> str:
-        """Returns the adjective of a relation; empty if it is said after the noun."""
+        """Returns the adjective of a relation; empty if the words of the relation follow the noun."""
         words = self.states.get(clause.relation, ())
         number = choice.get("relation", 0) % (len(words) + len(self.relations[clause.relation]))
         return words[number] if number < len(words) else ""

@@ -90,7 +90,7 @@ class SceneRoom(NamedTuple):
 def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
     """Returns the grid of walls: cells that block the view, outside of the boxes of objects.
 
-    Components shorter than `_SMALLEST_WALL_M` are left out.
+    Components shorter than `_SMALLEST_WALL_M` are omitted.
 
     Args:
         occupancy: 0 free, 1 occupied, 2 occupied and blocking the view.

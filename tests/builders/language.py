@@ -27,7 +27,7 @@ from schemas.language.expression import (
 )
 from schemas.language.generator.facts import Masks, ViewFacts
 from schemas.language.generator.parts import ExpressionPart, part_of
-from schemas.language.generator.search import Candidate, ExpressionHead, Search
+from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
 from schemas.language.scene import SceneLanguage
@@ -229,7 +229,8 @@ def _is_wrongly_selected(expression: Expression, search: Search, masks: Masks) -
         if number != search.number:
             other = dataclasses.replace(search, number=number)
             if any(
-                one.selector == wanted for one in other._selectors(Candidate(_head(expression, masks)), None, masks)
+                one.selector == wanted
+                for one in other._selectors(ExpressionCandidate(_head(expression, masks)), None, masks)
             ):
                 return True
     return False

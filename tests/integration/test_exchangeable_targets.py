@@ -49,7 +49,9 @@ def _job(attempt: int, share: float) -> Job:
         task=TaskConfig(success_radius_m=1.2, hold_steps=2, success=SuccessMeasure.SURFACE),
         spawn=SpawnConfig(heading_noise_rad=0.75),
         language=LanguageSpec(in_view=1, exchangeable=True),
-        start_view=StartView(least_alike=1, choice=TargetChoice(around=target.instance_id, among=AMONG, share=share)),
+        start_view=StartView(
+            least_same_category=1, choice=TargetChoice(around=target.instance_id, among=AMONG, share=share)
+        ),
     )
 
 

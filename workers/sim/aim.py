@@ -57,7 +57,7 @@ def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> 
     if parts is not None:
         is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
         is_wanted = is_shown or not view.shows_target
-        if not (is_wanted and ((view.rivals or view.least_alike) if is_shown else view.alike)):
+        if not (is_wanted and ((view.other_referents or view.least_same_category) if is_shown else view.same_category)):
             return is_wanted
     image = renderer.render_depth_and_ids(pose)
     return not start_view_findings(view, own, bearing_rad, image.ids, image.depth, job.camera, least)
@@ -66,7 +66,7 @@ def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> 
 def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple[Target, ...]:
     """Returns the objects that could be the target from a pose; none if there are fewer than the job requires."""
     assert job.start_view is not None
-    candidates, start, least = candidates_of(job, info), (pose.x, pose.y, pose.yaw), job.start_view.least_alike
+    candidates, start, least = candidates_of(job, info), (pose.x, pose.y, pose.yaw), job.start_view.least_same_category
     if not may_exchange(job, candidates, start, least + 1):
         return ()
     found = exchangeable_targets(job, candidates, start, renderer.render_depth_and_ids(pose).ids)

@@ -198,7 +198,7 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
     limit = max(_SANE_RADIUS_M, _SANE_SPREAD * float(np.median(off)))
     for part, distance in zip(parts, off, strict=True):
         if distance > limit:
-            notes.append(f"{part.path}: left out, {distance:.0f} m away from everything else")
+            notes.append(f"{part.path}: omitted, {distance:.0f} m away from everything else")
     kept = [part for part, distance in zip(parts, off, strict=True) if distance <= limit]
     return tuple(sorted(kept, key=lambda part: part.path))
 
@@ -214,7 +214,7 @@ def _show(
     visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
     clear = sum(not part.is_collider for part in parts) - len(visible)
     if clear:
-        notes.append(f"{clear} see-through parts are solid but not shown")
+        notes.append(f"{clear} transparent parts are not rendered, but the robot cannot pass them")
     if not visible:
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes

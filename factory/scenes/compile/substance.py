@@ -21,7 +21,7 @@ _SUBSTANCES = MappingProxyType(
         "metal": "metal metallic steel aluminium aluminum iron chrome chromium brass copper bronze stainless",
         "plastic": "plastic plastics polypropylene polyethylene pvc acrylic plexiglas",
         "glass": "glass",
-        "fabric": "fabric cloth textile linen cotton wool velvet felt denim upholstery",
+        "fabric": "fabric cloth textile linen cotton wool velvet denim upholstery",
         "leather": "leather",
         "stone": "stone marble granite slate travertine sandstone limestone",
         "ceramic": "ceramic ceramics porcelain earthenware",

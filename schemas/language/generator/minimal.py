@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.language.expression import FAMILY, Expression, Family, Relation
 from schemas.language.generator.parts import ExpressionPart, bits_of
-from schemas.language.generator.search import Candidate, ExpressionHead, Search
+from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 
 _WITH_ORDINAL = frozenset({Family.ROOM})
 """Families of relations that are combined with an ordinal: others make "the second chair from the left" ambiguous."""
@@ -28,7 +28,7 @@ def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expres
     return [each.expression() for each in minimal_candidates(search, rng)]
 
 
-def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Candidate]:
+def minimal_candidates(search: Search, rng: np.random.Generator) -> list[ExpressionCandidate]:
     """Returns candidates for definite expressions that fit the target only, and from which no part can be dropped.
 
     Args:
@@ -38,7 +38,7 @@ def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Candida
     parts = search.parts()
     parts = [parts[number] for number in rng.permutation(len(parts))[:_MOST_PARTS].tolist()]
     own = 1 << search.number
-    found: list[Candidate] = []
+    found: list[ExpressionCandidate] = []
     for head in search.heads():
         if head.masks.sure[search.number]:
             bare = -1 if head.is_bare else bits_of(search.facts.described(head.kind, None).possible)
@@ -48,7 +48,7 @@ def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Candida
 
 def _with_head(
     search: Search, head: ExpressionHead, parts: list[ExpressionPart], own: int, bare: int
-) -> Iterator[Candidate]:
+) -> Iterator[ExpressionCandidate]:
     """Yields the minimal expressions with a head.
 
     Args:
@@ -61,7 +61,7 @@ def _with_head(
     base = bits_of(head.masks.possible)
     if base == own:
         if bare != own:
-            yield Candidate(head)
+            yield ExpressionCandidate(head)
         return
     plain = head._replace(colour=None, material=None, masks=search.facts.described(head.kind, None))
     without = {one.selector for one in search.selectors(plain)} if bare >= 0 else set()
@@ -71,19 +71,19 @@ def _with_head(
         if bare >= 0 and bare & part.bits == own:
             continue  # colour or material can be dropped
         if base & part.bits == own:
-            yield Candidate(head, (part,))
+            yield ExpressionCandidate(head, (part,))
         elif base & part.bits != base:
             useful.append(part)
     for one, two in combinations(useful, 2):
         both = one.bits & two.bits
         if base & both == own and not (bare >= 0 and bare & both == own):
-            yield Candidate(head, (one, two))
+            yield ExpressionCandidate(head, (one, two))
     if bare < 0:
         for part in useful[:_MOST_SELECTED]:
             yield from _selected(search, head, part)
 
 
-def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[Candidate]:
+def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[ExpressionCandidate]:
     """Yields the expressions in which a superlative selects the target among the objects of a relation.
 
     Without the relation, the same superlative does not select the target.
@@ -94,7 +94,7 @@ def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Ite
             yield one
 
 
-def _is_readable(one: Candidate) -> bool:
+def _is_readable(one: ExpressionCandidate) -> bool:
     """Returns whether a reader knows among which objects an expression counts, or looks for the farthest one."""
     families = {FAMILY[part.clause.relation] for part in one.parts}
     if one.ordinal is not None:
@@ -103,7 +103,7 @@ def _is_readable(one: Candidate) -> bool:
     return not is_farthest or Family.ROOM in families
 
 
-def indefinite_candidates(search: Search) -> list[Candidate]:
+def indefinite_candidates(search: Search) -> list[ExpressionCandidate]:
     """Returns candidates for expressions with "a" that fit the target and other objects, without borderline cases."""
     parts = search.parts()
     found = []
@@ -111,7 +111,7 @@ def indefinite_candidates(search: Search) -> list[Candidate]:
         for chosen in ((), *((part,) for part in parts)):
             masks = head.masks.both(chosen[0].masks) if chosen else head.masks
             if masks.sure[search.number] and masks.sure.sum() > 1 and (masks.sure == masks.possible).all():
-                found.append(Candidate(head, chosen))
+                found.append(ExpressionCandidate(head, chosen))
     return found
 
 

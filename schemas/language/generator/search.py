@@ -49,7 +49,7 @@ class ExpressionHead(NamedTuple):
         return self.colour is None and self.material is None
 
 
-class Candidate(NamedTuple):
+class ExpressionCandidate(NamedTuple):
     """Expression whose model is not made yet, because most candidates are not drawn."""
 
     head: ExpressionHead
@@ -182,21 +182,21 @@ class Search:
                 if found.sure[self.number]:
                     yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), found)
 
-    def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[Candidate]:
+    def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[ExpressionCandidate]:
         """Returns the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
         key = head.kind, head.colour, head.material, tuple(part.clause for part in parts)
         if key not in self._selected:
             among = head.masks
             for part in parts:
                 among = among.both(part.masks)
-            self._selected[key] = list(self._selectors(Candidate(head, parts), key, among))
+            self._selected[key] = list(self._selectors(ExpressionCandidate(head, parts), key, among))
         return self._selected[key]
 
     @cached_property
-    def _selected(self) -> dict[object, list[Candidate]]:
+    def _selected(self) -> dict[object, list[ExpressionCandidate]]:
         return {}
 
-    def _selectors(self, base: Candidate, key: object, among: Masks) -> Iterator[Candidate]:
+    def _selectors(self, base: ExpressionCandidate, key: object, among: Masks) -> Iterator[ExpressionCandidate]:
         if not among.sure[self.number] or int(np.count_nonzero(among.sure)) < 2:
             return
         others = np.flatnonzero(among.possible)

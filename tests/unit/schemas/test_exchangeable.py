@@ -41,7 +41,7 @@ LEFT, RIGHT = _target(3, 2.8, 35), _target(5, 2.8, -35)
 
 def _job(tier: Tier = Tier.NEAR, share: float = 0.0) -> Job:
     job = job_for(tier=tier, expert=ExpertName.PLANNER, target_id=LEFT.target_id, spawn=SpawnConfig())
-    view = StartView(least_alike=1, choice=TargetChoice(around=3, among=(3, 5, 7), share=share))
+    view = StartView(least_same_category=1, choice=TargetChoice(around=3, among=(3, 5, 7), share=share))
     changes = {
         "spawn": SpawnConfig(heading_noise_rad=0.7),
         "start_view": view,

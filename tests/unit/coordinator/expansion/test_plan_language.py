@@ -63,7 +63,7 @@ def test_the_start_shows_others_of_the_category_and_shares_are_drawn_once_for_ea
     plan = _plan(in_view=1, balanced=True)
     catalog = {"office": ENTRY}
     found = [to_job(plan, catalog, job, 1).start_view for job in expand(plan, catalog)]
-    assert all(view is not None and view.least_alike == 1 and len(view.alike) == 2 for view in found)
+    assert all(view is not None and view.least_same_category == 1 and len(view.same_category) == 2 for view in found)
     assert len({view.ranks for view in found if view is not None}) == len(found)
     assert summarise(plan, catalog).distractors == {2: 40}
 
