@@ -19,7 +19,7 @@ from factory.scenes.requirements import require_building
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
-from factory.scenes.version import COMPILER_VERSION
+from factory.scenes.version import COMPILER_VERSION, MATERIALS_VERSION
 from schemas.errors import LayoutError, UsageError, WorldError
 from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
 from schemas.support.suggest import did_you_mean
@@ -54,6 +54,7 @@ def package_path(
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or rules_of(name)).model_dump_json()
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
+    made_from += "" if _is_paper(name, seed) else f"\nmaterials {MATERIALS_VERSION}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
     made_from += "" if called is None else f"\n{called}"
@@ -116,7 +117,9 @@ def _compile_builtin(
             name, content, called, source, book, targets, LAYOUT_DETAIL, required if is_usual else ()
         )
     with tempfile.TemporaryDirectory(prefix="scene-") as directory:
-        return compile_stage(author_scene(name, seed, Path(directory)), called, source, book, targets)
+        stage = author_scene(name, seed, Path(directory))
+        # without materials, the packages of the paper's layouts keep their bytes
+        return compile_stage(stage, called, source, book, targets, has_materials=False)
 
 
 def _is_paper(name: str, seed: int) -> bool:
@@ -204,7 +207,7 @@ def _read_stage(
     extraction = extract_scene(path, limits)
     book = (rules or builtin_rules()).model_dump_json()
     parts = (path.name, extraction.files_sha256, *extraction.notes, book, targets and targets.digest)
-    made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts)))
+    made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, MATERIALS_VERSION, *parts)))
     return extraction, hashlib.sha256(made_from.encode()).hexdigest()
 
 

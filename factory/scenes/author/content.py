@@ -88,9 +88,12 @@ def _pieces(pieces: Sequence[PropPiece]) -> list[Piece]:
 
 
 def _surface(material: SurfaceMaterial) -> Surface:
-    rgb = linear_rgb(material.colour)
+    rgb, is_metal = linear_rgb(material.colour), material.metallic > 0.5
     if material.texture is not None:
         tint = _WHITE if material.tint is None else linear_rgb(material.tint)
-        return Surface(colour=tint, texture=material.texture, emits=material.glow > 0)
+        return Surface(
+            colour=tint, texture=material.texture, emits=material.glow > 0, name=material.name, is_metal=is_metal
+        )
     red, green, blue = (channel * material.glow for channel in rgb)
-    return Surface(colour=rgb, emits=max(red, green, blue) > 0.05, emission=(red, green, blue))
+    emits = max(red, green, blue) > 0.05
+    return Surface(colour=rgb, emits=emits, emission=(red, green, blue), name=material.name, is_metal=is_metal)
