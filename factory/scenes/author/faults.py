@@ -1,14 +1,28 @@
-"""Finds rooms that the robot cannot reach because furniture blocks the passage. Does not move furniture."""
+"""Finds faults of a floor plan before it is compiled: a missing category, or a room that the robot cannot reach because
+furniture blocks the passage. Does not move furniture."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from factory.scenes.author.placement import FloorPlan, Rectangle
+from factory.scenes.rules import builtin_rules
+from schemas.terms import BUILTIN_CATEGORIES
 from workers.geometry.grid import Grid
 
 _CELL_M = 0.05
 _BORDER_M = 0.5
+
+
+def find_fault(plan: FloorPlan, name: str) -> str | None:
+    """Returns what a floor plan of a built-in scene lacks, or `None` if it can be compiled."""
+    rules = [builtin_rules().match(model) for model in {placement.model.name for placement in plan.placements}]
+    found = {rule.category for rule in rules if rule is not None}
+    missing = sorted({category for group in BUILTIN_CATEGORIES[name] for category in group} - found)
+    if missing:
+        return f"no place for {', '.join(missing)}"
+    cut_off = cut_off_rooms(plan)
+    return f"furniture blocks the way to a {cut_off[0]}" if cut_off else None
 
 
 def cut_off_rooms(plan: FloorPlan) -> list[str]:
