@@ -57,6 +57,7 @@ class BuiltinScene:
         lay_out: function that fills a floor plan.
         metres_per_unit: length of a unit in the written stage, metres.
         first_draw: number of the first random plan of a seed; chosen so that seed 0 has all categories.
+        others: categories besides those of `BUILTIN_CATEGORIES` that many layouts have, and a plan can name.
     """
 
     name: str
@@ -64,16 +65,34 @@ class BuiltinScene:
     lay_out: Callable[[FloorPlan], None]
     metres_per_unit: float = 1.0
     first_draw: int = 0
+    others: tuple[str, ...] = ()
 
 
+_BESIDE_HALL = ("chair", "table", "monitor", "plant", "trash_can", "fire_extinguisher", "whiteboard")
 _FAMILIES = (
-    BuiltinScene("office", "200-420 m2 office: open plan, meeting and service rooms along halls", lay_out_office),
-    BuiltinScene("hospital", "300-520 m2 hospital floor: wards, waiting hall, treatment rooms", lay_out_hospital),
     BuiltinScene(
-        "full_warehouse", "360-900 m2 warehouse: rows of pallet racks, staging floor, office", lay_out_full_warehouse
+        "office",
+        "200-420 m2 office: open plan, meeting and service rooms along halls",
+        lay_out_office,
+        others=("shelf",),
     ),
     BuiltinScene(
-        "warehouse_multiple_shelves", "230-560 m2 hall: alternating rows of racks and shelves", lay_out_multiple_shelves
+        "hospital",
+        "300-520 m2 hospital floor: wards, waiting hall, treatment rooms",
+        lay_out_hospital,
+        others=("table", "monitor", "plant", "sofa", "shelf"),
+    ),
+    BuiltinScene(
+        "full_warehouse",
+        "360-900 m2 warehouse: rows of pallet racks, staging floor, office",
+        lay_out_full_warehouse,
+        others=_BESIDE_HALL,
+    ),
+    BuiltinScene(
+        "warehouse_multiple_shelves",
+        "230-560 m2 hall: alternating rows of racks and shelves",
+        lay_out_multiple_shelves,
+        others=_BESIDE_HALL,
     ),
     BuiltinScene("home", "90-170 m2 home: 5 to 9 rooms, with or without a hall", lay_out_home, first_draw=1),
     BuiltinScene("shop", "140-250 m2 shop: sales floor, store, office, wash room", lay_out_shop),

@@ -19,7 +19,6 @@ from factory.scenes.author.props.catalogue import PropBuilder, PropModel
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 """Wall -> yaw of a prop with its back to that wall, radians. At yaw 0 a prop faces -y, with its back to the north."""
 
-_TEXTURE_SETS = 4
 SMALL_HALF_WIDTH_M = 0.3
 SMALL_STANDOFF_M = 0.30
 """Distance of the centre of small props from a wall, metres, so that the robot can drive along the wall."""
@@ -112,12 +111,9 @@ class FloorPlan:
     taken: list[Rectangle] = field(default_factory=list)
     kept_clear: list[Rectangle] = field(default_factory=list)
     rooms: list[RoomRecord] = field(default_factory=list)
-    texture_seed: int = field(init=False)
-    """Seed of the texture pixels. Layouts share a few sets of textures, so that a process draws each only once."""
 
     def __post_init__(self) -> None:
         self.props = PropBuilder(self.seed)
-        self.texture_seed = self.seed % _TEXTURE_SETS
 
     def build(self, name: str, *pieces: PropPiece) -> None:
         """Adds a part of the building under a numbered name."""

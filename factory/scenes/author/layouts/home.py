@@ -33,7 +33,6 @@ def lay_out_home(plan: FloorPlan) -> None:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
     palette = draw_palette(plan.rng)
-    plan.texture_seed = 0
     division = _divide(plan.rng)
     building = BuildingLook(
         _looks(palette),

@@ -216,8 +216,9 @@ def _kitchen(own: Furnisher) -> None:
     is_along_x = own.area.width >= own.area.depth
     if rng.random() < 0.3:
         island = plan.place(own.model("SM_CounterIsland", look), *own.area.centre, FACING[main or "N"], own.area, 0.9)
-        for shift in (-0.4, 0.4) if island is not None else ():
-            own.before("SM_Stool_F", 1, island, 0.62, shift)
+        if island is not None:
+            for shift in (-0.4, 0.4):
+                own.before("SM_Stool_F", 1, island, 0.62, shift)
     else:
         for share in (0.3, 0.7) if max(own.area.width, own.area.depth) > 5.0 else (0.5,):
             x = own.area.x0 + (share if is_along_x else float(rng.uniform(0.4, 0.6))) * own.area.width

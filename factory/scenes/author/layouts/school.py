@@ -34,7 +34,6 @@ def lay_out_school(plan: FloorPlan) -> None:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
     palette = draw_palette(plan.rng, PUBLIC)
-    plan.texture_seed = 0
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
     building = BuildingLook(
         _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.8, 3.3))

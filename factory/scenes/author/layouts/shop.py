@@ -42,7 +42,6 @@ def lay_out_shop(plan: FloorPlan) -> None:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
     palette = draw_palette(plan.rng, PUBLIC)
-    plan.texture_seed = 0
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
     building = BuildingLook(
