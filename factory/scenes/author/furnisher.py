@@ -87,9 +87,20 @@ class Furnisher:
         turn: float = 0.0,
     ) -> None:
         """Places a small object on furniture, `along` and `back` metres from its centre, turned by `turn` radians."""
+        self._lay(self.model(name, variant), below, height, along, back, turn)
+
+    def _lay(
+        self,
+        model: PropModel,
+        below: PropPlacement,
+        height: float,
+        along: float,
+        back: float = 0.0,
+        turn: float = 0.0,
+    ) -> None:
         c, s = math.cos(below.yaw), math.sin(below.yaw)
         x, y = below.x + c * along - s * back, below.y + s * along + c * back
-        self.plan.add(self.model(name, variant), x, y, below.yaw + turn, height)
+        self.plan.add(model, x, y, below.yaw + turn, height)
 
     def dress(
         self, piece: PropPlacement | None, names: Sequence[str], most: int = 2, top_m: float | None = None
@@ -101,10 +112,15 @@ class Furnisher:
         low, high = (float(bound[0]) for bound in (piece.model.low, piece.model.high))
         slots = int((high - low - 0.1) / _THING_M)
         chosen = [names[k] for k in self.rng.permutation(len(names))[: min(most, slots)]]
-        chosen = [name for name in chosen if self.is_wanted()]
+        used: list[tuple[float, float]] = []
         for slot, name in zip(self.rng.permutation(slots), chosen, strict=False):
             along = (low + high) / 2 + (float(slot) - (slots - 1) / 2) * _THING_M
-            self.on_top(name, None, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
+            model = self.model(name)
+            ends = along + float(model.low[0]), along + float(model.high[0])
+            is_free = low < ends[0] and ends[1] < high and all(ends[1] < a or b < ends[0] for a, b in used)
+            if is_free and self.is_wanted():
+                used.append(ends)
+                self._lay(model, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
 
     def carpet(self, centre: tuple[float, float], width: float, depth: float, design: int = 0) -> None:
         """Lays a rug if the room has enough floor; `design` is its number in the palette."""
@@ -130,18 +146,17 @@ class Furnisher:
         piece, turned by `turn` radians."""
         c, s = math.cos(of.yaw), math.sin(of.yaw)
         x, y = of.x + c * along + s * reach, of.y + s * along - c * reach
-        return self.plan.place(self.model(name, variant), x, y, of.yaw + math.pi + turn, self.area, 0.0, True)
+        return self.plan.seat(self.model(name, variant), x, y, of.yaw + math.pi + turn, self.area, of)
 
     def corner(self, name: str, variant: int | None = None, clearance: float = 0.35) -> PropPlacement | None:
         """Places a piece in a free corner."""
-        return self.plan.in_some_corner(self.model(name, variant), self.area, clearance)
+        return self.plan.in_some_corner(self.model(name, variant), self.area, clearance, avoid=True)
 
     def small(self, names: Sequence[str], clearance: float = 0.45) -> None:
         """Places small objects along the walls where they fit."""
         for name in names:
-            if not self.is_wanted():
-                continue
-            self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance)
+            if self.is_wanted():
+                self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance, avoid=True)
 
     def hang(self, name: str, count: int = 1) -> None:
         """Records wall objects for `hang_all`."""

@@ -47,7 +47,7 @@ def workplace(own: Furnisher, desk: PropPlacement | None, chair: int, is_second:
     own.on_top("SM_TypingPad", 0, desk, DESK_TOP_M, aside / 2, -0.2)
     if rng.random() < 0.93:
         name, turn = _WORK_CHAIRS[own.plan.pick(3)], float(rng.uniform(-0.5, 0.5))
-        own.before(name, chair, desk, float(rng.uniform(0.36, 0.62)), aside / 2, turn)
+        own.before(name, chair, desk, float(rng.uniform(0.42, 0.64)), aside / 2, turn)
 
 
 def chairs_around(own: Furnisher, table: PropPlacement, kind: str, look: int, share: float = 0.9) -> None:
@@ -65,7 +65,7 @@ def chairs_around(own: Furnisher, table: PropPlacement, kind: str, look: int, sh
         if own.rng.random() < share:
             x, y = table.x + c * a - s * b, table.y + s * a + c * b
             yaw = table.yaw + turn + float(own.rng.uniform(-0.15, 0.15))
-            own.plan.place(own.model(kind, look), x, y, yaw, own.area, 0.0, True)
+            own.plan.seat(own.model(kind, look), x, y, yaw, own.area, table)
 
 
 def round_table(
@@ -76,11 +76,11 @@ def round_table(
     if table is None:
         return None
     count, first = 2 + own.plan.pick(most - 1), float(own.rng.uniform(0.0, 2 * math.pi))
-    reach = float(table.model.high[0]) + 0.12
+    reach = float(table.model.high[0]) + 0.2
     for number in range(count):
         turn = first + 2 * math.pi * number / count
         x, y = centre[0] + reach * math.cos(turn), centre[1] + reach * math.sin(turn)
-        own.plan.place(own.model(kind, look), x, y, turn - math.pi / 2, own.area, 0.0, True)
+        own.plan.seat(own.model(kind, look), x, y, turn - math.pi / 2, own.area, table)
     return table
 
 

@@ -39,6 +39,8 @@ _ON_BOARDS = (
 _ON_TABLES = ("SM_Crockery", "SM_FruitBowl", "SM_Bouquet", "SM_Candles", "SM_Tray", "SM_Papers")
 _ON_DRESSERS = ("SM_Portrait", "SM_BookPile", "SM_Flasks", "SM_Bouquet", "SM_Candles")
 """Small things on low cabinets, tables and chests of drawers."""
+_LEAST_TOP_M2 = 0.08
+"""Least area of a part of a piece that counts as its top, square metres."""
 _UNITS = ("SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_Oven", "SM_KitchenUnit")
 
 
@@ -205,7 +207,7 @@ def _bedroom(own: Furnisher) -> None:
         for turn in (-1.0, 1.0):
             stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
             if stand is not None and rng.random() < 0.7:
-                own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
+                own.on_top("SM_LampSmall", look, stand, _top_of(stand), -0.08, 0.06)
         size = (2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)
         own.carpet((found.x, found.y), *size, plan.pick(9) + 2)
     if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
@@ -216,6 +218,12 @@ def _bedroom(own: Furnisher) -> None:
     own.small((("SM_Suitcase", "SM_Basket"), ("SM_Backpack", "SM_Basket"), ("SM_Mirror", "SM_Fan"))[plan.pick(3)], 0.3)
     own.hang(("SM_Tapestry", "SM_WallLedge", "SM_PictureFrame")[plan.pick(3)])
     own.hang("SM_PictureFrame", 2)
+
+
+def _top_of(piece: PropPlacement) -> float:
+    """Returns the height of a piece without the small things on it, metres."""
+    boxes = [(part.mesh.points.min(axis=0), part.mesh.points.max(axis=0)) for part in piece.model.pieces]
+    return max(float(high[2]) for low, high in boxes if (high - low)[:2].prod() > _LEAST_TOP_M2)
 
 
 def _bath(own: Furnisher) -> None:

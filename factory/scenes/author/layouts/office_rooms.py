@@ -171,12 +171,11 @@ def _meeting(own: Furnisher) -> None:
         round_table(own, (x, y), kind, look)
     else:
         is_double = max(own.area.width, own.area.depth) > 6.4
-        for shift in (-0.98, 0.98) if is_double else (0.0,):
-            place = (x + shift * math.cos(yaw), y + shift * math.sin(yaw))
-            found = plan.place(table, *place, yaw, own.area, 0.5 if not is_double or shift < 0 else 0.0)
-            if found is not None:
-                chairs_around(own, found, kind, look, 0.85)
-                own.dress(found, _ON_TABLES, 2)
+        places = [(x + s * math.cos(yaw), y + s * math.sin(yaw)) for s in ((-0.98, 0.98) if is_double else (0.0,))]
+        tables = [plan.place(table, *place, yaw, own.area, 0.01 if is_double else 0.5) for place in places]
+        for found in filter(None, tables):
+            chairs_around(own, found, kind, look, 0.85)
+            own.dress(found, _ON_TABLES, 2)
     own.hang("SM_Television")
     own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.35), _ON_BOARDS, 2)
     own.corner("SM_Plant_A")
