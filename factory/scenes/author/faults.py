@@ -8,10 +8,12 @@ import numpy as np
 from factory.scenes.author.placement import FloorPlan, Rectangle
 from factory.scenes.rules import builtin_rules
 from schemas.terms import BUILTIN_CATEGORIES
-from workers.geometry.grid import Grid
+from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
 
 _CELL_M = 0.05
 _BORDER_M = 0.5
+_LEAST_SHARE = 0.5
+"""Share of the free floor of a room that the robot must reach."""
 
 
 def find_fault(plan: FloorPlan, name: str) -> str | None:
@@ -26,8 +28,10 @@ def find_fault(plan: FloorPlan, name: str) -> str | None:
 
 
 def cut_off_rooms(plan: FloorPlan) -> list[str]:
-    """Returns the kinds of the rooms without a place in the largest connected floor, with the clearance that a scene
-    package requires. Door zones count as floor, footprints of standing props as obstacles."""
+    """Returns the kinds of the rooms of whose floor less than half is in the largest connected floor.
+
+    The clearance is that of scene packages. Door zones count as floor, footprints of standing props as obstacles.
+    """
     areas = [room.area for room in plan.rooms]
     if not areas:
         return []
@@ -46,5 +50,8 @@ def cut_off_rooms(plan: FloorPlan) -> list[str]:
         occupied[cells(area)] = 0
     for area in plan.taken:
         occupied[cells(area)] = 1
-    floor = Grid(occupied, (x0, y0), _CELL_M).connected_floor()
-    return [room.kind for room in plan.rooms if not floor[cells(room.area)].any()]
+    grid = Grid(occupied, (x0, y0), _CELL_M)
+    floor, wide = grid.connected_floor(), grid.clearance >= CONNECT_CLEARANCE_M
+    return [
+        room.kind for room in plan.rooms if floor[cells(room.area)].sum() <= _LEAST_SHARE * wide[cells(room.area)].sum()
+    ]

@@ -19,7 +19,13 @@ from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
 from factory.scenes.author.room import marking
 from factory.scenes.author.style import Palette
 
-_EVERYWHERE = {"SM_BarelPlastic_A": 5, "SM_CratePlastic_A": 4, "SM_CrateWood_B": 3, "SM_ShelfSteel_A": 4}
+_EVERYWHERE = {
+    "SM_RackPile_04": 4,
+    "SM_BarelPlastic_A": 5,
+    "SM_CratePlastic_A": 4,
+    "SM_CrateWood_B": 3,
+    "SM_ShelfSteel_A": 4,
+}
 """Pieces that every warehouse has, with their least numbers."""
 _GOODS = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
 _STAGED = (

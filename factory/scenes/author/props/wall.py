@@ -184,7 +184,7 @@ def entry_door(variant: int, _rng: Generator) -> list[PropPiece]:
     middle = block((-0.05, -0.06, 0.0), (0.05, 0.0, top))
     foot = block((-half, -0.055, 0.0), (half, 0.0, 0.25))
     grips = [block((x - 0.015, -0.11, 0.85), (x + 0.015, -0.085, 1.35)) for x in (-0.12, 0.12)]
-    plate = block((-half, -0.04, 0.25), (half, 0.0, top))
+    plate = block((-half, -0.04, 0.25), (half, 0.0, top - 0.01))
     pane = (
         PropPiece(painted("LightGrey", 0.5), plate) if is_steel else _outlook(variant // 3, (-half, 0.25), (half, top))
     )
