@@ -43,6 +43,16 @@ _WALL_TILE_M = {"Bricks": 1.2, "BlockWork": 1.6, "Panelling": 1.0, "Sheeting": 2
 """Length of one repeat of a texture of walls, metres; 0.8 m for the others."""
 
 
+_SURROUNDINGS = (
+    ("ViewStreet", "WindowView", "ViewTowers", "ViewPark"),
+    ("ViewSuburb", "ViewGarden", "ViewVillage", "ViewHills", "ViewWoods"),
+    ("ViewSea", "ViewHarbour"),
+    ("ViewSnow",),
+    ("ViewDesert",),
+)
+"""Views that a building can have to different sides; each view occurs once."""
+
+
 class Finishes(NamedTuple):
     """Textures between which the palette of a kind of building chooses."""
 
@@ -118,13 +128,21 @@ def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:
         trim=_trim(rng),
         leaf=_one(rng, (painted("White", 0.45), wood("Oak"), wood("Walnut"), painted("LightGrey", 0.5))),
         ceiling=_one(rng, CEILINGS),
-        views=(frame + int(rng.integers(len(OUTLOOKS))), frame + int(rng.integers(len(OUTLOOKS)))),
+        views=_views(rng, frame),
         curtain=int(rng.integers(6)),
         wood=int(rng.integers(12)),
         cover=int(rng.integers(12)),
         rugs=tuple(list(RUGS)[k] for k in rng.permutation(len(RUGS))[:3]),
         art=int(rng.integers(84)),
     )
+
+
+def _views(rng: Generator, frame: int) -> tuple[int, int]:
+    """Draws the views to two directions, which suit each other, and returns the variants of the windows."""
+    outlook, turn = int(rng.integers(len(OUTLOOKS))), int(rng.integers(len(OUTLOOKS)))
+    near = next(group for group in _SURROUNDINGS if OUTLOOKS[outlook] in group)
+    other = near[(near.index(OUTLOOKS[outlook]) + turn) % len(near)]
+    return frame + outlook, frame + OUTLOOKS.index(other)
 
 
 def _one(rng: Generator, choices: Sequence[Choice]) -> Choice:

@@ -142,12 +142,13 @@ def _waiting(own: Furnisher) -> None:
     """Seats in rows, along the walls or in groups; a television, plants, machines and things for children."""
     plan = own.plan
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
-    (_seats_in_rows, _seats_at_walls, _seats_in_rows)[plan.pick(3)](own, kind, look)
+    has_rows = own.rng.random() < 0.65
+    (_seats_in_rows if has_rows else _seats_at_walls)(own, kind, look)
     if own.rng.random() < 0.5:
         seat_group(own, rug=plan.pick(3))
     if own.rng.random() < 0.5:
         own.wall_piece("SM_VendingMachine", clearance=0.3)
-    for share in (0.3, 0.7) if own.rng.random() < 0.6 else ():
+    for share in () if has_rows else (0.3, 0.7):
         x, y = own.area.x0 + share * own.area.width, own.area.y0 + share * own.area.depth
         round_table(own, (x, y), kind, look)
     own.wall_piece("SM_Whiteboard_A", clearance=0.3)

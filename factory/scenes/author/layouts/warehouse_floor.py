@@ -18,6 +18,7 @@ from factory.scenes.author.materials import painted
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
 from factory.scenes.author.room import marking
 from factory.scenes.author.style import Palette
+from schemas.errors import WorldError
 
 _EVERYWHERE = {
     "SM_RackPile_04": 4,
@@ -56,7 +57,11 @@ class HallKind(NamedTuple):
 
 
 def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette, kind: HallKind) -> None:
-    """Furnishes the parts of the hall and the side rooms."""
+    """Furnishes the parts of the hall and the side rooms.
+
+    Raises:
+        WorldError: the hall has no place for a few racks.
+    """
     own = [Furnisher(plan, room, palette) for room in rooms]
     parts = sorted((each for each in own if each.room.kind == HALL), key=lambda each: -_floor_of(each.area))
     gates = _gates(parts[0])
@@ -70,6 +75,9 @@ def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Pale
         if each.room.kind in side_rooms:
             side_rooms[each.room.kind](each)
     complete(plan, parts, _EVERYWHERE)
+    racks = sum(placement.model.name.startswith("SM_RackPile_04") for placement in plan.placements)
+    if racks < _EVERYWHERE["SM_RackPile_04"]:
+        raise WorldError(f"place for {racks} racks only")
     for each in own:
         each.hang_all()
 
