@@ -12,7 +12,8 @@ from factory.scenes.author.furnisher import Furnisher
 from factory.scenes.author.placement import FACING, PropPlacement, Rectangle
 
 DESK_TOP_M = 0.745
-_ON_DESKS = ("SM_Papers", "SM_BookPile", "SM_LampSmall", "SM_Portrait", "SM_Papers", "SM_Laptop")
+_ON_DESKS = ("SM_BookPile", "SM_Bouquet", "SM_LampSmall", "SM_Portrait", "SM_BookPile", "SM_Laptop")
+"""Things on the right of a desk, whose left has a mug and papers."""
 _ON_WORKTOPS = ("SM_Kettle", "SM_Crockery", "SM_Tray", "SM_FruitBowl")
 _WORK_CHAIRS = ("SM_ChairOffice_A", "SM_ChairOffice_A", "SM_ChairExecutive_B")
 _SEAT_M = 0.62
@@ -34,7 +35,7 @@ def workplace(own: Furnisher, desk: PropPlacement | None, chair: int, is_second:
     """
     if desk is None:
         return
-    rng, aside = own.rng, float(own.rng.uniform(-0.16, 0.16))
+    rng, aside = own.rng, float(own.rng.uniform(-0.16, 0.06))
     screen = own.plan.pick(3)
     if is_second and rng.random() < 0.3:
         for shift in (-0.3, 0.3):
@@ -43,7 +44,7 @@ def workplace(own: Furnisher, desk: PropPlacement | None, chair: int, is_second:
         own.on_top("SM_Monitor_A", screen, desk, DESK_TOP_M, aside, 0.08, float(rng.uniform(-0.2, 0.2)))
         if own.is_wanted() and rng.random() < 0.6:
             thing = _ON_DESKS[own.plan.pick(len(_ON_DESKS))]
-            own.on_top(thing, None, desk, DESK_TOP_M, 0.5 if aside < 0 else -0.5, 0.02, float(rng.uniform(-0.3, 0.3)))
+            own.on_top(thing, None, desk, DESK_TOP_M, 0.48, 0.02, float(rng.uniform(-0.3, 0.3)))
     own.on_top("SM_TypingPad", 0, desk, DESK_TOP_M, aside / 2, -0.2)
     if rng.random() < 0.93:
         name, turn = _WORK_CHAIRS[own.plan.pick(3)], float(rng.uniform(-0.5, 0.5))

@@ -18,7 +18,7 @@ from factory.scenes.author.groups import (
     seat_group,
     workplace,
 )
-from factory.scenes.author.placement import FACING, FloorPlan
+from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement
 from factory.scenes.author.style import Palette
 
 _EVERYWHERE = {"SM_Plant_A": 4, "SM_TrashCan_A": 5, "SM_FireExtinguisher_02": 4, "SM_Whiteboard_A": 4}
@@ -28,8 +28,8 @@ _AT_WORK = {"SM_TableDesk_A": 4}
 _ON_BOARDS = ("SM_BookRow", "SM_BookPile", "SM_Papers", "SM_Globe", "SM_Bouquet", "SM_Portrait")
 _ON_TABLES = ("SM_Papers", "SM_Laptop", "SM_Bouquet", "SM_Tray")
 _ON_BISTRO = ("SM_Crockery", "SM_FruitBowl", "SM_Bouquet")
-_BISTRO_M = 0.74
-"""Height of a round table, metres."""
+_BISTRO_M, _MEETING_M = 0.74, 0.75
+"""Heights of a round table and of a meeting table, metres."""
 _UNITS = ("SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_KitchenUnit")
 _OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
 _WALLS = ("SM_PictureFrame", "SM_PictureFrame", "SM_PinBoard", "SM_ClockWall", "SM_WallMap")
@@ -128,10 +128,17 @@ def _wall_desks(own: Furnisher, chair: int) -> None:
         table = own.plan.place(own.model("SM_TableMeeting_B"), *own.area.centre, 0.0, own.area, 1.0)
         if table is not None:
             chairs_around(own, table, "SM_ChairVisitor_C", chair, 0.7)
-            own.dress(table, _ON_TABLES, 2)
+            _on_table(own, table)
     else:
         x, y = own.area.centre
         workplace(own, own.plan.place(desk, x, y, FACING[own.sides()[0]], own.area, 0.9), chair)
+
+
+def _on_table(own: Furnisher, table: PropPlacement) -> None:
+    """Adds things to both halves of a meeting table, beside the sockets in its middle."""
+    for along in (-0.5, 0.45):
+        if own.is_wanted() and own.rng.random() < 0.7:
+            own.on_top(_ON_TABLES[own.plan.pick(len(_ON_TABLES))], None, table, _MEETING_M, along)
 
 
 def _private(own: Furnisher) -> None:
@@ -175,7 +182,7 @@ def _meeting(own: Furnisher) -> None:
         tables = [plan.place(table, *place, yaw, own.area, 0.01 if is_double else 0.5) for place in places]
         for found in filter(None, tables):
             chairs_around(own, found, kind, look, 0.85)
-            own.dress(found, _ON_TABLES, 2)
+            _on_table(own, found)
     own.hang("SM_Television")
     own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.35), _ON_BOARDS, 2)
     own.corner("SM_Plant_A")
