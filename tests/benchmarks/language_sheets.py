@@ -1,9 +1,11 @@
 """Draws sheets of random instructions, routes and questions to inspect by eye: the image of the start beside a map.
 
-python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [PACKAGE ...]
+python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [DATASET|PACKAGE ...]
 
-The scenes are those of DATASET and the packages. The target is red, objects of the named kind are blue, landmarks are
-green; the magenta line is the heading. Each sheet has eight tiles; texts.tsv lists them.
+The scenes are those of the datasets and the packages. The target is red, objects of the named kind are blue, landmarks
+are green; the magenta line is the heading, the orange lines are the edges of the image. Each sheet has eight tiles;
+SCENE.tsv lists those of a scene, with the features of the expressions. The texts of a scene depend on its name and the
+seed, and not on other scenes.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ SIDE, HEAD, COLUMNS, ROWS = 380, 56, 2, 4
 CAMERA = CameraConfig()
 SPEC = LanguageSpec(languages={"en": 3.0, "de": 1.0, "es": 1.0, "zh": 1.0}, features={"colour": 0.5}, redundant=0.15)
 GREY, RED, BLUE, GREEN, MAGENTA = (170, 170, 170), (255, 0, 0), (0, 0, 255), (0, 140, 0), (255, 0, 255)
-FONTS = [path for path in sorted(Path("/usr/share/fonts").rglob("*CJK*")) if path.suffix in (".ttc", ".otf", ".ttf")]
+SHEET = (COLUMNS * (2 * SIDE + 10), ROWS * (SIDE + HEAD))
+"""Width and height of a sheet, pixels."""
 
 
 class Shown(NamedTuple):
@@ -56,15 +59,17 @@ class Shown(NamedTuple):
     """Ends of the steps of a route."""
 
 
-def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.truetype(str(FONTS[0]), size) if FONTS else ImageFont.load_default(size)
-
-
 class SceneSheets:
-    """Tiles of one scene."""
+    """Tiles of one scene.
 
-    def __init__(self, name: str, scene: CompiledScene, rng: np.random.Generator) -> None:
-        self.name, self.scene, self.rng = name, scene, rng
+    Args:
+        scene: compiled scene.
+        rng: draws targets, starts and sentences.
+        font_file: font of the texts; that of Pillow, which has no Chinese characters, when `None`.
+    """
+
+    def __init__(self, scene: CompiledScene, rng: np.random.Generator, font_file: Path | None) -> None:
+        self.name, self.scene, self.rng, self.font_file = scene.info.name, scene, rng, font_file
         self.language = SceneLanguage(build_graph(scene))
         self.place, self.composer = SceneRoutes(self.language, CAMERA), Composer(SPEC)
 
@@ -96,8 +101,8 @@ class SceneSheets:
                 meaning = (Expression.model_validate_json(one.expression),)
                 yield Shown(str(one.kind), one.text, pose, None if is_false else number, meaning)
 
-    def of_episode(self, poses: np.ndarray, target_id: str) -> Iterator[Shown]:
-        """Yields the route and two questions of a recorded episode."""
+    def of_episode(self, poses: np.ndarray, target_id: str, questions: int) -> Iterator[Shown]:
+        """Yields the route and a number of questions of a recorded episode."""
         number, path = self.graph.number_of[target_id], DrivenPath(poses)
         track = tuple((float(x), float(y)) for x, y in path.xy[::5])
         for route in RouteComposer(SPEC).write(self.place, poses, number, False, self.rng):
@@ -108,11 +113,14 @@ class SceneSheets:
             self.composer.write(self.language, look(self.graph, path.pose(0), CAMERA), number, False, self.rng)
         )
         asked = QuestionComposer(self.composer).write(self.place, AskedEpisode(poses, number, goals), False, self.rng)
-        for place in self.rng.permutation(len(asked))[:2].tolist():
+        for place in self.rng.permutation(len(asked))[:questions].tolist():
             one = asked[place]
             text = f"{one.question} | {one.answer} | {one.reason or ''} [{one.start}:{one.end}]"
             named = () if one.meaning.named is None else (one.meaning.named,)
             yield Shown(f"question {one.meaning.kind}", text, path.pose(one.start), number, named, track)
+
+    def font(self, size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+        return ImageFont.truetype(str(self.font_file), size) if self.font_file else ImageFont.load_default(size)
 
     def middle(self, number: int) -> tuple[float, float]:
         each = self.graph.objects[number]
@@ -143,10 +151,10 @@ class SceneSheets:
             draw.polygon([at(point) for point in each.outline_m], outline=colour)
             if colour != GREY or half < 6:
                 said = f"{each.kind[:9]} {each.colour[:4] if each.colour != 'unknown' else ''}"
-                draw.text(at(self.middle(number)), said, fill=colour, font=font(9), anchor="mm")
+                draw.text(at(self.middle(number)), said, fill=colour, font=self.font(9), anchor="mm")
         draw.line([at(point) for point in shown.path], fill=(255, 140, 0), width=2)
         for number, point in enumerate(shown.marks, 1):
-            draw.text(at(point), str(number), fill=(0, 0, 0), font=font(12), anchor="mm")
+            draw.text(at(point), str(number), fill=(0, 0, 0), font=self.font(12), anchor="mm")
         px, py, yaw = shown.pose
         for angle, length, colour in (
             (0.0, 0.8, MAGENTA),
@@ -170,58 +178,80 @@ class SceneSheets:
         tile.paste(self.map_of(shown), (SIDE + 8, HEAD))
         lines = textwrap.wrap(f"{number} {self.name} {shown.kind}: {shown.text}", 112)
         for place, line in enumerate(lines[:3]):
-            ImageDraw.Draw(tile).text((2, 1 + place * 18), line, fill="black", font=font(13))
+            ImageDraw.Draw(tile).text((2, 1 + place * 18), line, fill="black", font=self.font(13))
         return tile
-
-
-def write_sheets(tiles: Sequence[Image.Image], out: Path, first: int) -> None:
-    per = COLUMNS * ROWS
-    for begin in range(0, len(tiles), per):
-        sheet = Image.new("RGB", (COLUMNS * (2 * SIDE + 10), ROWS * (SIDE + HEAD)), "white")
-        for place, tile in enumerate(tiles[begin : begin + per]):
-            sheet.paste(tile, (place % COLUMNS * (2 * SIDE + 10), place // COLUMNS * (SIDE + HEAD)))
-        sheet.save(out / f"sheet_{(first + begin) // per:03d}.jpg", quality=80)
 
 
 def main() -> None:
     """Draws the sheets of all scenes."""
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("packages", type=Path, nargs="*")
-    for name, default in (("--seed", 0), ("--goals", 40), ("--episodes", 12)):
-        parser.add_argument(name, type=int, default=default)
+    parser.add_argument("sources", type=Path, nargs="+", help="Dataset or package of a scene.")
+    for name, default, text in (
+        ("seed", 0, "Random seed."),
+        ("goals", 40, "Goals and false premises of each scene."),
+        ("episodes", 12, "Largest number of episodes of each scene whose routes are drawn."),
+        ("questions", 2, "Questions of each episode."),
+        ("width", SHEET[0], "Width of a sheet, pixels."),
+        ("quality", 80, "Quality of the JPEG files."),
+    ):
+        parser.add_argument(f"--{name}", type=int, default=default, help=text)
+    parser.add_argument("--font", type=Path, help="TrueType font with Chinese characters.")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    dataset, total = Dataset(given.dataset), 0
-    files = [*sorted((given.dataset / "scenes").glob("*.scene.zip")), *given.packages]
-    with (given.out / "texts.tsv").open("w", encoding="utf-8") as texts:
-        for place, file in enumerate(files):
-            scene = decode_scene(file.open("rb"))
-            name, rng = scene.info.name, np.random.default_rng((given.seed, place))
-            sheets = SceneSheets(name, scene, rng)
-            shown = list(sheets.goals(given.goals)) + list(_episodes(sheets, dataset, name, given.episodes))
-            tiles = _drawn(sheets, shown, total)
-            texts.writelines(f"{total + n}\t{name}\t{each.kind}\t{each.text}\n" for n, each in enumerate(shown, 1))
-            texts.flush()
-            write_sheets(tiles, given.out, total)
-            total += -(-len(shown) // (COLUMNS * ROWS)) * COLUMNS * ROWS
+    for file, dataset in _scenes(given.sources):
+        with file.open("rb") as package:
+            scene = decode_scene(package)
+        rng = np.random.default_rng((given.seed, *scene.info.name.encode()))
+        sheets = SceneSheets(scene, rng, given.font)
+        shown = list(sheets.goals(given.goals))
+        if dataset is not None:
+            shown += _episodes(sheets, dataset, given.episodes, given.questions)
+        write_texts(shown, given.out / f"{sheets.name}.tsv")
+        write_sheets(sheets, shown, given)
 
 
-def _episodes(sheets: SceneSheets, dataset: Dataset, scene: str, count: int) -> Iterator[Shown]:
-    if scene not in dataset.column("scene").to_pylist():
+def write_texts(shown: Collection[Shown], file: Path) -> None:
+    with file.open("w", encoding="utf-8") as texts:
+        for number, each in enumerate(shown, 1):
+            parts = " ".join(sorted({family for one in each.named for family in one.families}))
+            texts.write(f"{number}\t{each.kind}\t{parts}\t{each.text}\n")
+
+
+def write_sheets(sheets: SceneSheets, shown: Collection[Shown], given: argparse.Namespace) -> None:
+    tiles, per, size = _drawn(sheets, shown), COLUMNS * ROWS, (given.width, given.width * SHEET[1] // SHEET[0])
+    for begin in range(0, len(tiles), per):
+        sheet = Image.new("RGB", SHEET, "white")
+        for place, tile in enumerate(tiles[begin : begin + per]):
+            sheet.paste(tile, (place % COLUMNS * SHEET[0] // COLUMNS, place // COLUMNS * (SIDE + HEAD)))
+        file = given.out / f"{sheets.name}_{begin // per + 1}.jpg"
+        sheet.resize(size, Image.Resampling.LANCZOS).save(file, quality=given.quality)
+
+
+def _scenes(sources: Sequence[Path]) -> Iterator[tuple[Path, Dataset | None]]:
+    """Yields the packages of the datasets and the other packages."""
+    for source in sources:
+        if source.is_file():
+            yield source, None
+        else:
+            for file in sorted((source / "scenes").glob("*.scene.zip")):
+                yield file, Dataset(source)
+
+
+def _episodes(sheets: SceneSheets, dataset: Dataset, count: int, questions: int) -> Iterator[Shown]:
+    if sheets.name not in dataset.column("scene").to_pylist():
         return
-    chosen = dataset.filter(scene=scene)
+    chosen = dataset.filter(scene=sheets.name)
     for place in sheets.rng.permutation(len(chosen))[:count].tolist():
         with chosen[place] as episode:
-            yield from sheets.of_episode(episode.poses, episode.summary.target_id)
+            yield from sheets.of_episode(episode.poses, episode.summary.target_id, questions)
 
 
-def _drawn(sheets: SceneSheets, shown: Collection[Shown], first: int) -> list[Image.Image]:
+def _drawn(sheets: SceneSheets, shown: Collection[Shown]) -> list[Image.Image]:
     found = []
     with contextlib.closing(open_renderer()) as renderer:
         renderer.load(sheets.scene, CAMERA)
-        for number, each in enumerate(shown, first + 1):
+        for number, each in enumerate(shown, 1):
             x, y, yaw = each.pose
             frame = renderer.render(Pose.planar(x, y, yaw, z=sheets.scene.info.floor_height_m))
             found.append(sheets.tile(each, np.array(frame.rgb), frame.ids, number))
