@@ -1,9 +1,10 @@
-"""Draws sheets of random instructions, routes and questions to inspect by eye: the image of the start beside a map.
+"""Draws sheets of random instructions, routes and questions to inspect by eye: the image of the start and two maps.
 
 python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [DATASET|PACKAGE ...]
 
-The scenes are those of the datasets and the packages. The target is red, objects of the named kind are blue, landmarks
-are green; the magenta line is the heading, the orange lines are the edges of the image. Each sheet has eight tiles;
+The scenes are those of the datasets and the packages. One map shows the surroundings, the other one the whole scene.
+The target is red, objects of the named kind are blue, landmarks are green; the magenta line is the heading, the orange
+lines are the edges of the image. Each sheet has eight tiles;
 SCENE.tsv lists those of a scene, with the features of the expressions. The texts of a scene depend on its name and the
 seed, and not on other scenes.
 """
@@ -41,7 +42,9 @@ SIDE, HEAD, COLUMNS, ROWS = 380, 56, 2, 4
 CAMERA = CameraConfig()
 SPEC = LanguageSpec(languages={"en": 3.0, "de": 1.0, "es": 1.0, "zh": 1.0}, features={"colour": 0.5}, redundant=0.15)
 GREY, RED, BLUE, GREEN, MAGENTA = (170, 170, 170), (255, 0, 0), (0, 0, 255), (0, 140, 0), (255, 0, 255)
-SHEET = (COLUMNS * (2 * SIDE + 10), ROWS * (SIDE + HEAD))
+WIDE = 3 * SIDE + 26
+"""Width of a tile, pixels."""
+SHEET = (COLUMNS * WIDE, ROWS * (SIDE + HEAD))
 """Width and height of a sheet, pixels."""
 
 
@@ -78,14 +81,18 @@ class SceneSheets:
         return self.language.graph
 
     def goals(self, count: int) -> Iterator[Shown]:
-        """Yields instructions for random targets from random starts; every eighth has a false premise."""
-        numbers = sorted(self.graph.number_of.values())
-        found = 0
+        """Yields instructions for random targets from random starts; every eighth has a false premise.
+
+        Three of four starts see the target, as near and mid starts of episodes do.
+        """
+        targets, found = self.scene.info.targets, 0
         while found < count:
-            number = int(self.rng.choice(numbers))
+            place = int(self.rng.integers(len(targets)))
+            number = self.graph.number_of[targets[place].target_id]
             x, y = self.middle(number)
             distance = np.hypot(*(self.scene.spawns - (x, y)).T)
-            near = self.scene.spawns[(distance > 1.5) & (distance < 7)]
+            is_seen = (self.scene.spawn_sees[:, place] > 0) | (found % 4 == 3)
+            near = self.scene.spawns[(distance > 1.5) & (distance < 7) & is_seen]
             if not len(near):
                 continue
             start = near[self.rng.integers(len(near))].tolist()
@@ -126,12 +133,21 @@ class SceneSheets:
         each = self.graph.objects[number]
         return (each.low_m[0] + each.high_m[0]) / 2, (each.low_m[1] + each.high_m[1]) / 2
 
-    def map_of(self, shown: Shown) -> Image.Image:
-        """Draws walls, objects, start and path."""
+    def surroundings(self, shown: Shown) -> tuple[np.ndarray, float]:
+        """Returns the middle of start, target and path, and half of the side of a map around them, metres."""
         points = np.array(
             [shown.pose[:2], *([self.middle(shown.number)] if shown.number is not None else []), *shown.path]
         )
-        middle, half = (points.min(0) + points.max(0)) / 2, max(4.5, float(np.ptp(points, axis=0).max()) / 2 + 2)
+        return (points.min(0) + points.max(0)) / 2, max(4.5, float(np.ptp(points, axis=0).max()) / 2 + 2)
+
+    def whole(self) -> tuple[np.ndarray, float]:
+        """Returns the middle of all objects, and half of the side of a map around them, metres."""
+        corners = np.array([(each.low_m[:2], each.high_m[:2]) for each in self.graph.objects])
+        low, high = corners[:, 0].min(0), corners[:, 1].max(0)
+        return (low + high) / 2, float((high - low).max()) / 2 + 0.5
+
+    def map_of(self, shown: Shown, middle: np.ndarray, half: float) -> Image.Image:
+        """Draws walls, objects, start and path."""
         axis = (np.arange(SIDE) + 0.5) / SIDE * 2 * half - half
         x, y = np.meshgrid(middle[0] + axis, middle[1] - axis)
         cells = self.graph.sight_grid.at(np.stack((x, y), -1)).astype(int)
@@ -167,16 +183,17 @@ class SceneSheets:
         return image
 
     def tile(self, shown: Shown, rgb: np.ndarray, ids: np.ndarray, number: int) -> Image.Image:
-        """Returns text, image with the outline of the target, and map."""
+        """Returns text, image with the outline of the target, and maps."""
         image = rgb.copy()
         if shown.number is not None and shown.kind != "question visible":
             mask = np.isin(ids, self.graph.objects[shown.number].ids)
             inner = np.logical_and.reduce([np.roll(mask, step, axis) for step in (3, -3) for axis in (0, 1)])
             image[mask & ~inner] = RED
-        tile = Image.new("RGB", (2 * SIDE + 8, SIDE + HEAD), "white")
+        tile = Image.new("RGB", (WIDE, SIDE + HEAD), "white")
         tile.paste(Image.fromarray(image).resize((SIDE, SIDE)), (0, HEAD))
-        tile.paste(self.map_of(shown), (SIDE + 8, HEAD))
-        lines = textwrap.wrap(f"{number} {self.name} {shown.kind}: {shown.text}", 112)
+        tile.paste(self.map_of(shown, *self.surroundings(shown)), (SIDE + 8, HEAD))
+        tile.paste(self.map_of(shown, *self.whole()), (2 * SIDE + 16, HEAD))
+        lines = textwrap.wrap(f"{number} {self.name} {shown.kind}: {shown.text}", 160)
         for place, line in enumerate(lines[:3]):
             ImageDraw.Draw(tile).text((2, 1 + place * 18), line, fill="black", font=self.font(13))
         return tile
@@ -223,7 +240,7 @@ def write_sheets(sheets: SceneSheets, shown: Collection[Shown], given: argparse.
     for begin in range(0, len(tiles), per):
         sheet = Image.new("RGB", SHEET, "white")
         for place, tile in enumerate(tiles[begin : begin + per]):
-            sheet.paste(tile, (place % COLUMNS * SHEET[0] // COLUMNS, place // COLUMNS * (SIDE + HEAD)))
+            sheet.paste(tile, (place % COLUMNS * WIDE, place // COLUMNS * (SIDE + HEAD)))
         file = given.out / f"{sheets.name}_{begin // per + 1}.jpg"
         sheet.resize(size, Image.Resampling.LANCZOS).save(file, quality=given.quality)
 
