@@ -1,6 +1,8 @@
 """Measures language in built-in scenes: instructions per second of CPU time, and rejected changed words.
 
-python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves home:1 home:2
+python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves home_00001
+
+Packages are kept in MINIVLA_CACHE if it is set.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from schemas.language.reading import reader
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.scene import CompiledScene, decode_scene
+from schemas.terms import family_of, layout_number
 from tests.builders.language import CAMERA, changed, is_false_or_ambiguous, search_of
 
 _STARTS, _CHANGED = 200, 500
@@ -90,8 +93,8 @@ def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tu
 
 def measure(name: str, folder: Path) -> tuple[int, int]:
     """Prints the rows of one scene."""
-    scene_name, _, seed = name.partition(":")
-    with build_scene(scene_name, int(seed or 0), folder).open("rb") as file:
+    called = None if layout_number(name) is None else name
+    with build_scene(family_of(name), layout_number(name) or 0, folder, called=called).open("rb") as file:
         scene = decode_scene(io.BytesIO(file.read()))
     begin = time.process_time()
     language = SceneLanguage(build_graph(scene))
