@@ -192,7 +192,7 @@ class Grammar(Model):
             "material": ""
             if expression.material is None
             else _nth(self.materials[expression.material], choice.get("material", 0)),
-            "state": " ".join(self._adjective(clause, choice) for clause in expression.clauses),
+            "state": " ".join(filter(None, (self._adjective(clause, choice) for clause in expression.clauses))),
         }
         ending = self._ending(named, gender, "nom" if case == "bare" else case)
         words = {name: self._agreeing(text, gender).replace("~", ending) for name, text in parts.items()}

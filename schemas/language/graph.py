@@ -151,7 +151,8 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     table, info = kinds(), scene.info
     raw = find_objects(scene, table)
     occupancy = CellGrid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
-    boxes = np.array([_covered(each, info) for each in raw if each.kind not in (*_BETWEEN_ROOMS, UNNAMED)])
+    placed = [each for each in raw if each.kind not in (*_BETWEEN_ROOMS, UNNAMED)]
+    boxes = np.array([_covered(each, info) for each in placed if not _is_flat(each, info)])
     walls = find_walls(occupancy, boxes.reshape(-1, 2, 2))
     inside = _building(scene)
     room_grid, rooms = divide_rooms(walls, inside)
@@ -202,13 +203,24 @@ def _room_of_leaf(each: RawObject, walls: CellGrid, room_grid: CellGrid) -> int:
     return int(room_grid.at(middle + free[0] * offsets[-1])) if len(free) == 1 else 0
 
 
+def _is_tall(each: RawObject, info: SceneInfo) -> bool:
+    """Returns whether an object on the floor blocks the view."""
+    return bool(each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M)
+
+
+def _is_flat(each: RawObject, info: SceneInfo) -> bool:
+    """Returns whether an object is low or hangs, and is thinner than two cells, such as a picture: its cells are those
+    of the wall behind it."""
+    thin = float((each.high[:2] - each.low[:2]).min()) < 2 * info.grid_resolution_m
+    return thin and not _is_tall(each, info)
+
+
 def _covered(each: RawObject, info: SceneInfo) -> Floats:
     """Returns the lower and upper corner of the rectangle in which occupied cells belong to an object, not to a wall.
 
     For a tall object on the floor, it includes the cells at the edges; for a low or hanging one, it excludes them.
     """
-    is_tall = each.low[2] - info.floor_height_m < _LOW_M and each.high[2] - info.floor_height_m > _TALL_M
-    margin = info.grid_resolution_m / 2 * (1 if is_tall else -1)
+    margin = info.grid_resolution_m / 2 * (1 if _is_tall(each, info) else -1)
     return np.stack((each.low[:2] - margin, each.high[:2] + margin))
 
 

@@ -31,6 +31,8 @@ _SMALLEST_WALL_M = 1.0
 _SHORTEST_RUN_M = 0.4
 _FAR_M = 4.0
 _DIRECTIONS = 12
+_CAVITY_CELLS = 3
+_FLAT_M, _AT_WALL_M, _FRONT_M = 0.1, 0.15, 0.1
 _HIDING = 2
 
 
@@ -105,7 +107,19 @@ def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
     for number, part in enumerate(scipy.ndimage.find_objects(labels), 1):
         if max(side.stop - side.start for side in part) < least:
             walls[part][labels[part] == number] = False
-    return occupancy._replace(values=walls)
+    return occupancy._replace(values=_without_cavities(walls))
+
+
+def _without_cavities(walls: Bools) -> Bools:
+    """Returns the walls with the space between their two surfaces filled, up to `_CAVITY_CELLS` along the axes."""
+    filled = walls.copy()
+    for axis in (0, 1):
+        for width in range(1, _CAVITY_CELLS + 1):
+            before, after = (np.roll(walls, step, axis) for step in (width, -1))
+            ends = before & after
+            for step in range(width):
+                filled |= np.roll(ends, -step, axis)
+    return filled
 
 
 def divide_rooms(
@@ -165,7 +179,8 @@ def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints
 def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
     """Returns (N,) gaps of objects to their nearest wall, and to a wall perpendicular to it, metres; at most 4.
 
-    Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees.
+    Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees. The
+    perpendicular wall of a flat object at a wall is looked for in front of it, where its own wall is not in the way.
 
     Args:
         walls: grid of walls.
@@ -176,15 +191,39 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
     ways = np.column_stack((np.cos(angle), np.sin(angle)))
     reach = np.array(
         [((outline - centre) @ ways.T).max(axis=0) for centre, outline in zip(centres, outlines, strict=True)]
-    )
-    steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
-    gaps = np.full((len(centres), _DIRECTIONS), _FAR_M)
-    for direction, way in enumerate(ways):
-        along = reach.reshape(-1, _DIRECTIONS)[:, direction, None] + steps
-        hit = walls.at(centres[:, None, :] + along[..., None] * way).astype(bool)
-        gaps[:, direction] = np.where(hit.any(axis=1), steps[hit.argmax(axis=1)], _FAR_M)
+    ).reshape(-1, _DIRECTIONS)
+    own = _gaps(walls, centres, ways, reach)
+    ahead = _gaps(walls, _in_front(walls, centres, ways, reach, own), ways, reach)
     # the distance of the centre is smallest along the normal of the wall; the gap of a corner of the outline may not be
-    rows, normal, quarter = np.arange(len(gaps)), (gaps + reach.reshape(gaps.shape)).argmin(axis=1), _DIRECTIONS // 4
-    own = gaps[rows, normal]
-    sides = np.minimum(gaps[rows, (normal + quarter) % _DIRECTIONS], gaps[rows, normal - quarter])
-    return np.asarray(own), np.asarray(np.maximum(sides, own))
+    rows, normal, quarter = np.arange(len(own)), (ahead + reach).argmin(axis=1), _DIRECTIONS // 4
+    gap = own[rows, (own + reach).argmin(axis=1)]
+    sides = np.minimum(ahead[rows, (normal + quarter) % _DIRECTIONS], ahead[rows, normal - quarter])
+    return np.asarray(gap), np.asarray(np.maximum(sides, gap))
+
+
+def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Floats:
+    """Returns (N, D) distances from points to the first wall in each direction, beyond the reach of the objects."""
+    steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
+    gaps = np.full(reach.shape, _FAR_M)
+    for direction, way in enumerate(ways):
+        along = reach[:, direction, None] + steps
+        hit = walls.at(points[:, None, :] + along[..., None] * way).astype(bool)
+        gaps[:, direction] = np.where(hit.any(axis=1), steps[hit.argmax(axis=1)], _FAR_M)
+    return gaps
+
+
+def _in_front(walls: CellGrid, points: Floats, ways: Floats, reach: Floats, own: Floats) -> Floats:
+    """Returns the (N, 2) points; those of flat objects at a wall are moved to `_FRONT_M` before it."""
+    rows, thin = np.arange(len(points)), reach.argmin(axis=1)
+    is_at_wall = (reach[rows, thin] < _FLAT_M / 2) & (own.min(axis=1) <= _AT_WALL_M)
+    steps = np.arange(0.0, _FRONT_M, walls.resolution_m / 2)
+    sides = [(thin + turn) % _DIRECTIONS for turn in (0, _DIRECTIONS // 2)]
+    depth = []
+    for side in sides:  # length of the way out of the wall
+        free = ~walls.at(points[:, None, :] + steps[:, None] * ways[side][:, None, :]).astype(bool)
+        depth.append(np.where(free.any(axis=1), steps[free.argmax(axis=1)], _FAR_M))
+    is_first = (depth[0] < depth[1]) | ((depth[0] == depth[1]) & (own[rows, sides[0]] >= own[rows, sides[1]]))
+    side = np.where(is_first, *sides)
+    length = np.where(is_first, *depth)
+    is_moved = is_at_wall & (length < _FAR_M)
+    return np.where(is_moved[:, None], points + ways[side] * (length + _FRONT_M)[:, None], points)

@@ -327,7 +327,7 @@ class _Wayside(NamedTuple):
     """Distance of the near side from the axis of the heading."""
 
     def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
-        """Returns which of some objects another one that is surely counted covers, as seen from the axis."""
+        """Returns which of some objects another one that is surely counted is in front of, as seen from the axis."""
         low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
         shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
         covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)
@@ -406,14 +406,15 @@ class ViewFacts:
         Args:
             among: objects to count.
             side: side of the way ahead.
-            number: object that is looked for; without it, nothing is counted.
+            number: object that is looked for; without it, or if it is surely not visible, nothing is counted.
         """
         way = self._ways[side]
-        if not way.masks.sure[number]:
+        if not (way.masks.sure[number] and self.view.possible[number]):
             return []
         found = among.both(way.masks)
         numbers = np.flatnonzero(found.possible)
-        numbers = numbers[~way.hidden(numbers, found.sure[numbers])]
+        is_hidden = way.hidden(numbers, found.sure[numbers]) & ~self.view.sure[numbers]
+        numbers = numbers[~is_hidden]
         order = numbers[np.argsort(way.middle[numbers], kind="stable")].tolist()
         certain: list[int] = []
         for place, each in enumerate(order):

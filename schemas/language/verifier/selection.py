@@ -56,13 +56,14 @@ def counted_ahead(
     row = {
         number: truth
         for number, truth in found.items()
-        if truth is not Truth.NO and not any(_covers(other, boxes[number]) for other in sure)
+        if truth is not Truth.NO and (view.sure[number] or not any(_covers(other, boxes[number]) for other in sure))
     }
     order = sorted(row, key=lambda number: boxes[number].middle)
     if len(order) < place:
         return {}
     steps = [abs(boxes[a].middle - boxes[b].middle) for a, b in pairwise(order[: place + 1])]
-    if all(step >= limit.ROW_STEP_M for step in steps) and all(row[number] is Truth.YES for number in order[:place]):
+    is_sure = all(row[number] is Truth.YES for number in order[:place]) and bool(view.possible[order[place - 1]])
+    if is_sure and all(step >= limit.ROW_STEP_M for step in steps):
         return {order[place - 1]: Truth.YES}
     return dict.fromkeys(order, Truth.MAYBE)
 

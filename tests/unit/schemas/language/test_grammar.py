@@ -42,6 +42,22 @@ def test_every_language_has_words_for_everything_that_an_expression_can_name(cod
     assert source.numbers.keys() == {str(number) for number in range(2, 7)}
 
 
+def test_chinese_has_no_space_between_relations_and_noun():
+    two = (Clause(relation="this_room"), Clause(relation="in_corner"))
+    expression = Expression(kind="shelf", material="wood", clauses=two)
+    source = grammar("zh")
+    assert not [text for one in source.sentences if " " in (text := source.sentence(one, expression))]
+
+
+def test_german_weak_nouns_have_their_ending_in_dative_and_accusative():
+    source, machine = grammar("de"), Expression(kind="vending_machine", colour="red")
+    chair = Expression(kind="chair", clauses=(near("vending_machine"),))
+    for pattern in source.sentences:
+        assert "dem Verkaufsautomaten" in source.sentence(pattern, chair)
+        text = source.sentence(pattern, machine)
+        assert ("Verkaufsautomaten" in text) == (pattern.case in ("dat", "acc")), text
+
+
 EXPRESSIONS = (
     Expression(kind="chair", colour="red"),
     Expression(kind="trash_can", definite=False, clauses=(near("table", definite=False, colour="brown"),)),

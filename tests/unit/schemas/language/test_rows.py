@@ -76,6 +76,32 @@ def test_a_rack_beside_the_robot_is_neither_ahead_nor_behind():
     assert fitting("the first rack ahead on your right", (-3.9, 0.0, np.pi)) == {rack_at(-5.0, SIDE)}
 
 
+@functools.cache
+def _barrels() -> SceneLanguage:
+    """Returns a hall with two barrels side by side, a third one behind them, and one behind a wall on the right."""
+    spots = ((-4.0, 1.0), (-4.0, 2.2), (-2.5, 1.0), (-4.0, -1.5))
+    barrels = [Box((x - 0.3, y - 0.3, 0.0), (x + 0.3, y + 0.3, 0.9), category="barrel") for x, y in spots]
+    wall = Box((-6.0, -4.0, 0.0), (-5.9, -0.3, 2.5))
+    boxes = (*room_walls((-9.0, -5.0), (9.0, 5.0)), wall, *barrels)
+    return SceneLanguage(build_graph(build_scene(boxes, name="barrels")))
+
+
+@pytest.mark.parametrize("phrase", ["the second barrel ahead on your left", "the first barrel ahead on your right"])
+def test_a_visible_neighbour_is_counted_and_an_object_behind_a_wall_is_not(phrase):
+    scene = _barrels()
+    (expression,) = reader("en").read_phrase(phrase)
+    view = look(scene.graph, HEAD, CAMERA)
+    found = scene.verifier.evaluate(expression, view)
+    assert set(found.sure) != set(found.possible) or not found.sure
+    facts = ViewFacts(scene.facts, view)
+    side = ViewSide.AHEAD_LEFT if "left" in phrase else ViewSide.AHEAD_RIGHT
+    place = 2 if "second" in phrase else 1
+    all_barrels = scene.facts.described("barrel", None)
+    for number in np.flatnonzero(all_barrels.sure).tolist():
+        row = facts.row(all_barrels, side, number)
+        assert row[place - 1 : place] != [number]
+
+
 def test_generator_and_verifier_count_the_same_racks():
     rng, count = np.random.default_rng(0), 0
     for x in np.arange(-8.0, 4.0, 0.4).tolist():

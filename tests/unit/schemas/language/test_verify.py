@@ -2,9 +2,11 @@
 
 import pytest
 
+from schemas.language.graph import build_graph
 from schemas.language.reading import reader
 from schemas.language.view import look
 from tests.builders.language import CAMERA, START, number_at, two_rooms
+from tests.builders.scene import Box, build_scene, room_walls
 
 RED_NORTH, BLUE_WEST, RED_EAST, GREEN_BEHIND = (-3.0, 1.6), (-2.0, -1.0), (-1.0, 0.4), (-4.6, -2.3)
 
@@ -125,3 +127,14 @@ def test_landmarks_without_a_category_are_found_by_the_name_of_their_prim():
 def test_an_object_beside_the_line_of_sight_is_not_clearly_in_front_of_a_landmark():
     text = "Go to the blue chair in front of the white table as seen from here."
     assert check(text, BLUE_WEST, (-4.0, 0.0, 0.0)) == "the target is a borderline case"
+
+
+def test_pictures_on_both_sides_of_a_thin_wall_neither_open_the_wall_nor_are_in_a_corner():
+    walls = room_walls((-6.0, -3.0), (6.0, 3.0))
+    wall = Box((-0.05, -3.0, 0.0), (0.05, 3.0, 2.5))
+    pictures = [Box((x, -1.6, 1.1), (x + 0.03, 1.6, 1.9), category="whiteboard") for x in (-0.08, 0.05)]
+    graph = build_graph(build_scene((*walls, wall, *pictures), name="pictures"))
+    assert len(graph.rooms) == 2
+    boards = [each for each in graph.objects if each.kind == "whiteboard"]
+    assert [each.room for each in boards] == [graph.room_at(-3.0, 0.0), graph.room_at(3.0, 0.0)]
+    assert all(each.wall_gap_m <= 0.15 and each.corner_gap_m > 1.0 for each in boards)
