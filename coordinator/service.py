@@ -180,6 +180,7 @@ class Coordinator(Closing):
             is_draining=self._draining.is_set,
             has_room=lambda: room.has_room,
             evaluation=options.evaluation,
+            is_pulled=lambda index: self._pullers.has(index),
             find_states=options.find_states,
             workers_validate=options.settings.spot_checks is not None and options.evaluation is None,
         )
@@ -196,7 +197,7 @@ class Coordinator(Closing):
         return Pullers(
             run.archive,
             LocalLedgerClient(run.ledger.writer, run.terms, run.clock),
-            lambda sid, lease, chunk: self._router.fetch(sid, lease, chunk),
+            lambda sid, ranges: self._router.fetch(sid, ranges),
             run.checker,
             run.settings,
             self._tables.note_change,
