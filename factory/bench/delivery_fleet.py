@@ -26,7 +26,7 @@ from schemas.protocol.keys import RANGE_FIELDS, Verb, bundle_key, parse_bundle_r
 from schemas.protocol.messages import Beat, BeatReply, ClaimReply, Done, Lease
 
 _META = "meta.json"
-_BEAT_S, _HURRIED_S = 2.0, 0.25
+_BEAT_S, _HURRIED_S = 2.0, 0.5
 """Pause between two heartbeats, and between those of a worker that waits for the coordinator, seconds."""
 
 
