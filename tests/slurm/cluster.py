@@ -113,6 +113,11 @@ class SlurmCluster:
         process.wait()
         self.call("scontrol", "update", f"nodename={name}", "state=down", "reason=test")
 
+    def start_node(self, name: str) -> None:
+        """Starts the daemon of a node and returns the node to service."""
+        self._start("slurmd", "-D", "-N", name, name=name)
+        self.call("scontrol", "update", f"nodename={name}", "state=resume")
+
     def _start_all(self) -> None:
         munge = self._folder / "munge"
         munge.mkdir(mode=0o755)
