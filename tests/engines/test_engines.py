@@ -96,7 +96,7 @@ def test_workers_on_slurm_with_every_event_give_the_digest_of_one_run(
     run.preempt_one(run.node_of("coordinator"))
     run.drain_node(run.node_of("coordinator"))
     run.fail_node(run.node_of("coordinator"))
-    slurm.call("scontrol", "requeue", run.jobs["coordinator"])
+    run.requeue_coordinator()
     run.wait_for_time_limit()
     assert run.wait_for_end("coordinator") == "COMPLETED"
     assert run.wait_for_end("workers") == "CANCELLED COMPLETED"

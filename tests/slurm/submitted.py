@@ -16,6 +16,7 @@ _LIMIT = "00:04:00"
 """Time limit of a task. Slurm sends the signal two to three minutes before its end."""
 _REQUEUED = "stopped before the run was finished: requeueing"
 """Line in the log of a task that has queued itself again before its time limit."""
+_PREEMPTED = "DUE TO PREEMPTION"
 
 
 class Task(NamedTuple):
@@ -94,18 +95,29 @@ class SubmittedRun:
     def requeue_one(self) -> None:
         """Queues a running task again."""
         task = self.productive()
-        self._cluster.call("scontrol", "requeue", f"{self.array}_{task.number}")
+        self._requeue(f"{self.array}_{task.number}")
         self._wait_for_restart(task)
 
+    def requeue_coordinator(self) -> None:
+        """Queues the coordinator again, which then gets another port and a new certificate."""
+        self._cluster.wait(lambda: bool(self.node_of("coordinator")), "the coordinator")
+        self._requeue(str(self.jobs["coordinator"]))
+
     def preempt_one(self, excluded: str) -> None:
-        """Submits an urgent job that takes the whole node of a task."""
-        task = self.productive(lambda each: each.node != excluded)
+        """Submits urgent jobs that take the whole node of a task, until one has preempted a task."""
         script = self.folder / "urgent.sh"
         script.write_text("#!/bin/bash\nsleep 2\n")
-        options = ("--partition=high", f"--nodelist={task.node}", "--exclusive", f"--output={self.folder}/urgent.log")
-        urgent = int(self._cluster.call("sbatch", "--parsable", *options, script))
-        self._wait_for_restart(task)
-        self._cluster.wait(lambda: self._cluster.state_of(urgent) == "COMPLETED", "the urgent job")
+        while not self._logged(_PREEMPTED):
+            task = self.productive(lambda each: each.node != excluded)
+            options = (
+                "--partition=high",
+                f"--nodelist={task.node}",
+                "--exclusive",
+                f"--output={self.folder}/urgent.log",
+            )
+            urgent = int(self._cluster.call("sbatch", "--parsable", *options, script))
+            self._wait_for_restart(task)
+            self._cluster.wait(lambda urgent=urgent: self._cluster.state_of(urgent) == "COMPLETED", "the urgent job")
 
     def drain_node(self, excluded: str) -> None:
         """Drains the node of a task, as for maintenance: its tasks move to other nodes; then resumes the node."""
@@ -113,7 +125,7 @@ class SubmittedRun:
         self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=drain", "reason=test")
         for each in self.running():
             if each.node == task.node:
-                self._cluster.call("scontrol", "requeue", f"{self.array}_{each.number}")
+                self._requeue(f"{self.array}_{each.number}")
         self._wait_for_restart(task)
         self._cluster.wait(lambda: all(each.node != task.node for each in self.running()), "an empty node")
         self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=resume")
@@ -150,6 +162,14 @@ class SubmittedRun:
     def node_of(self, job: str) -> str:
         """Returns the node on which a job runs; empty if it does not run."""
         return self._cluster.call("squeue", "--noheader", f"--jobs={self.jobs[job]}", "--states=RUNNING", "--format=%N")
+
+    def _requeue(self, job: str) -> None:
+        """Queues a job again; one that has just queued itself again at its time limit stays as it is."""
+        self._cluster.call("scontrol", "requeue", job, accepted="Job is pending execution")
+
+    def _logged(self, text: str) -> bool:
+        """Returns whether the log of a task has a text."""
+        return any(text in log.read_text() for log in (self.folder / "slurm").glob(f"{self._mode}-*.log"))
 
     def _state_of(self, task: int) -> str:
         return self._cluster.state_of(f"{self.array}_{task}")
