@@ -11,8 +11,8 @@ from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.transfer.contract import Delivery, LedgerClient
-from coordinator.transfer.judge import Arrival, BundleJudge, Judgement
 from coordinator.transfer.refusals import Refusals
+from coordinator.transfer.spot_checks import Arrival, SpotCheckedValidation, ValidatedBundle
 from schemas.errors import FactoryError, InvalidBundle
 from schemas.job import episode_id
 
@@ -31,7 +31,7 @@ class Deliverer:
     Args:
         archive: archive with the part files.
         ledger: ledger of the run.
-        judge: validation of bundles.
+        validation: validation of bundles.
         refusals: reports invalid bundles.
         meters: counters of the coordinator.
         on_archived: callback after an episode was archived.
@@ -43,14 +43,14 @@ class Deliverer:
         self,
         archive: Archive,
         ledger: LedgerClient,
-        judge: BundleJudge,
+        validation: SpotCheckedValidation,
         refusals: Refusals,
         meters: Meters,
         on_archived: Callable[[], None],
         on_failure: Callable[[Pull, FactoryError], None],
         layouts: LayoutStore | None,
     ) -> None:
-        self._archive, self._ledger, self._judge = archive, ledger, judge
+        self._archive, self._ledger, self._validation = archive, ledger, validation
         self._refusals, self._meters, self._layouts = refusals, meters, layouts
         self._on_archived, self._on_failure = on_archived, on_failure
 
@@ -72,7 +72,7 @@ class Deliverer:
     def _is_whole(self, arrival: Arrival) -> bool:
         """Returns whether a bundle is the announced one; the validator computes the digest of a linked file."""
         pull, staged = arrival
-        return staged.is_taken or self._is_announced(pull, staged.sha256)
+        return staged.is_linked or self._is_announced(pull, staged.sha256)
 
     def _is_announced(self, pull: Pull, sha256: str) -> bool:
         """Returns whether a bundle is the announced one, and refuses it if not."""
@@ -93,16 +93,16 @@ class Deliverer:
             self._refusals.refuse(pull, str(error))
         return True
 
-    def _valid(self, arrivals: Sequence[Arrival]) -> Iterator[tuple[Arrival, Judgement]]:
+    def _valid(self, arrivals: Sequence[Arrival]) -> Iterator[tuple[Arrival, ValidatedBundle]]:
         """Validates episodes and yields the valid ones; the others are refused."""
-        for arrival, judgement in zip(arrivals, self._judge.judge(arrivals), strict=True):
+        for arrival, result in zip(arrivals, self._validation.validate(arrivals), strict=True):
             pull, staged = arrival
-            if isinstance(judgement, InvalidBundle):
-                self._refusals.refuse(pull, str(judgement), is_false=pull.is_validated)
-            elif not staged.is_taken or self._is_announced(pull, judgement.receipt.file_sha256):
-                yield arrival, judgement
+            if isinstance(result, InvalidBundle):
+                self._refusals.refuse(pull, str(result), is_false=pull.is_validated)
+            elif not staged.is_linked or self._is_announced(pull, result.receipt.file_sha256):
+                yield arrival, result
 
-    def _publish(self, valid: Sequence[tuple[Arrival, Judgement]]) -> None:
+    def _publish(self, valid: Sequence[tuple[Arrival, ValidatedBundle]]) -> None:
         failed = self._archive.publish_all({pull.job.index: staged for (pull, staged), _ in valid})
         deliveries = []
         for (pull, _), (receipt, is_checked) in valid:

@@ -16,7 +16,7 @@ from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import LedgerClient, Nearby
+from coordinator.transfer.contract import FindLocalBundle, LedgerClient
 from coordinator.transfer.refusals import Refusals
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import TransientError
@@ -99,7 +99,7 @@ class Fetcher:
         fetch: function that requests bytes from a worker.
         settings: settings of the coordinator.
         meters: counters of the coordinator.
-        nearby: function that finds a bundle on this machine.
+        find_local_bundle: function that finds a bundle on this machine.
         refusals: reports bundles that no worker serves, or too slowly.
         has_others: function of a host, which returns whether bundles of other hosts wait.
         stop: event that ends transfers at the next chunk.
@@ -112,13 +112,13 @@ class Fetcher:
         fetch: Fetch,
         settings: CoordinatorSettings,
         meters: Meters,
-        nearby: Nearby,
+        find_local_bundle: FindLocalBundle,
         refusals: Refusals,
         has_others: Callable[[str], bool],
         stop: threading.Event,
     ) -> None:
         self._archive, self._ledger, self._fetch = archive, ledger, fetch
-        self._settings, self._meters, self._nearby = settings, meters, nearby
+        self._settings, self._meters, self._find_local_bundle = settings, meters, find_local_bundle
         self._refusals, self._has_others, self._stop = refusals, has_others, stop
         self._guard = threading.Lock()
         self._rest: dict[int, int] = {}
@@ -153,7 +153,7 @@ class Fetcher:
             self._require_free_space([transfer.pull for transfer in wanted])
         for transfer in wanted:
             transfer.staged = self._archive.stage(transfer.pull.job.index)
-            self._take_nearby(transfer.pull, transfer.staged)
+            self._link_local_bundle(transfer.pull, transfer.staged)
         return wanted
 
     def fetch(self, host: str, turn: Sequence[Transfer]) -> list[Transfer]:
@@ -209,12 +209,12 @@ class Fetcher:
                 )
             self._rest.update((pull.job.index, pull.size) for pull in pulls)
 
-    def _take_nearby(self, pull: Pull, staged: Staged) -> None:
+    def _link_local_bundle(self, pull: Pull, staged: Staged) -> None:
         """Links a bundle on the archive's disk instead of transferring and copying it."""
         try:
-            source = self._nearby(pull.lease)
+            source = self._find_local_bundle(pull.lease)
             if source is not None and source.stat().st_size == pull.size:
-                staged.take(source)
+                staged.link(source)
         except OSError as error:
             log.debug("fetched_instead", episode=pull.name, error=str(error))
 

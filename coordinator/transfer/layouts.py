@@ -38,7 +38,7 @@ class LayoutStore:
 
     archive: Archive
     """Archive of the dataset, which stores the packages."""
-    home: Path
+    state_dir: Path
     """Directory of the run; with a dataset in object storage, it keeps a copy of each package for the workers."""
     writer: Writer
     """Writer of the ledger."""
@@ -102,7 +102,7 @@ class LayoutStore:
         stored = self.archive.add_scene(staged.path, layout, staged.sha256)
         if isinstance(stored, Path):
             return stored
-        copy = self.home / SCENES / stored.name
+        copy = self.state_dir / SCENES / stored.name
         with translated("write", copy.parent):
             copy.parent.mkdir(exist_ok=True)
             shutil.copyfile(staged.path, copy)
@@ -110,7 +110,7 @@ class LayoutStore:
 
     def _remove_others(self, layout: str, entry: SceneEntry) -> None:
         """Removes packages of the layout whose build was not recorded; another processor may give other bytes."""
-        for path in (self.home / SCENES).glob(f"{layout}-*.scene.zip"):
+        for path in (self.state_dir / SCENES).glob(f"{layout}-*.scene.zip"):
             if path != entry.path:
                 path.unlink()
 

@@ -16,12 +16,12 @@ from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.pulls import Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
+from coordinator.transfer.contract import BundleValidator, FindLocalBundle, LedgerClient, no_local_bundle
 from coordinator.transfer.delivering import Deliverer
 from coordinator.transfer.fair_queue import FairQueue
 from coordinator.transfer.fetching import Fetch, Fetcher, Transfer
-from coordinator.transfer.judge import Arrival, BundleJudge
 from coordinator.transfer.refusals import Refusals
+from coordinator.transfer.spot_checks import Arrival, SpotCheckedValidation
 from schemas.errors import FactoryError
 from schemas.protocol.keys import host_of
 from schemas.support.closing import Closing
@@ -51,7 +51,7 @@ class Pullers(Closing):
         settings: CoordinatorSettings,
         on_archived: Callable[[], None],
         meters: Meters | None = None,
-        nearby: Nearby = nothing_nearby,
+        find_local_bundle: FindLocalBundle = no_local_bundle,
         layouts: LayoutStore | None = None,
     ) -> None:
         self._settings = settings
@@ -65,11 +65,11 @@ class Pullers(Closing):
         self._queue: FairQueue[Transfer] = FairQueue(lambda turn, item: self._fetcher.joins(turn, item))
         refusals = Refusals(ledger, meters)
         self._fetcher = Fetcher(
-            archive, ledger, fetch, settings, meters, nearby, refusals, self._queue.has_others, self._stop
+            archive, ledger, fetch, settings, meters, find_local_bundle, refusals, self._queue.has_others, self._stop
         )
-        judge = BundleJudge(checker, meters, settings.spot_checks)
+        validation = SpotCheckedValidation(checker, meters, settings.spot_checks)
         self._deliverer = Deliverer(
-            archive, ledger, judge, refusals, meters, self._note_archived, self._note_failure, layouts
+            archive, ledger, validation, refusals, meters, self._note_archived, self._note_failure, layouts
         )
         self._threads = [
             threading.Thread(target=self._run, name=f"puller-{number}") for number in range(settings.pullers)
@@ -128,7 +128,7 @@ class Pullers(Closing):
     def _serve(self, host: str, turn: list[Transfer]) -> list[Transfer]:
         """Serves one turn; returns the transfers that continue in a later one."""
         try:
-            return [] if self._stop.is_set() else self._bring(host, turn)
+            return [] if self._stop.is_set() else self._advance(host, turn)
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
             if len(turn) > 1:  # the next turns find out which bundle is the cause
                 log.debug("served_apart", host=host, bundles=len(turn), error=str(error))
@@ -138,7 +138,7 @@ class Pullers(Closing):
             self._note_failure(turn[0].pull, error)
             return []
 
-    def _bring(self, host: str, turn: list[Transfer]) -> list[Transfer]:
+    def _advance(self, host: str, turn: list[Transfer]) -> list[Transfer]:
         wanted = self._fetcher.begin(turn)
         complete = self._fetcher.fetch(host, wanted)
         if complete:

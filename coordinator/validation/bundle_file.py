@@ -21,8 +21,8 @@ class BundleFile(NamedTuple):
     """Path of the bundle, usually a part file."""
     job: Job
     """Leased job."""
-    target: Target | None = None
-    """Target in the compiled scene; `None` skips the comparison."""
+    candidates: tuple[Target, ...] = ()
+    """Targets of the compiled scene that the episode may have; none skips the comparison."""
     scope: Scope = Scope.ALL
     """Part of the bundle that is read."""
     sha256: str | None = None
@@ -30,13 +30,13 @@ class BundleFile(NamedTuple):
 
 
 def check_each(
-    check: Callable[[Path, Job, Target | None, Scope], R], files: Sequence[BundleFile]
+    check: Callable[[Path, Job, tuple[Target, ...], Scope], R], files: Sequence[BundleFile]
 ) -> list[R | InvalidBundle]:
     """Validates bundles one after another; returns the result or the violations of each."""
     found: list[R | InvalidBundle] = []
     for file in files:
         try:
-            found.append(check(file.path, file.job, file.target, file.scope))
+            found.append(check(file.path, file.job, file.candidates, file.scope))
         except InvalidBundle as error:
             found.append(error)
     return found

@@ -38,8 +38,8 @@ class ValidationTask(Model):
 
     job: Job | None = None
     """Leased job; `None` if the bundle is the package of a scene."""
-    target: Target | None = None
-    """Target in the compiled scene; `None` skips the comparison."""
+    candidates: tuple[Target, ...] = ()
+    """Targets of the compiled scene that the episode may have; none skips the comparison."""
     scope: Scope = Scope.ALL
     """Part of the bundle that is read."""
     sha256: Sha256 | None = None

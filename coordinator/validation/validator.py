@@ -84,13 +84,15 @@ class Validator(Closing):
         for child in self._all:
             self._free.put(child)
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:
+    def check(
+        self, path: Path, job: Job, candidates: tuple[Target, ...] = (), scope: Scope = Scope.ALL
+    ) -> EpisodeSummary:
         """Validates a bundle against its job.
 
         Args:
             path: path of the bundle, usually a part file.
             job: leased job.
-            target: target in the compiled scene; `None` skips the comparison.
+            candidates: targets of the compiled scene that the episode may have; none skips the comparison.
             scope: part of the bundle that is read.
 
         Returns:
@@ -101,7 +103,7 @@ class Validator(Closing):
             TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
                 cannot be opened now.
         """
-        verdict = self._verdict(_task_of(BundleFile(path, job, target, scope)), path)
+        verdict = self._verdict(_task_of(BundleFile(path, job, candidates, scope)), path)
         return self._with_sentence(verdict, job)
 
     def check_all(self, files: Sequence[BundleFile]) -> list[EpisodeSummary | InvalidBundle]:
@@ -166,7 +168,8 @@ class Validator(Closing):
         summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
         if verdict.language is not None and package is not None:
             start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
-            found = sentence_findings(job, verdict.language, start, package)
+            aimed = job.model_copy(update={"target_id": summary.target_id})
+            found = sentence_findings(aimed, verdict.language, start, package)
             if found:
                 raise InvalidBundle("bundle refused", found)
         return summary
@@ -317,7 +320,7 @@ def _opened(path: Path) -> Iterator[int]:
 
 
 def _task_of(file: BundleFile) -> ValidationTask:
-    return ValidationTask(job=file.job, target=file.target, scope=file.scope, sha256=file.sha256)
+    return ValidationTask(job=file.job, candidates=file.candidates, scope=file.scope, sha256=file.sha256)
 
 
 def sandbox_of(validator: object) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ from schemas.language.grammar import LANGUAGES, grammar
 from schemas.scene import decode_scene
 
 
-def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
+def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
     """Validates an open bundle in the current process."""
     try:
         sha256 = task.sha256 or hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
@@ -47,7 +47,7 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
             decode_scene(file)
             return Verdict()
         with BundleReader(file) as bundle:
-            findings = validate(bundle, task.job, task.target, scope=task.scope)
+            findings = validate(bundle, task.job, task.candidates, scope=task.scope)
             if not findings:
                 return Verdict(summary=summary_of(bundle.meta, sha256, size), language=bundle.meta.language)
     except InvalidBundle as error:
@@ -57,9 +57,9 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
     return Verdict(findings=tuple(finding[:MAX_FINDING_CHARS] for finding in findings[:MAX_FINDINGS]))
 
 
-def _judge_and_close(task: ValidationTask, file: BinaryIO) -> Verdict:
+def _verdict_and_close(task: ValidationTask, file: BinaryIO) -> Verdict:
     with file:
-        return judge(task, file)
+        return verdict_of(task, file)
 
 
 def _allow_cpu(limits: ValidatorLimits) -> None:
@@ -100,7 +100,7 @@ def main(arguments: list[str]) -> int:
     while (received := _receive(orders)) is not None:
         order, files = received
         _allow_cpu(limits)
-        verdicts = Verdicts(verdicts=tuple(map(_judge_and_close, order.tasks, files)))
+        verdicts = Verdicts(verdicts=tuple(map(_verdict_and_close, order.tasks, files)))
         sys.stdout.write(f"{verdicts.model_dump_json()}\n")
         sys.stdout.flush()
     return 0

@@ -1,6 +1,6 @@
 """Selects the targets of a scene from the candidates: reachable objects with stable names, colours and tiers.
 
-Pure functions. Adds a note for every candidate that is left out.
+Pure functions. Adds a note for every candidate that is omitted.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def list_targets(
         ids: instance ids by path.
         spawns: (S, 2) surveyed points, metres.
         floor_m: height of the floor, metres.
-        notes: receives a note for each candidate that is left out.
+        notes: receives a note for each candidate that is omitted.
     """
     seen: Counter[str] = Counter()
     targets = []
@@ -57,14 +57,14 @@ def list_targets(
         target = _target(candidate, name, ids[candidate.path], shapes[candidate.path])
         bottom = float(candidate.box[0, 2]) - floor_m
         if not -1.0 < bottom < HIGHEST_BOTTOM_M:
-            notes.append(f"{target.target_id}: left out, it hangs {bottom:.2f} m over the floor ({candidate.path})")
+            notes.append(f"{target.target_id}: omitted, it hangs {bottom:.2f} m over the floor ({candidate.path})")
             continue
         tiers = {
             success: tiers_of(terrain, target, Goal.of(target, TaskConfig(success=success)), spawns)
             for success in SuccessMeasure
         }
         if not any(tiers.values()):
-            notes.append(f"{target.target_id}: left out, no pose within its success region fits ({candidate.path})")
+            notes.append(f"{target.target_id}: omitted, no pose within its success region fits ({candidate.path})")
             continue
         straight, connected = tiers[SuccessMeasure.CENTROID] or ((), ())
         by_surface = tiers[SuccessMeasure.SURFACE] or ((), ())
