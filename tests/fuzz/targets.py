@@ -151,7 +151,7 @@ def _read_bundle(data: bytes, folder: Path) -> None:
     path = folder / "bundle.zip"
     path.write_bytes(data)
     with path.open("rb") as file:
-        verdict_of(ValidationTask(job=job_for(), target=chair()), file)
+        verdict_of(ValidationTask(job=job_for(), candidates=(chair(),)), file)
 
 
 def _bundles(_folder: Path) -> list[bytes]:

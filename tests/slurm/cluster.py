@@ -84,7 +84,7 @@ class SlurmCluster:
         self._end()
 
     def call(self, *words: object, accepted: str = "") -> str:
-        """Runs a command of Slurm and returns its output; an error with the text `accepted` is no failure."""
+        """Runs a command of Slurm and returns its output; an error with the text `accepted` is accepted too."""
         done = subprocess.run(
             [*map(str, words)], env=self.environment, capture_output=True, text=True, check=False, timeout=60
         )
