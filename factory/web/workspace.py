@@ -18,7 +18,7 @@ from coordinator.ledger.reading.farm import FarmReading, read_farm
 from factory.dataset.packages import packages_by_scene
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
-from factory.runs.ledger import progress_of, read_ledger
+from factory.runs.ledger import progress_in, read_ledger
 from factory.support.text import format_bytes
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.errors import FactoryError
@@ -120,8 +120,8 @@ class Workspace:
             FactoryError: the dataset has no ledger, or a damaged one.
         """
         now = datetime.now(UTC)
-        progress = progress_of(self.site, self.ledger)
         with read_ledger(self.site, self.ledger) as connection:
+            progress = progress_in(connection, self.site, self.ledger)
             reading = read_farm(connection, now)
             return Farm(progress, reading, now, read_info(connection), count_failures(connection))
 
