@@ -21,7 +21,6 @@ from factory.web.forms import read_form
 from factory.web.pages.downloads import DOWNLOADS, download
 from factory.web.pages.find import find_episode
 from factory.web.pages.frame import show_frame, show_mask
-from factory.web.table import EpisodeTable
 from schemas.measure import Goal
 from schemas.terms import Recording
 
@@ -139,7 +138,7 @@ def list_objects(request: Request) -> Response:
 
 def _neighbours(context: WebContext, index: int) -> list[tuple[str, str]]:
     """Returns title and id of the previous and the next episode."""
-    table: EpisodeTable = context.tables.of(context.workspace.dataset())
+    table = context.workspace.table()
     indices = table.dataset.column("index").to_numpy(zero_copy_only=False)
     place, names = int(np.searchsorted(indices, index)), table.dataset.column("episode_id")
     around = (("previous", place - 1), ("next", place + 1))
