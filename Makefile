@@ -87,10 +87,10 @@ test-formats: $(READY) $(LEROBOT)/.ready $(LEROBOT)-v2.1/.ready $(HABITAT)/.read
 	    lerobot-v2.1=$(LEROBOT)-v2.1/bin/python habitat=$(HABITAT)/bin/python \
 	    readers=$(READERS)/bin/python visualnav=$(VISUALNAV)
 
-# instructions, sub-instructions and spans of routes, read back with the loaders of LeRobot and Habitat
+# instructions, sub-instructions and spans of routes, and questions, read back with the loaders of LeRobot and Habitat
 test-language: $(READY) $(LEROBOT)/.ready $(HABITAT)/.ready
 	rm -rf build/language && mkdir -p build/language
-	printf 'languages = ["en", "de", "es", "zh"]\nkinds = ["route"]\n' > build/language/language.toml
+	printf 'languages = ["en", "de", "es", "zh"]\nkinds = ["route"]\nquestions = true\n' > build/language/language.toml
 	$(VENV)/bin/factory run demo --scene office --scene hospital --expert planner --episodes 6 --out build/language/driven
 	$(VENV)/bin/factory relabel build/language/driven -o build/language/data --language build/language/language.toml
 	$(VENV)/bin/factory export build/language/data --to lerobot -o build/language/lerobot

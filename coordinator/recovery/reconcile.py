@@ -35,6 +35,7 @@ from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.contract import BundleValidator, EpisodeValidator
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
+from schemas.exchangeable import candidates_of
 from schemas.storage.place import FilePlace, Place, local_copy
 
 log = structlog.get_logger(__name__)
@@ -138,9 +139,9 @@ def _validate_result(
         return "the plan has no episode of this number"
     try:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-        target = terms.catalog[row.scene].info.target(row.target_id)
+        candidates = candidates_of(job, terms.catalog[row.scene].info)
         with local_copy(path) as file:
-            return checker.check(file, job, target), (row.draw, row.attempt)
+            return checker.check(file, job, candidates), (row.draw, row.attempt)
     except InvalidBundle as error:
         return str(error)
 

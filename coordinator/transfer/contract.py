@@ -24,7 +24,9 @@ def no_local_bundle(_lease: Lease) -> None:
 class BundleValidator(Protocol):
     """Interface of thread-safe bundle validators."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> BundleReceipt:
+    def check(
+        self, path: Path, job: Job, candidates: tuple[Target, ...] = (), scope: Scope = Scope.ALL
+    ) -> BundleReceipt:
         """Validates the part `scope` of a bundle, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
@@ -34,7 +36,9 @@ class BundleValidator(Protocol):
 class EpisodeValidator(BundleValidator, Protocol):
     """Interface of validators of collected episodes."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:
+    def check(
+        self, path: Path, job: Job, candidates: tuple[Target, ...] = (), scope: Scope = Scope.ALL
+    ) -> EpisodeSummary:
         """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 

@@ -65,7 +65,7 @@ class SpotCheckedValidation:
         scope = Scope.SAMPLE if is_local else self._scope(pull)
         host, begun = host_of(pull.sid), time.monotonic()
         try:
-            receipt = self._checker.check(path, pull.job, pull.target, scope)
+            receipt = self._checker.check(path, pull.job, pull.candidates, scope)
         except InvalidBundle:
             self._is_trusted[host] = False
             raise

@@ -44,7 +44,7 @@ def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
             decode_scene(file)
             return Verdict()
         with BundleReader(file) as bundle:
-            findings = validate(bundle, task.job, task.target, scope=task.scope)
+            findings = validate(bundle, task.job, task.candidates, scope=task.scope)
             if not findings:
                 return Verdict(summary=summary_of(bundle.meta, sha256, size), language=bundle.meta.language)
     except InvalidBundle as error:

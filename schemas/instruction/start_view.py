@@ -7,7 +7,8 @@ frame, all with the function of this module. It renders nothing.
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,25 @@ from schemas.scene import MAX_INSTANCES
 IN_FRONT_RAD = math.radians(30)
 """Largest angle between the heading and the direction to a target that is "in front of you", radians."""
 
-InstanceIds = Annotated[tuple[Annotated[int, Field(ge=1, le=MAX_INSTANCES)], ...], Field(max_length=MAX_INSTANCES)]
+Item = TypeVar("Item")
+InstanceId = Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
+InstanceIds = Annotated[tuple[InstanceId, ...], Field(max_length=MAX_INSTANCES)]
+
+
+class TargetChoice(Model):
+    """Draw of the target at the start, from the objects that could be the target there; docs/language.md#plans."""
+
+    around: InstanceId
+    """Object around which the starts are drawn; the target of the planned draw."""
+    among: InstanceIds
+    """Objects of the category that the episode may have as its target, in the order of their ids."""
+    share: Annotated[float, Field(ge=0, lt=1)]
+    """Random number: of the k objects that could be the target, the one with the number `floor(share * k)`, from 0, in
+    the order of their ids, is the target."""
+
+    def of(self, found: Sequence[Item]) -> Item:
+        """Returns the drawn one of at least one object, which are in the order of their ids."""
+        return found[int(self.share * len(found))]
 
 
 class StartView(Model):
@@ -45,6 +64,9 @@ class StartView(Model):
     """Two random numbers from 0 to 1. If the first is below 1 / k, the target is the nearest of the k objects of its
     category in view; otherwise another one is the nearest. The second decides in the same way which object is the most
     central. `None` sets no condition."""
+    choice: TargetChoice | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Draw of the target at the start, for which `least_same_category` counts the objects that could be the target;
+    `None` if the plan names the target."""
 
     @property
     def shows_target(self) -> bool:

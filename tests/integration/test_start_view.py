@@ -72,7 +72,7 @@ def test_the_first_frame_shows_the_target_and_no_other_object_that_the_instructi
         shown = ids_in_view(bundle.ids(0), bundle.meta.job.gains.min_mask_px)
         assert shown & referents_of(bundle.meta.job, SCENE.info) == {TARGET.instance_id}
         assert not bundle.meta.phrase_is_unique
-        assert validate(bundle, bundle.meta.job, TARGET) == []
+        assert validate(bundle, bundle.meta.job, (TARGET,)) == []
 
 
 def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(stage):
@@ -84,7 +84,7 @@ def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(st
                 claimed = bundle.meta.job.model_copy(
                     update={"start_view": StartView(other_referents=(RIVAL.instance_id,))}
                 )
-                assert validate(bundle, bundle.meta.job, TARGET) == []
+                assert validate(bundle, bundle.meta.job, (TARGET,)) == []
                 found = start_findings(
                     bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0), bundle.depth(0)
                 )
@@ -129,13 +129,13 @@ def test_a_start_meets_the_conditions_exactly_if_its_whole_image_does(stage, vie
         bearing = math.remainder(math.atan2(1.2 - pose.y, 1.5 - pose.x) - yaw, 2 * math.pi)
         image, least = stage.renderer.render_depth_and_ids(pose), job.gains.min_mask_px
         found = start_view_findings(view, TARGET.instance_id, bearing, image.ids, image.depth, CameraConfig(), least)
-        assert is_view_clear(job, TARGET, stage.renderer, pose) == (not found)
+        assert is_view_clear(job, SCENE.info, stage.renderer, pose) == (not found)
 
 
 @pytest.mark.parametrize("yaw", [math.pi, -1.0, 0.2])
 def test_no_whole_image_is_rendered_for_the_view_of_one_object(stage, yaw):
     stage.renderer.load(SCENE, CameraConfig())
     job, pose = _job(1, StartView(within_rad=math.pi)), Pose.planar(-1.0, 0.3, yaw, z=0.0)
-    assert is_view_clear(job, TARGET, _PartsOnly(stage.renderer), pose) == is_view_clear(
-        job, TARGET, stage.renderer, pose
+    assert is_view_clear(job, SCENE.info, _PartsOnly(stage.renderer), pose) == is_view_clear(
+        job, SCENE.info, stage.renderer, pose
     )

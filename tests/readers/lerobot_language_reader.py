@@ -1,4 +1,4 @@
-"""Opens an export of a dataset with routes with LeRobot's loader, and compares every text and span with the dataset.
+"""Opens an export with routes and questions with LeRobot's loader, and compares every text and span with the dataset.
 
 Runs in a separate environment (Python 3.12, `lerobot[dataset]==0.6.1`, see `make test-language`), does not import this
 project, and exits with code 1 at the first failed check.
@@ -11,6 +11,7 @@ DATASET: a relabelled dataset. EXPORT: its export with `--to lerobot`, at the re
 import sys
 from pathlib import Path
 
+from lerobot.datasets.language import column_for_style, validate_camera_field
 from lerobot.datasets.language_render import active_at
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from relabelled import RelabelledTables, counted
@@ -24,8 +25,10 @@ def main() -> None:
     assert sorted(names) == sorted(tables.first)
     for found in data.meta.episodes:
         check_episode(tables, data, found["episode_id"], found["dataset_from_index"], found["length"])
+    asked = sum(len(each) for name in names for each in tables.questions(name).values()) // 2
+    assert asked, "no episode has a question"
     result = f"{len(names)} instructions, {counted(map(tables.steps, names))}, active subtask of every frame"
-    print_row(export, named("lerobot"), result)
+    print_row(export, named("lerobot"), f"{result}, {asked} questions")
 
 
 def check_episode(tables: RelabelledTables, data: LeRobotDataset, name: str, first: int, length: int) -> None:
@@ -48,6 +51,14 @@ def check_episode(tables: RelabelledTables, data: LeRobotDataset, name: str, fir
             joined.append(each)
     assert found == joined, (name, found, joined)
     assert data[first]["language_persistent"] == data[first + length - 1]["language_persistent"]
+    asked = {}
+    for t, row in enumerate(rows):
+        for each in row["language_events"]:
+            validate_camera_field(each["style"], each["camera"])
+            assert column_for_style(each["style"]) == "language_events"
+            assert each["camera"] in data.meta.camera_keys
+            asked.setdefault(t, []).append((each["role"], each["content"]))
+    assert asked == tables.questions(name), (name, asked)
 
 
 if __name__ == "__main__":

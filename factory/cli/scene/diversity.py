@@ -13,6 +13,7 @@ from factory.cli.scene.choice import open_scene
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError, WorldError
 from schemas.support.suggest import did_you_mean
+from schemas.terms import layout_name
 
 if TYPE_CHECKING:
     from factory.scenes.survey.diversity import Distribution, LayoutFacts
@@ -45,7 +46,7 @@ def survey_family(family: str, layouts: int, first_seed: int, as_json: bool) -> 
         while len(facts) < layouts and (seed := next(seeds, None)) is not None:
             progress.update(f"surveying {family}: {len(facts)} of {layouts} layouts, seed {seed}")
             try:
-                scene = open_scene(build_scene(family, seed, scene_cache()))
+                scene = open_scene(build_scene(family, seed, scene_cache(), called=layout_name(family, seed)))
             except WorldError as error:
                 failed[seed] = str(error)
                 continue

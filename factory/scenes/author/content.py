@@ -22,6 +22,7 @@ from factory.scenes.importer.polygons import triangulate
 from factory.scenes.limits import USUAL_LIMITS
 from schemas.support.numpy_types import Floats
 
+_TEXTURE_SEED = 0
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -45,7 +46,7 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
             known[placement.model.name] = _pieces(placement.model.pieces)
         _place(scene, path, known[placement.model.name], _to_world(placement))
     names = sorted({part.surface.texture for part in scene.parts} - {""})
-    images = {name: encode_texture(name, plan.texture_seed) for name in names}
+    images = {name: encode_texture(name) for name in names}
     return scene.extraction(1.0, {name: hashlib.sha256(made_from.encode()).hexdigest()}, images)
 
 
@@ -58,9 +59,10 @@ def by_material(pieces: Iterable[PropPiece]) -> dict[str, list[PropPiece]]:
 
 
 @cache
-def encode_texture(name: str, seed: int) -> bytes:
-    """Returns a texture as PNG; each has a separate generator, so that a new texture does not change the others."""
-    rng, buffer = np.random.default_rng([seed, zlib.crc32(name.encode())]), io.BytesIO()
+def encode_texture(name: str) -> bytes:
+    """Returns a texture as PNG, the same for all layouts; each has a separate generator, so that a new texture does not
+    change the others."""
+    rng, buffer = np.random.default_rng([_TEXTURE_SEED, zlib.crc32(name.encode())]), io.BytesIO()
     Image.fromarray(draw_texture(name, rng)).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()
 
@@ -88,9 +90,12 @@ def _pieces(pieces: Sequence[PropPiece]) -> list[Piece]:
 
 
 def _surface(material: SurfaceMaterial) -> Surface:
-    rgb = linear_rgb(material.colour)
+    rgb, is_metal = linear_rgb(material.colour), material.metallic > 0.5
     if material.texture is not None:
         tint = _WHITE if material.tint is None else linear_rgb(material.tint)
-        return Surface(colour=tint, texture=material.texture, emits=material.glow > 0)
+        return Surface(
+            colour=tint, texture=material.texture, emits=material.glow > 0, name=material.name, is_metal=is_metal
+        )
     red, green, blue = (channel * material.glow for channel in rgb)
-    return Surface(colour=rgb, emits=max(red, green, blue) > 0.05, emission=(red, green, blue))
+    emits = max(red, green, blue) > 0.05
+    return Surface(colour=rgb, emits=emits, emission=(red, green, blue), name=material.name, is_metal=is_metal)

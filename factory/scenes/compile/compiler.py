@@ -20,6 +20,7 @@ from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_
 from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
 from factory.scenes.compile.shade import target_colour, triangle_areas
+from factory.scenes.compile.substance import materials_of
 from factory.scenes.compile.textures import TextureBook, load_textures
 from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction, Part
@@ -62,6 +63,8 @@ class _Shown:
     """Target list of the user, if given."""
     uncoloured: frozenset[str]
     """Categories whose colour is never named."""
+    has_materials: bool
+    """Whether materials are recorded."""
 
     def triangles(self) -> Floats:
         """Returns all triangles (T, 3, 3), world metres."""
@@ -91,6 +94,7 @@ def compile_stage(
     rules: RuleBook | None = None,
     chosen: TargetList | None = None,
     limits: StageLimits = USUAL_LIMITS,
+    has_materials: bool = True,
 ) -> CompiledScene:
     """Compiles a scene file.
 
@@ -101,12 +105,14 @@ def compile_stage(
         rules: category rules; the built-in table when `None`.
         chosen: target list of the user; all targets that the rules find when `None`.
         limits: limits of the import.
+        has_materials: whether to record the materials of objects.
 
     Raises:
         UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
         WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
     """
-    return compile_extraction(path.name, extract_scene(path, limits), name, source, rules, chosen)
+    content = extract_scene(path, limits)
+    return compile_extraction(path.name, content, name, source, rules, chosen, has_materials=has_materials)
 
 
 def compile_extraction(
@@ -118,6 +124,7 @@ def compile_extraction(
     chosen: TargetList | None = None,
     detail: LightDetail = USUAL_DETAIL,
     required: Collection[str] = (),
+    has_materials: bool = True,
 ) -> CompiledScene:
     """Compiles an extracted stage.
 
@@ -130,6 +137,7 @@ def compile_extraction(
         chosen: target list of the user; all targets that the rules find when `None`.
         detail: resolution of the light map, and number of rays.
         required: categories that must have a reachable target; checked before the light is computed.
+        has_materials: whether to record the materials of objects.
 
     Raises:
         UsageError: `chosen` names prims that the stage does not have.
@@ -139,7 +147,7 @@ def compile_extraction(
     notes = list(extraction.notes)
     parts = with_floor(_without_outliers(file, extraction, notes), extraction.floor_m)
     parts = with_ceiling(parts, extraction.ceiling_m)
-    shown = _show(file, extraction, parts, (rules, chosen), notes)
+    shown = _show(file, extraction, parts, (rules, chosen), has_materials, notes)
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
         solid = solid_triangles(
@@ -200,6 +208,7 @@ def _show(
     extraction: Extraction,
     parts: Sequence[Part],
     wishes: tuple[RuleBook, TargetList | None],
+    has_materials: bool,
     notes: list[str],
 ) -> _Shown:
     visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
@@ -216,7 +225,8 @@ def _show(
     found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
     candidates = apply_candidate_edits(found, visible, chosen)
     owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
-    return _Shown(visible, candidates, owners, number_objects(owners), book, chosen, rules.uncoloured)
+    ids = number_objects(owners)
+    return _Shown(visible, candidates, owners, ids, book, chosen, rules.uncoloured, has_materials)
 
 
 @contextmanager
@@ -296,8 +306,10 @@ def _bounds(triangles: Floats) -> tuple[tuple[float, float, float], tuple[float,
 
 def _instances(shown: _Shown) -> tuple[Instance, ...]:
     categories = {candidate.path: candidate.category for candidate in shown.candidates}
+    materials = materials_of(shown.parts, shown.owners) if shown.has_materials else {}
     return tuple(
-        Instance(id=number, prim_path=path, category=categories.get(path)) for path, number in shown.ids.items()
+        Instance(id=number, prim_path=path, category=categories.get(path), materials=materials.get(path, ()))
+        for path, number in shown.ids.items()
     )
 
 

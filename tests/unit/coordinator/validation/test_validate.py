@@ -39,7 +39,7 @@ SHORT_BY_SURFACE = short_task().model_copy(update={"success": SuccessMeasure.SUR
 
 
 def findings_of(parts: BundleParts, job: Job | None = None) -> str:
-    return "\n".join(validate(BundleReader(io.BytesIO(parts.write())), job, chair()))
+    return "\n".join(validate(BundleReader(io.BytesIO(parts.write())), job, (chair(),)))
 
 
 def with_pose(parts: BundleParts, row: slice | int, column: int, value: float, add: bool = False) -> BundleParts:
@@ -208,9 +208,9 @@ SURFACE = {
 def test_an_episode_by_surface_distance_has_no_findings_although_its_centroid_is_far() -> None:
     parts = by_surface(parts_for(), max_contact_steps=0, target_in_view=True)
     target = chair().model_copy(update={"footprint_m": FOOTPRINT_M})
-    assert validate(BundleReader(io.BytesIO(parts.write())), None, target) == []
+    assert validate(BundleReader(io.BytesIO(parts.write())), None, (target,)) == []
     assert any(
-        "target_footprint_m" in line for line in validate(BundleReader(io.BytesIO(parts.write())), None, chair())
+        "target_footprint_m" in line for line in validate(BundleReader(io.BytesIO(parts.write())), None, (chair(),))
     )
 
 
@@ -292,14 +292,14 @@ def edited(parts: BundleParts, edit: Callable[[dict[str, Any]], object]) -> byte
 
 def test_smallest_states_recording_has_no_findings_and_no_frames() -> None:
     data = states().write()
-    assert validate(BundleReader(io.BytesIO(data)), job_for(record=Recording.STATES), chair()) == []
+    assert validate(BundleReader(io.BytesIO(data)), job_for(record=Recording.STATES), (chair(),)) == []
     assert not BundleReader(io.BytesIO(data)).has_frames
     assert len(data) < 10_000
 
 
 @pytest.mark.parametrize(("made", "text"), STATES.values(), ids=STATES)
 def test_contradiction_of_a_states_recording_is_found(made: Callable[[], bytes], text: str) -> None:
-    found = validate(BundleReader(io.BytesIO(made())), None, chair())
+    found = validate(BundleReader(io.BytesIO(made())), None, (chair(),))
     assert any(text in finding for finding in found)
 
 
