@@ -129,12 +129,14 @@ def test_an_object_beside_the_line_of_sight_is_not_clearly_in_front_of_a_landmar
     assert check(text, BLUE_WEST, (-4.0, 0.0, 0.0)) == "the target is a borderline case"
 
 
-def test_pictures_on_both_sides_of_a_thin_wall_neither_open_the_wall_nor_are_in_a_corner():
+@pytest.mark.parametrize("offset", [0.0, 0.01, 0.02, 0.03, 0.04])
+def test_a_picture_in_the_middle_of_a_wall_is_at_the_wall_and_not_in_a_corner(offset):
     walls = room_walls((-6.0, -3.0), (6.0, 3.0))
-    wall = Box((-0.05, -3.0, 0.0), (0.05, 3.0, 2.5))
-    pictures = [Box((x, -1.6, 1.1), (x + 0.03, 1.6, 1.9), category="whiteboard") for x in (-0.08, 0.05)]
+    wall = Box((offset - 0.06, -3.0, 0.0), (offset + 0.06, 3.0, 2.5))
+    pictures = [
+        Box((offset + x, -1.6, 1.1), (offset + x + 0.04, 1.6, 1.9), category="whiteboard") for x in (-0.1, 0.06)
+    ]
     graph = build_graph(build_scene((*walls, wall, *pictures), name="pictures"))
-    assert len(graph.rooms) == 2
     boards = [each for each in graph.objects if each.kind == "whiteboard"]
-    assert [each.room for each in boards] == [graph.room_at(-3.0, 0.0), graph.room_at(3.0, 0.0)]
+    assert [each.room for each in boards] == [graph.room_at(-3.0, 0.0), graph.room_at(3.0, 0.0)] == [1, 2]
     assert all(each.wall_gap_m <= 0.15 and each.corner_gap_m > 1.0 for each in boards)
