@@ -16,13 +16,14 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from scene_pictures import GAP_PX, LAYOUTS, layouts
+from scene_pictures import GAP_PX, layouts
 
 from factory.scenes.pictures.sheet import draw_sheet, known_colours
 from schemas.terms import BUILTIN_CATEGORIES
 from workers.render.choose import open_renderer
 
 COUNT = 100
+LAYOUTS = 4
 COLUMNS, ROWS = 5, 4
 RENDERED_PX = 400
 
