@@ -44,7 +44,7 @@ from schemas.plan import Plan
 from schemas.storage.dataset_files import ATTEMPTS_FILE, CARD_FILE, EPISODES, META_FILE, METADATA_FILE, SHARDS_FILE
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.object_path import ObjectPath
-from schemas.storage.place import Place, relative_name
+from schemas.storage.place import Place, digest_of, relative_name
 
 _LEASE_TTL_S = 15.0
 _LISTED_CHARS = 500
@@ -206,11 +206,14 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
 def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
     """Applies the actions: files first, then the ledger, then the tables. An interrupted repair can be repeated."""
     for name, why in dataset.scenes.items():
-        package = archive.scene_path(name, dataset.catalog[name].sha256)
-        if package.exists():
-            archive.quarantine(package, why)
+        entry = dataset.catalog[name]
+        for sha256 in entry.textures:
+            _set_aside_damaged(archive, archive.texture_path(sha256), sha256, why)
+            archive.add_texture(entry.texture_path(sha256), sha256)
+        _set_aside_damaged(archive, archive.scene_path(name, entry.sha256), entry.sha256, why)
     for name, entry in dataset.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256)
+    archive.sweep_textures({sha256 for entry in dataset.catalog.values() for sha256 in entry.textures})
     for path, why in survey.quarantine:
         archive.quarantine(path, why)
     for quarantined, summary in survey.restore:
@@ -235,6 +238,11 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
         write_split_tables(archive, deep=True)
     finally:
         engine.dispose()
+
+
+def _set_aside_damaged(archive: Archive, place: Place, sha256: str, why: str) -> None:
+    if place.exists() and digest_of(place) != sha256:
+        archive.quarantine(place, why)
 
 
 def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:

@@ -21,7 +21,7 @@ from factory.scenes.pictures.sheet import draw_sheet, variants
 from factory.scenes.pictures.viewpoints import EYE, best_views
 from factory.support.settings import scene_cache
 from schemas.errors import WorldError
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from workers.render.choose import open_renderer
 
 SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
@@ -60,8 +60,7 @@ def draw_family(family: str) -> None:
         except WorldError as error:
             print(error)
             continue
-        with package.open("rb") as file:
-            scene = decode_scene(file)
+        scene = read_scene(package)
         maps.append(Image.open(io.BytesIO(encode_topdown(scene))))
         views.append(draw_view(scene))
         if len(maps) == 1:

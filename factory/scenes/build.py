@@ -20,8 +20,9 @@ from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
-from schemas.errors import LayoutError, UsageError, WorldError
-from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
+from schemas.errors import InvalidBundle, LayoutError, UsageError, WorldError
+from schemas.scene import LAYOUT_FORMAT, SCENE_FORMAT, CompiledScene, encode_layout, encode_scene
+from schemas.scene.files import faulty_textures
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 
@@ -53,7 +54,8 @@ def package_path(
         known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a file"
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or rules_of(name)).model_dump_json()
-    made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
+    package_format = SCENE_FORMAT if _is_paper(name, seed) else LAYOUT_FORMAT
+    made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{package_format}\n{book}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
     made_from += "" if called is None else f"\n{called}"
@@ -89,15 +91,36 @@ def build_scene(
         WorldError: the cache cannot be written.
     """
     path = package_path(name, seed, cache, rules, targets, called)
-    if not path.is_file():
+    if not _is_built(path):
         require_building()
         tell()
         try:
             scene = _compile_builtin(name, seed, called or name, rules, targets)
         except WorldError as error:
             raise LayoutError(f"{name}, seed {seed}: {error}") from error
-        write_whole(path, encode_scene(scene) if _is_paper(name, seed) else encode_scene(scene, _LEVEL))
+        if _is_paper(name, seed):
+            write_whole(path, encode_scene(scene))
+        else:
+            _write_layout(path, scene)
     return path
+
+
+def _is_built(path: Path) -> bool:
+    """Returns whether the cache contains a package and its textures."""
+    try:
+        return path.is_file() and not faulty_textures(path)
+    except InvalidBundle:
+        return False
+
+
+def _write_layout(path: Path, scene: CompiledScene) -> None:
+    """Writes the textures that the cache does not have, then the package."""
+    layout = encode_layout(scene, _LEVEL)
+    for texture, data in layout.textures.items():
+        place = path.parent / texture.file
+        if not (place.is_file() and place.read_bytes() == data):
+            write_whole(place, data)
+    write_whole(path, layout.data)
 
 
 def _compile_builtin(

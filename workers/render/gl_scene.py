@@ -5,6 +5,7 @@ Selects the visible parts of a scene and draws them. Does not manage targets or 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import moderngl
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
-from schemas.scene import CompiledScene
+from schemas.scene import CompiledScene, Layer
 from workers.geometry.camera import OpticalPose, Perspective
 from workers.render import Window
 from workers.render.cull import Edges, PartBounds, may_reach, visible_parts, window_of_corners
@@ -209,15 +210,15 @@ def _interleave(scene: CompiledScene) -> NDArray[np.void]:
     return vertices
 
 
-def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> moderngl.TextureArray:
+def _upload_textures(context: moderngl.Context, textures: Sequence[Layer]) -> moderngl.TextureArray:
     """Uploads the layers with rows reversed, because v = 0 is the bottom row, and generates their mipmaps.
 
     Only the nearest mipmap is sampled: interpolation between two mipmaps gives the same image quality here and takes as
     long as the light map.
     """
-    layers = textures if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
-    count, height, width, _ = layers.shape
-    array = context.texture_array((width, height, count), 3)
+    layers = textures or (np.full((1, 1, 3), 255, np.uint8),)
+    height, width, _ = layers[0].shape
+    array = context.texture_array((width, height, len(layers)), 3)
     for number, layer in enumerate(layers):
         array.write(np.ascontiguousarray(layer[::-1]), (0, 0, number, width, height, 1))
     array.build_mipmaps()

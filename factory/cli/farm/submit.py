@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.protocol.identity import Role
+from schemas.scene.files import copy_package
 from schemas.storage.disk import translated
 from schemas.storage.mounts import mount_of
 from schemas.support.child import python_module
@@ -127,4 +127,4 @@ def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
 def _copy_scenes(catalog: Catalog, folder: Path) -> None:
     folder.mkdir(parents=True)
     for name, entry in catalog.items():
-        shutil.copyfile(entry.path, folder / scene_file(name, entry.sha256))
+        copy_package(entry.path, folder / scene_file(name, entry.sha256))

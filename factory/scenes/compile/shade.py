@@ -15,6 +15,7 @@ from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
 from schemas.appearance.colour_names import dominant_name, linear_of, srgb_of
+from schemas.scene import TEXTURE_SIZE_PX
 from schemas.support.numpy_types import Floats
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -103,7 +104,7 @@ def _sample(part: Part, book: TextureBook, triangles: NDArray[np.int64], rng: np
     layer = texture_layer(part, book)
     if layer >= 0 and part.uvs is not None:
         uv = np.einsum("nk,nkc->nc", weights, part.uvs[triangles]) % 1.0
-        side = book.layers.shape[1]
+        side = TEXTURE_SIZE_PX
         columns = np.minimum((uv[:, 0] * side).astype(int), side - 1)
         rows = np.minimum(((1 - uv[:, 1]) * side).astype(int), side - 1)
         linear = linear * linear_of(book.layers[layer][rows, columns] / 255)

@@ -13,25 +13,22 @@ from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from schemas.appearance.colour_names import linear_of
-from schemas.scene import TEXTURE_SIZE_PX
+from schemas.scene import TEXTURE_SIZE_PX, Layer
 
 MAX_LAYERS = 64
 _MAX_SOURCE_PX = 16384
 _PALETTES = ("P", "PA", "LA", "RGBA")
-
-Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class TextureBook:
     """Texture layers of a scene, with the layer of each texture path."""
 
-    layers: Picture
-    """(L, 512, 512, 3) sRGB, top row first."""
+    layers: tuple[Layer, ...]
+    """Layers, each (512, 512, 3), sRGB, top row first."""
     layer_of: Mapping[str, int]
     """Texture path -> layer index."""
     mean_of: Mapping[str, tuple[float, float, float]]
@@ -50,7 +47,7 @@ def load_textures(
         users: one prim that uses each texture, for the notes.
     """
     notes: list[str] = []
-    pictures: dict[str, Picture] = {}
+    pictures: dict[str, Layer] = {}
     digest_of: dict[str, str] = {}
     for path in sorted(areas):
         data = read(path)
@@ -59,17 +56,15 @@ def load_textures(
         if picture is not None:
             pictures[digest], digest_of[path] = picture, digest
     kept = _largest(areas, digest_of, notes)
-    layers = [pictures[digest] for digest in kept]
-    shape = (0, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3)
     return TextureBook(
-        layers=np.stack(layers) if layers else np.zeros(shape, np.uint8),
+        layers=tuple(pictures[digest] for digest in kept),
         layer_of={path: kept.index(digest) for path, digest in digest_of.items() if digest in kept},
         mean_of={path: _mean(pictures[digest]) for path, digest in digest_of.items()},
         notes=tuple(notes),
     )
 
 
-def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Picture | None:
+def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Layer | None:
     name = f"{user}: texture {path.rpartition('/')[2]}".removeprefix(": ")
     if data is None:
         notes.append(f"{name} is missing, shown in one colour; put it where the material looks for it")
@@ -82,7 +77,7 @@ def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Pictu
 
 
 @lru_cache(maxsize=MAX_LAYERS)
-def _read(data: bytes) -> Picture:
+def _read(data: bytes) -> Layer:
     """Returns the pixels of an image, read-only. The layouts that a process builds share textures."""
     with Image.open(io.BytesIO(data)) as image:
         if max(image.size) > _MAX_SOURCE_PX:
@@ -115,6 +110,6 @@ def _largest(areas: Mapping[str, float], digest_of: Mapping[str, str], notes: li
     return sorted(by_area)
 
 
-def _mean(picture: Picture) -> tuple[float, float, float]:
+def _mean(picture: Layer) -> tuple[float, float, float]:
     small = linear_of(picture[::4, ::4].reshape(-1, 3) / 255).mean(axis=0)
     return (float(small[0]), float(small[1]), float(small[2]))

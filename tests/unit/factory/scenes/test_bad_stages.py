@@ -259,7 +259,7 @@ def test_a_texture_outside_the_folder_is_not_read(tmp_path: Path, secret: Path, 
     assert "--allow-outside" in note
     assert str(tmp_path) not in note
     allowed = compile_stage(path, "room", "test", limits=StageLimits(allow_outside=True))
-    assert allowed.textures.tolist()[0][0][0] == [77, 77, 77]
+    assert allowed.textures[0][0, 0].tolist() == [77, 77, 77]
 
 
 def test_a_refused_texture_shows_its_fallback(tmp_path: Path, secret: Path) -> None:
