@@ -107,7 +107,7 @@ def _reconcile(
         ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned, options.shard
     )
     for name, entry in terms.catalog.items():
-        archive.add_scene(entry.path, name, entry.sha256)
+        archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         if entry.textures:
             family = family_of(name)
             terms.textures[family] = terms.textures.get(family, frozenset()).union(entry.textures)

@@ -99,17 +99,17 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
     def free_bytes(self) -> int:
         """Returns the free space, in bytes, for an unprivileged user on the file system of the part files."""
 
-    def add_scene(self, source: Path, name: str, sha256: str) -> Place:
+    def add_scene(self, source: Path, name: str, sha256: str, textures: Sequence[str] = ()) -> Place:
         """Stores a compiled scene with the dataset, its textures first. Does nothing if the scene is already stored.
 
         Args:
             source: compiled package; the textures that the dataset does not have are in the folder beside it.
             name: name of the scene.
             sha256: expected SHA-256 of the package.
+            textures: SHA-256 of the files of its textures.
 
         Raises:
             ArchiveCorrupt: the digest of the package differs from `sha256`, or a texture is missing or damaged.
-            InvalidBundle: the file is not a package.
             WorldError: the file cannot be stored; no incomplete file is published.
         """
 

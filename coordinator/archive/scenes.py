@@ -7,13 +7,12 @@ needs; `sweep_textures` deletes them. The module does not decode scenes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import structlog
 
 from schemas.errors import ArchiveCorrupt
-from schemas.scene import read_info
 from schemas.scene.info import TEXTURES, texture_file
 from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import Place, children, digest_of
@@ -39,13 +38,13 @@ class SceneStore(ABC):
     def _drop(self, place: Place) -> None:
         """Deletes a file."""
 
-    def add_scene(self, source: Path, name: str, sha256: str) -> Place:
+    def add_scene(self, source: Path, name: str, sha256: str, textures: Sequence[str] = ()) -> Place:
         """See `Archive.add_scene`."""
         place = self.scene_path(name, sha256)
         if not place.exists():
             _require_digest(source, sha256)
-            for texture in read_info(source).textures:
-                self.add_texture(source.parent / texture.file, texture.sha256)
+            for texture in textures:
+                self.add_texture(source.parent / texture_file(texture), texture)
             self._keep(source, place)
         return place
 

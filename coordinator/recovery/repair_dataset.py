@@ -231,7 +231,7 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
             archive.add_texture(entry.texture_path(sha256), sha256)
         _set_aside_damaged(archive, archive.scene_path(name, entry.sha256), entry.sha256, why)
     for name, entry in dataset.catalog.items():
-        archive.add_scene(entry.path, name, entry.sha256)
+        archive.add_scene(entry.path, name, entry.sha256, entry.textures)
     for place in _surplus_textures(dataset):
         archive.quarantine(place, _SURPLUS)
     for path, why in survey.quarantine:

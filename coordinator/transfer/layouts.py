@@ -115,7 +115,7 @@ class LayoutStore:
 
     def _keep(self, layout: str, staged: SceneEntry) -> Path:
         """Stores a package in the dataset, and returns the path of a local file with it."""
-        stored = self.archive.add_scene(staged.path, layout, staged.sha256)
+        stored = self.archive.add_scene(staged.path, layout, staged.sha256, staged.textures)
         if isinstance(stored, Path):
             return stored
         copy = self.home / SCENES / stored.name

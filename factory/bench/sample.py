@@ -83,7 +83,7 @@ def make_sample(
         for planned in expand(plan, catalog):
             job = to_job(plan, catalog, planned, attempt=1)
             entry = catalog[job.scene]
-            archive.add_scene(entry.path, job.scene, entry.sha256)
+            archive.add_scene(entry.path, job.scene, entry.sha256, entry.textures)
             stage.load(entry.path, entry.sha256)
             row = _try(archive, job, stage)
             tell()

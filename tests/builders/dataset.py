@@ -78,9 +78,10 @@ def make_dataset(
     plan = plan or small_plan(planned or episodes)
     package, textures = split_package(io.BytesIO(package or office_package()))
     sha256 = hashlib.sha256(package).hexdigest()
-    source = MadeLayout(package, textures).write(root.with_name(f"{root.name}.scene"))
+    layout = MadeLayout(package, textures)
+    source = layout.write(root.with_name(f"{root.name}.scene"))
     with open_archive(root) as archive:
-        archive.add_scene(source, "office", sha256)
+        archive.add_scene(source, "office", sha256, layout.names)
         rows = [
             archive_episode(
                 archive, change(episode_of(plan, index, sha256, len(package), splits[(index - 1) % len(splits)]))

@@ -26,6 +26,11 @@ class MadeLayout:
     def sha256(self) -> str:
         return hashlib.sha256(self.package).hexdigest()
 
+    @property
+    def names(self) -> list[str]:
+        """SHA-256 of the textures."""
+        return [texture.sha256 for texture in self.textures]
+
     def complete(self, known: Collection[str] = ()) -> bytes:
         """Returns the bundle of a build that leaves out known textures."""
         return complete_package(self.package, self.textures.__getitem__, known)

@@ -17,7 +17,6 @@ from coordinator.archive.opening import open_archive
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-from tests.builders.dataset import office_package
 from tests.builders.layout_package import make_layout
 from tests.builders.object_server import ObjectServer
 
@@ -184,24 +183,24 @@ def test_leftover_part_files_are_removed_at_the_next_start(kind: Kind) -> None:
 
 def test_scene_is_kept_once_under_its_digest(kind: Kind, tmp_path: Path) -> None:
     source = tmp_path / "office.scene"
-    source.write_bytes(office_package())
-    sha256 = hashlib.sha256(office_package()).hexdigest()
+    source.write_bytes(b"package")
+    sha256 = hashlib.sha256(b"package").hexdigest()
     with kind.open() as archive:
         place = archive.add_scene(source, "office", sha256)
         source.unlink()
         assert archive.add_scene(source, "office", sha256) == place
-        assert place.read_bytes() == office_package()
+        assert place.read_bytes() == b"package"
         assert place.name == f"office-{sha256[:16]}.scene.zip"
 
 
 def test_scenes_share_their_textures_which_are_stored_once(kind: Kind, tmp_path: Path) -> None:
     one, other = make_layout("home_00001", shades=(40, 200)), make_layout("home_00002", shades=(90, 200))
     with kind.open() as archive:
-        archive.add_scene(one.write(tmp_path / "one/home.scene.zip"), "home_00001", one.sha256)
+        archive.add_scene(one.write(tmp_path / "one/home.scene.zip"), "home_00001", one.sha256, one.names)
         sent = other.write(tmp_path / "other/home.scene.zip")
         shared = next(texture for texture in other.textures if texture in one.textures)
         (sent.parent / shared.file).unlink()  # the archive has it
-        archive.add_scene(sent, "home_00002", other.sha256)
+        archive.add_scene(sent, "home_00002", other.sha256, other.names)
         names = [f"{texture.sha256}.npy.zst" for texture in {*one.textures, *other.textures}]
         assert kind.names("scenes/textures") == sorted(names)
         assert archive.texture_path(shared.sha256).read_bytes() == one.textures[shared]
@@ -217,7 +216,7 @@ def test_scene_without_a_whole_texture_is_not_stored(
     damage(tmp_path / list(layout.textures)[1].file)
     with kind.open() as archive:
         with pytest.raises(ArchiveCorrupt, match="build the scene again"):
-            archive.add_scene(source, "home_00001", layout.sha256)
+            archive.add_scene(source, "home_00001", layout.sha256, layout.names)
         assert not archive.scene_path("home_00001", layout.sha256).exists()
         assert parts_of(kind) == []
 
@@ -227,7 +226,7 @@ def test_textures_that_no_scene_needs_are_swept(kind: Kind, tmp_path: Path) -> N
     source = layout.write(tmp_path / "home.scene.zip")
     needed, surplus = layout.textures
     with kind.open() as archive:
-        archive.add_scene(source, "home_00001", layout.sha256)
+        archive.add_scene(source, "home_00001", layout.sha256, layout.names)
         archive.sweep_textures({needed.sha256})
         assert archive.texture_path(needed.sha256).exists()
         assert not archive.texture_path(surplus.sha256).exists()

@@ -90,16 +90,10 @@ class Grid:
         return self._least_clearance(x, y, yaw) - DISC_RADIUS_M
 
     def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
-        x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
-        along = np.asarray(DISC_OFFSETS_M)
-        discs = np.stack(
-            [
-                x[..., None] + along * portable.cos(yaw)[..., None],
-                y[..., None] + along * portable.sin(yaw)[..., None],
-            ],
-            axis=-1,
-        )
-        return np.asarray(self.clearance_at(discs).min(axis=-1))
+        x, y, yaw = (np.asarray(values, float) for values in (x, y, yaw))
+        cos, sin = portable.cos(yaw), portable.sin(yaw)  # before the broadcast: often all poses have a few headings
+        discs = [self.clearance_at(stacked(x + along * cos, y + along * sin)) for along in DISC_OFFSETS_M]
+        return np.asarray(np.minimum(np.minimum(discs[0], discs[1]), discs[2]))
 
     def is_pose_free(self, x: float, y: float, yaw: float, margin_m: float = 0.0) -> bool:
         """Returns whether the footprint of a base_link pose with `margin_m` around it is free."""
@@ -197,5 +191,10 @@ def are_within(points: Floats, boxes: Floats) -> Bools:
 
 def body_centre(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
     """Returns the body centre (..., 2) of base_link poses, world frame, metres."""
-    x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
-    return np.stack([x + BODY_CENTRE_M * portable.cos(yaw), y + BODY_CENTRE_M * portable.sin(yaw)], axis=-1)
+    x, y, yaw = (np.asarray(values, float) for values in (x, y, yaw))
+    return stacked(x + BODY_CENTRE_M * portable.cos(yaw), y + BODY_CENTRE_M * portable.sin(yaw))
+
+
+def stacked(x: Floats, y: Floats) -> Floats:
+    """Returns points (..., 2) from their coordinates, which broadcast."""
+    return np.stack(np.broadcast_arrays(x, y), axis=-1)

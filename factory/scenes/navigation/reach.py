@@ -90,15 +90,18 @@ def _ring_tiers(terrain: Terrain, target: Target, goal: Goal) -> tuple[list[Tier
     """
     straight, connected = [], []
     for tier, (low, high) in TIER_RANGE_M.items():
-        points = _rings(goal, np.linspace(low, high, _RINGS))
-        starts = points[terrain.can_start(points, _toward(goal, points))]
-        starts = starts[terrain.grid.have_sight(starts, target)]
-        if len(starts) >= MIN_STARTS:
-            connected.append(tier)
+        seen = driven = 0
+        for distance in np.linspace(low, high, _RINGS):  # most targets have enough starts on the first ring
+            points = _rings(goal, np.array([distance]))
+            starts = points[terrain.can_start(points, _toward(goal, points))]
+            starts = starts[terrain.grid.have_sight(starts, target)]
             ends = goal.approach(starts, ARRIVAL_RADIUS_M)
-            lines = terrain.grid.are_lines_free(starts, ends, terrain.config.approach_clearance_m)
-            if int(lines.sum()) >= MIN_STARTS:
-                straight.append(tier)
+            seen += len(starts)
+            driven += int(terrain.grid.are_lines_free(starts, ends, terrain.config.approach_clearance_m).sum())
+            if driven >= MIN_STARTS:
+                break
+        connected += [tier] if seen >= MIN_STARTS else []
+        straight += [tier] if driven >= MIN_STARTS else []
     return straight, connected
 
 
