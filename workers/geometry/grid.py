@@ -150,13 +150,23 @@ class Grid:
         camera and a person, but not desks. The target's box and one cell around it never block it.
         """
         points = np.atleast_2d(np.asarray(xy, float))
-        centre = np.asarray(target.centroid_m[:2])
-        owner, samples = self._samples(points, np.broadcast_to(centre, points.shape))
-        reach = np.asarray(target.size_m[:2]) / 2 + self.resolution_m
+        centre, reach = np.asarray(target.centroid_m[:2]), np.asarray(target.size_m[:2]) / 2
+        return self.see_boxes(points, np.broadcast_to(centre, points.shape), np.broadcast_to(reach, points.shape))
+
+    def see_boxes(self, points: Floats, centres: Floats, reaches: Floats) -> Bools:
+        """Returns for points (N, 2) whether each has a line of sight to its target, as `have_sight`.
+
+        Args:
+            points: x, y, metres.
+            centres: (N, 2) centres of the targets' boxes, metres.
+            reaches: (N, 2) half the extents of the boxes, metres.
+        """
+        owner, samples = self._samples(points, centres)
         hiding = np.flatnonzero(self.values_at(self.occupancy, samples, FREE) == HIDING)
-        own = (np.abs(samples[hiding] - centre) <= reach).all(axis=1)
+        of_hiding = owner[hiding]
+        own = (np.abs(samples[hiding] - centres[of_hiding]) <= reaches[of_hiding] + self.resolution_m).all(axis=1)
         seen = np.ones(len(points), bool)
-        seen[owner[hiding[~own]]] = False
+        seen[of_hiding[~own]] = False
         return seen
 
     def has_sight(self, xy: ArrayLike, target: Target) -> bool:

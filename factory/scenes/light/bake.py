@@ -16,7 +16,7 @@ from factory.scenes.light.curves import Bends, find_bends
 from factory.scenes.light.irradiance import Rays, lamp_light, sky_light
 from factory.scenes.light.lamps import Lamps, find_lamps
 from factory.scenes.light.smooth import even_out, fill_hidden, smooth_charts
-from factory.scenes.light.texels import Texels, lay_texels
+from factory.scenes.light.texels import TexelGrid, Texels, lay_texels
 from factory.scenes.light.tone import tone
 from factory.scenes.light.unwrap import unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
@@ -29,6 +29,8 @@ _EVEN_STEPS = (1, 2)
 """Distances over which noise is averaged, texels."""
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
 """Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
+_FLOOR_M, _LEVEL = 0.1, 0.9
+"""Least distance from the floor, metres, and greatest vertical part of the normal, of charts without contact shade."""
 _MIDDLE_GREY = 0.5
 """Mean reflectance without exposure correction."""
 
@@ -89,7 +91,7 @@ def bake_light(
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
     cast, known = _cast_light(caster, texels.cast(), lamps, owner, detail)
-    touch = contact_shade(triangles, floor_m, texels.points.mean(axis=1), texels.axes[:, 2])
+    touch = _contact(triangles, floor_m, texels)
     filled = fill_hidden(np.concatenate((cast, texel_maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
     emitting = texel_mask(layout.shape, texels, glow[texels.chart] > 0)
@@ -115,13 +117,14 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detai
 def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Floats:
     """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
     layout = unwrap(charts, np.full(len(charts.area), _COARSE))
-    texels = lay_texels(charts, bends, layout).cast()
+    grid = lay_texels(charts, bends, layout)
+    texels, chart = grid.cast(), grid.chart[~grid.is_spare]
     _, open_spots = sky_light(caster, texels, _COARSE_SKY)
     whole, free = lamp_light(caster, texels, open_spots, lamps, _COARSE_LAMPS)
     shown = open_spots.any(axis=1)
     is_seen, is_lit = np.zeros(len(charts.area), bool), np.zeros(len(charts.area), bool)
-    np.logical_or.at(is_seen, texels.chart, shown)
-    np.logical_or.at(is_lit, texels.chart, shown & (whole * free > 0))
+    is_seen[chart[shown]] = True
+    is_lit[chart[shown & (whole * free > 0)]] = True
     return np.where(is_lit, 1.0, np.where(is_seen, _DARK_GAIN, _HIDDEN_GAIN))
 
 
@@ -133,7 +136,18 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
     return np.asarray(total / np.bincount(charts.of_triangle))
 
 
-def texel_maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
+def _contact(triangles: Floats, floor_m: float, texels: TexelGrid) -> Floats:
+    """Returns (N,) the contact shade of all texels; places only those of charts that may be on the floor."""
+    charts = texels.charts
+    height, shade = charts.anchors[..., 2] - floor_m, np.ones(len(texels.chart))
+    is_near = (height.min(axis=1) < _FLOOR_M) & (height.max(axis=1) > -_FLOOR_M)
+    rows = np.flatnonzero((is_near & (texels.bends.is_bent | (charts.axes[:, 2, 2] > _LEVEL)))[texels.chart])
+    near = texels.place(rows)
+    shade[rows] = contact_shade(triangles, floor_m, near.middles, near.axes[:, 2])
+    return shade
+
+
+def texel_maps(shape: tuple[int, int], texels: Texels | TexelGrid, *values: Floats) -> Floats:
     """Writes values (N,) of the texels into maps (K, H, W), zero elsewhere."""
     flat = np.zeros((len(values), *shape))
     for each, target in zip(values, flat, strict=True):
@@ -141,7 +155,7 @@ def texel_maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Float
     return flat
 
 
-def texel_mask(shape: tuple[int, int], texels: Texels, chosen: Bools) -> Bools:
+def texel_mask(shape: tuple[int, int], texels: Texels | TexelGrid, chosen: Bools) -> Bools:
     """Writes values (N,) of the texels into a mask (H, W), false elsewhere."""
     mask = np.zeros(shape, bool)
     mask[texels.cell] = chosen

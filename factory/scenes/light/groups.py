@@ -63,7 +63,9 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
     filled = fill_hidden(smooth, is_near, owner)
     info = LightGroupsInfo(scene_sha256=sha256, groups=tuple(_describe(lamps, rows) for rows in members))
     is_strong = [group.kind != SCREENS for group in info.groups]
-    bounced = texel_maps(layout.shape, texels, *_indirect(lamps, members, is_strong, texels.points.mean(axis=1)))
+    bounced = texel_maps(
+        layout.shape, texels, *_indirect(lamps, members, is_strong, texels.place(np.arange(len(texels.chart))).middles)
+    )
     shares = _shares(filled[0], filled[1:], bounced, is_near)
     _light_lamps(shares, members, lamps, charts, owner, glow)
     return LightGroups(info, _quantised(shares))
