@@ -95,7 +95,7 @@ def build_scene(
         require_building()
         tell()
         try:
-            scene = _compile_builtin(name, seed, called or name, rules, targets)
+            scene = _compile_builtin(name, seed, called or name, rules, targets, cache)
         except WorldError as error:
             raise LayoutError(f"{name}, seed {seed}: {error}") from error
         if _is_paper(name, seed):
@@ -124,10 +124,11 @@ def _write_layout(path: Path, scene: CompiledScene) -> None:
 
 
 def _compile_builtin(
-    name: str, seed: int, called: str, rules: RuleBook | None, targets: TargetList | None
+    name: str, seed: int, called: str, rules: RuleBook | None, targets: TargetList | None, cache: Path
 ) -> CompiledScene:
     """Compiles a layout; the paper's four from USD files, whose digests their packages record."""
-    from factory.scenes.compile.compiler import compile_extraction, compile_stage  # only now: most scenes are cached
+    from factory.scenes.author.drawn import DrawnTextures  # only now: most scenes are cached
+    from factory.scenes.compile.compiler import compile_extraction, compile_stage
     from factory.scenes.light import LAYOUT_DETAIL
 
     source, book = f"built-in {name}, seed {seed}", rules or rules_of(name)
@@ -136,7 +137,15 @@ def _compile_builtin(
         is_usual = rules is None and targets is None
         content = author_content(name, seed)
         return compile_extraction(
-            name, content, called, source, book, targets, LAYOUT_DETAIL, required if is_usual else ()
+            name,
+            content,
+            called,
+            source,
+            book,
+            targets,
+            LAYOUT_DETAIL,
+            required if is_usual else (),
+            DrawnTextures(cache, AUTHOR_VERSION).pixels,
         )
     with tempfile.TemporaryDirectory(prefix="scene-") as directory:
         return compile_stage(author_scene(name, seed, Path(directory)), called, source, book, targets)

@@ -17,6 +17,7 @@ from factory.scenes.rules import split_name
 from schemas.appearance.colour_names import dominant_name, linear_of, srgb_of
 from schemas.scene import TEXTURE_SIZE_PX
 from schemas.support.numpy_types import Floats
+from schemas.support.vectors import cross
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
@@ -29,7 +30,7 @@ def triangle_areas(triangles: Floats) -> Floats:
 
 
 def _crosses(triangles: Floats) -> Floats:
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def texture_layer(part: Part, book: TextureBook) -> int:

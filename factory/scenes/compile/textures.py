@@ -15,12 +15,17 @@ from types import MappingProxyType
 import numpy as np
 from PIL import Image
 
+from factory.scenes.importer import TextureRecipe
 from schemas.appearance.colour_names import linear_of
 from schemas.scene import TEXTURE_SIZE_PX, Layer
 
 MAX_LAYERS = 64
 _MAX_SOURCE_PX = 16384
 _PALETTES = ("P", "PA", "LA", "RGBA")
+
+
+DrawFunction = Callable[[TextureRecipe], Layer]
+"""Function that returns the pixels (512, 512, 3) of a texture."""
 
 
 @dataclass(frozen=True)
@@ -37,22 +42,31 @@ class TextureBook:
 
 
 def load_textures(
-    areas: Mapping[str, float], read: Callable[[str], bytes | None], users: Mapping[str, str] = MappingProxyType({})
+    areas: Mapping[str, float],
+    read: Callable[[str], bytes | TextureRecipe | None],
+    users: Mapping[str, str] = MappingProxyType({}),
+    draw: DrawFunction | None = None,
 ) -> TextureBook:
     """Decodes the textures of a scene.
 
     Args:
         areas: area that each texture path covers, square metres; the largest get a layer.
-        read: function that returns the bytes of a path, or `None`.
+        read: function that returns the bytes of a path, a texture to draw, or `None`.
         users: one prim that uses each texture, for the notes.
+        draw: function that returns the pixels of a texture to draw; a scene from a file has none.
     """
     notes: list[str] = []
     pictures: dict[str, Layer] = {}
     digest_of: dict[str, str] = {}
     for path in sorted(areas):
         data = read(path)
-        digest = hashlib.sha256(data or b"").hexdigest()
-        picture = pictures[digest] if digest in pictures else _decode(path, data, users.get(path, ""), notes)
+        digest = hashlib.sha256(repr(data).encode() if isinstance(data, TextureRecipe) else data or b"").hexdigest()
+        if digest in pictures:
+            picture: Layer | None = pictures[digest]
+        elif isinstance(data, TextureRecipe):
+            picture = _drawn(data, draw)
+        else:
+            picture = _decode(path, data, users.get(path, ""), notes)
         if picture is not None:
             pictures[digest], digest_of[path] = picture, digest
     kept = _largest(areas, digest_of, notes)
@@ -62,6 +76,12 @@ def load_textures(
         mean_of={path: _mean(pictures[digest]) for path, digest in digest_of.items()},
         notes=tuple(notes),
     )
+
+
+def _drawn(recipe: TextureRecipe, draw: DrawFunction | None) -> Layer:
+    if draw is None:
+        raise ValueError(f"texture {recipe.name} is to be drawn, but no function for it was given")
+    return draw(recipe)
 
 
 def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Layer | None:

@@ -22,7 +22,6 @@ from factory.scenes.light.unwrap import unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
 from workers.geometry.rays import Caster
 
-_COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (8, 8), (4, 4)
 FINE_SKY, FINE_LAMPS = (16, 64), (12, 24)
 _EVEN_STEPS = (1, 2)
@@ -45,11 +44,13 @@ class LightDetail:
     """Rays to the surroundings."""
     lamps: Rays = FINE_LAMPS
     """Rays to the lamps."""
+    coarse: float = 0.25
+    """Texels per metre of the coarse pass, relative to the usual number."""
 
 
 USUAL_DETAIL = LightDetail()
-LAYOUT_DETAIL = LightDetail(0.7, (16, 32), (12, 12))
-"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0215)."""
+LAYOUT_DETAIL = LightDetail(0.6, (16, 16), (8, 8), 0.18)
+"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0222)."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ def bake_light(
     np.maximum.at(glow, charts.of_triangle, brightness)
     bounds = np.array((triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))))
     caster, lamps = Caster(triangles), find_lamps(charts, glow, bounds, floor_m)
-    layout = unwrap(charts, detail.density * _interest(caster, charts, bends, lamps), bends.least_texels())
+    gain = detail.density * _interest(caster, charts, bends, lamps, detail.coarse)
+    layout = unwrap(charts, gain, bends.least_texels())
     texels = lay_texels(charts, bends, layout)
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
@@ -114,9 +116,9 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detai
     return np.where(bent, cast, smooth), np.where(bent, known, is_near)
 
 
-def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Floats:
+def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps, coarse: float) -> Floats:
     """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
-    layout = unwrap(charts, np.full(len(charts.area), _COARSE))
+    layout = unwrap(charts, np.full(len(charts.area), coarse))
     grid = lay_texels(charts, bends, layout)
     texels, chart = grid.cast(), grid.chart[~grid.is_spare]
     _, open_spots = sky_light(caster, texels, _COARSE_SKY)

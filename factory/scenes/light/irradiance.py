@@ -104,7 +104,7 @@ def _lit(
 ) -> tuple[Singles, Singles]:
     """Samples the lamps `near` (L, N) by their unoccluded light, and points on them, and tests visibility."""
     spots, normals = texels.points[run], np.ascontiguousarray(texels.axes[run, 2].T, np.float32)
-    points = np.ascontiguousarray(spots.mean(axis=1).T, np.float32)
+    points = np.ascontiguousarray(texels.middles[run].T, np.float32)
     reached = light_from(lamps, near, points, normals).cumsum(axis=0)
     whole, free = reached[-1], np.zeros(len(run), np.float32)
     rows = np.flatnonzero((whole > 1e-6) & open_spots.any(axis=1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ class Texels:
     is_bent: Bools
     """(N,) whether the texel is on a curved chart."""
 
-    @property
+    @cached_property
     def middles(self) -> Floats:
         """(N, 3) mean positions, metres."""
         return np.asarray(self.points.mean(axis=1))

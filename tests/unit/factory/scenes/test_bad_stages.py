@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 from factory.scenes.compile.compiler import compile_stage
-from factory.scenes.importer import Extraction, extract_stage
+from factory.scenes.importer import Extraction
+from factory.scenes.importer.extract import extract_stage
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import CategoryRule, RuleBook
 from schemas.errors import WorldError
@@ -178,7 +179,7 @@ SPOILING = """
 import sys
 from pathlib import Path
 import numpy as np
-from factory.scenes.importer import extract_stage
+from factory.scenes.importer.extract import extract_stage
 from schemas.errors import WorldError
 good = Path(sys.argv[1]).read_bytes()
 rng = np.random.default_rng(0)

@@ -124,7 +124,7 @@ def test_authoring_into_the_same_directory_replaces_the_scene(shelves: Path) -> 
 
 
 def test_content_of_a_layout_equals_what_the_importer_reads_from_its_usd(office: Path) -> None:
-    from factory.scenes.importer import extract_stage
+    from factory.scenes.importer.extract import extract_stage
 
     imported, direct = extract_stage(office), author_content("office", 3)
     expected = {part.path: part for part in imported.parts}
