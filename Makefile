@@ -2,17 +2,19 @@
 # check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-ray | test-slurm | test-train | fuzz |
 # audit | docs | quickstart.
 # Everything is in .venv.
-VENV   := .venv
-PYTHON ?= python3.11
-JUDGE  := .venv-judge
-TRAIN  := .venv-train
-AUDIT  := .venv-audit
-JOBS   ?= 3
-RECORD ?= frames
-PLAN   ?= paper
+VENV    := .venv
+PYTHON  ?= python3.11
+LEROBOT := .venv-lerobot
+HABITAT := .venv-habitat
+READERS := .venv-readers
+TRAIN   := .venv-train
+AUDIT   := .venv-audit
+JOBS    ?= 3
+RECORD  ?= frames
+PLAN    ?= paper
 EPISODES ?= 24
-DOCS   := .venv-docs
-READY  := $(VENV)/.ready
+DOCS    := .venv-docs
+READY   := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
 .PHONY: test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
@@ -53,7 +55,7 @@ bench: $(READY)
 	$(VENV)/bin/python -m tests.benchmarks.figures render coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
-# (PEERS=--no-peers leaves them out); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
+# (PEERS=--no-peers omits them); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 --record $(RECORD) $(PEERS)
 
@@ -63,8 +65,8 @@ chaos-long: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --record $(RECORD) $(PEERS) --tally build/chaos-$(RECORD).json
 
 # a drive rendered with three rigs and two appearances; each export with sensors opened in the reader of its format
-check-rigs: $(READY) $(JUDGE)/.ready
-	$(VENV)/bin/python -m tests.acceptance.check_rigs --lerobot $(JUDGE)/bin/python
+check-rigs: $(READY) $(LEROBOT)/.ready
+	$(VENV)/bin/python -m tests.acceptance.check_rigs --lerobot $(LEROBOT)/bin/python
 
 # a plan recorded as states and as frames, and the rendered states: every table, episode and export compared
 compare-recordings: $(READY)
@@ -78,60 +80,60 @@ ledger-accidents: $(READY)
 # every format with sizes, times and its readers: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
 # Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate environments, 17 GB in
 # total; with VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer the loader of ViNT and NoMaD as well
-test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.ready $(JUDGE)-readers/.ready
+test-formats: $(READY) $(LEROBOT)/.ready $(LEROBOT)-v2.1/.ready $(HABITAT)/.ready $(READERS)/.ready
 	rm -rf build/formats
 	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
-	$(VENV)/bin/python tests/judges/formats.py build/formats/data build/formats/out lerobot=$(JUDGE)/bin/python \
-	    lerobot-v2.1=$(JUDGE)-v2.1/bin/python habitat=$(JUDGE)-habitat/bin/python \
-	    readers=$(JUDGE)-readers/bin/python visualnav=$(VISUALNAV)
+	$(VENV)/bin/python tests/readers/formats.py build/formats/data build/formats/out lerobot=$(LEROBOT)/bin/python \
+	    lerobot-v2.1=$(LEROBOT)-v2.1/bin/python habitat=$(HABITAT)/bin/python \
+	    readers=$(READERS)/bin/python visualnav=$(VISUALNAV)
 
-# instructions, sub-instructions and spans of routes, read back with the loaders of LeRobot and Habitat
-test-language: $(READY) $(JUDGE)/.ready $(JUDGE)-habitat/.ready
+# instructions, sub-instructions and spans of routes, and questions, read back with the loaders of LeRobot and Habitat
+test-language: $(READY) $(LEROBOT)/.ready $(HABITAT)/.ready
 	rm -rf build/language && mkdir -p build/language
-	printf 'languages = ["en", "de", "es", "zh"]\nkinds = ["route"]\n' > build/language/language.toml
+	printf 'languages = ["en", "de", "es", "zh"]\nkinds = ["route"]\nquestions = true\n' > build/language/language.toml
 	$(VENV)/bin/factory run demo --scene office --scene hospital --expert planner --episodes 6 --out build/language/driven
 	$(VENV)/bin/factory relabel build/language/driven -o build/language/data --language build/language/language.toml
 	$(VENV)/bin/factory export build/language/data --to lerobot -o build/language/lerobot
 	$(VENV)/bin/factory export build/language/data --to vlnce -o build/language/vlnce
-	HF_HUB_OFFLINE=1 $(JUDGE)/bin/python -W ignore tests/judges/lerobot_language_judge.py build/language/data build/language/lerobot
-	$(JUDGE)-habitat/bin/python -W ignore tests/judges/habitat_language_judge.py build/language/data build/language/vlnce
+	HF_HUB_OFFLINE=1 $(LEROBOT)/bin/python -W ignore tests/readers/lerobot_language_reader.py build/language/data build/language/lerobot
+	$(HABITAT)/bin/python -W ignore tests/readers/habitat_language_reader.py build/language/data build/language/vlnce
 
 # the reader inside LeRobot's own environment (Python 3.12)
-test-lerobot: $(READY) $(JUDGE)/.ready
+test-lerobot: $(READY) $(LEROBOT)/.ready
 	rm -rf build/lerobot && mkdir -p build/lerobot
 	$(VENV)/bin/python -m hatchling build -t wheel -d build/lerobot
-	$(JUDGE)/bin/python -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps build/lerobot/*.whl
-	$(JUDGE)/bin/python -m pip install --quiet --disable-pip-version-check build/lerobot/*.whl
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps build/lerobot/*.whl
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check build/lerobot/*.whl
 	$(VENV)/bin/factory run demo --scene office --episodes 2 --out build/lerobot/data
-	cd build/lerobot && ../../$(JUDGE)/bin/python ../../tests/install/reader.py data lerobot
-	$(JUDGE)/bin/python -m pip check
+	cd build/lerobot && ../../$(LEROBOT)/bin/python ../../tests/install/reader.py data lerobot
+	$(LEROBOT)/bin/python -m pip check
 
-$(JUDGE)/.ready:
-	python3.12 -m venv $(JUDGE)
-	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb
-	touch $(JUDGE)/.ready
+$(LEROBOT)/.ready:
+	python3.12 -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb
+	touch $(LEROBOT)/.ready
 
 # torchvision of that release uses functions that later versions of PyAV removed
-$(JUDGE)-v2.1/.ready:
-	python3.12 -m venv $(JUDGE)-v2.1
-	$(JUDGE)-v2.1/bin/python -m pip install --quiet "lerobot==0.3.3" "av==15.1.0"
-	touch $(JUDGE)-v2.1/.ready
+$(LEROBOT)-v2.1/.ready:
+	python3.12 -m venv $(LEROBOT)-v2.1
+	$(LEROBOT)-v2.1/bin/python -m pip install --quiet "lerobot==0.3.3" "av==15.1.0"
+	touch $(LEROBOT)-v2.1/.ready
 
 # gym 0.23 builds only with an old setuptools
-$(JUDGE)-habitat/.ready:
-	$(PYTHON) -m venv $(JUDGE)-habitat
-	$(JUDGE)-habitat/bin/python -m pip install --quiet "setuptools<66" wheel
-	$(JUDGE)-habitat/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh "pyarrow==19.0.1"
-	touch $(JUDGE)-habitat/.ready
+$(HABITAT)/.ready:
+	$(PYTHON) -m venv $(HABITAT)
+	$(HABITAT)/bin/python -m pip install --quiet "setuptools<66" wheel
+	$(HABITAT)/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh "pyarrow==19.0.1"
+	touch $(HABITAT)/.ready
 
 # with the project itself, which contains the RLDS builder and `factory view`
-$(JUDGE)-readers/.ready: requirements.txt
-	$(PYTHON) -m venv $(JUDGE)-readers
-	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
-	$(JUDGE)-readers/bin/python -m pip install --quiet tensorflow==2.21.0 tensorflow-datasets==4.9.10 importlib_resources rerun-sdk==0.41.0 \
+$(READERS)/.ready: requirements.txt
+	$(PYTHON) -m venv $(READERS)
+	$(READERS)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
+	$(READERS)/bin/python -m pip install --quiet tensorflow==2.21.0 tensorflow-datasets==4.9.10 importlib_resources rerun-sdk==0.41.0 \
 	    mcap-protobuf-support foxglove-schemas-protobuf
-	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
-	touch $(JUDGE)-readers/.ready
+	$(READERS)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $(READERS)/.ready
 
 # the wheel in fresh environments of Python 3.11, 3.12 and 3.13, if they are on PATH or in PYENV_ROOT: the base install,
 # the extra `sim`, and an installation beside factory_boy; takes minutes and installs packages
@@ -174,7 +176,7 @@ fuzz: $(READY)
 
 # known vulnerabilities of the locked packages; prints a notice if no advisory database is reachable
 audit: $(AUDIT)/.ready
-	$(AUDIT)/bin/python tests/judges/audit.py $(AUDIT)/bin/pip-audit requirements.txt
+	$(AUDIT)/bin/python tests/install/audit.py $(AUDIT)/bin/pip-audit requirements.txt
 
 $(AUDIT)/.ready:
 	$(PYTHON) -m venv $(AUDIT)
@@ -198,4 +200,4 @@ $(DOCS)/.ready: requirements.txt
 	touch $(DOCS)/.ready
 
 clean:
-	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) $(AUDIT) $(DOCS) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT)-v2.1 $(HABITAT) $(READERS) $(TRAIN) $(AUDIT) $(DOCS) build .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,6 +1,6 @@
 """Periodic tasks of a coordinator: expiry of leases, free space, barred hosts, clock, sandbox. Runs no thread.
 
-A worker that holds a job too long loses it even if its heartbeats arrive: the job returns to the queue, and the host
+A worker that keeps a job too long loses it even if its heartbeats arrive: the job returns to the queue, and the host
 gets a strike.
 """
 

@@ -11,7 +11,7 @@ from coordinator.expansion.evaluation import EvalJobs
 from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import BundleValidator, Nearby, nothing_nearby
+from coordinator.transfer.contract import BundleValidator, FindLocalBundle, no_local_bundle
 from schemas.dataset.meta import GateOutcome
 from schemas.dataset.run_shard import RunShard
 from schemas.storage.object_path import ObjectPath
@@ -40,11 +40,11 @@ class CoordinatorOptions:
     elapsed: Callable[[], float] = seconds_since_boot
     """Monotonic clock, seconds, to detect changes of the wall clock."""
     gate: Sequence[GateOutcome] = ()
-    """Results of the pilot before a new run, recorded in the dataset's metadata."""
+    """Results of the gate before a new run, recorded in the dataset's metadata."""
     store: ObjectPath | None = None
     """Root of the dataset in object storage; `None` for a dataset in a directory."""
     take_over: bool = False
-    """Whether to take a dataset in object storage over from another home, whose coordinator must have ended."""
+    """Whether to take over a dataset in object storage from another state directory, whose coordinator has ended."""
     shard: RunShard | None = None
     """Shard of the run that the coordinator generates; `None` for the whole run."""
     evaluation: EvalJobs | None = None
@@ -53,5 +53,5 @@ class CoordinatorOptions:
     """Function that returns the states recording of a job."""
     connect: Sequence[str] = ()
     """Endpoints of other coordinators, whose workers may also execute jobs of this one."""
-    nearby: Nearby = nothing_nearby
+    find_local_bundle: FindLocalBundle = no_local_bundle
     """Function that finds bundles of workers on this machine, to avoid the transfer over the network."""

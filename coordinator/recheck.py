@@ -18,6 +18,7 @@ from coordinator.ledger.outcomes import lose
 from coordinator.ledger.repair import current_job
 from coordinator.ledger.unchecked import note_checked, suspects
 from schemas.errors import InvalidBundle
+from schemas.exchangeable import candidates_of
 from schemas.job import Job, episode_id
 from schemas.storage.place import local_copy
 
@@ -61,10 +62,10 @@ class Rechecks:
 
     def _refusal_of(self, index: int, job: Job) -> str:
         """Returns the reason why an episode is invalid; empty if it is valid."""
-        target = self._run.terms.catalog[job.scene].info.target(job.target_id)
+        candidates = candidates_of(job, self._run.terms.catalog[job.scene].info)
         try:
             with local_copy(self._run.archive.path_of(index)) as file:
-                self._run.checker.check(file, job, target)
+                self._run.checker.check(file, job, candidates)
         except InvalidBundle as error:
             return str(error)
         return ""

@@ -28,7 +28,7 @@ from coordinator.protocol.router import Router
 from coordinator.recheck import Rechecks
 from coordinator.status.health import HealthMonitor
 from coordinator.table_writer import TableWriter
-from coordinator.transfer.contract import Nearby
+from coordinator.transfer.contract import FindLocalBundle
 from coordinator.transfer.layouts import LayoutStore
 from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Pullers
@@ -54,7 +54,7 @@ class Coordinator(Closing):
     """Running coordinator; a context manager. Closing it loses no data.
 
     Args:
-        root: dataset directory, or with `options.store` the local home; created, or opened to resume the run.
+        root: dataset directory, or with `options.store` the state directory; created, or opened to resume the run.
         plan: plan of the run.
         catalog: compiled scenes of the plan.
         options: options of the coordinator; by default it listens on loopback, with a ledger in the directory.
@@ -78,7 +78,7 @@ class Coordinator(Closing):
             self._tables = TableWriter(run, options.gate)
             stack.callback(self._tables.write_splits)
             stack.callback(self._tables.write)
-            self._pullers = stack.enter_context(self._open_pullers(run, options.nearby, root, scenes))
+            self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
             chores.check_free_space()
             handler = stack.enter_context(self._open_request_handler(run))
@@ -185,13 +185,17 @@ class Coordinator(Closing):
         )
 
     def _open_pullers(
-        self, run: RunContext, nearby: Nearby, home: Path, scenes: MutableMapping[str, SceneEntry]
+        self,
+        run: RunContext,
+        find_local_bundle: FindLocalBundle,
+        state_dir: Path,
+        scenes: MutableMapping[str, SceneEntry],
     ) -> Pullers:
         layouts = None
         if isinstance(run.checker, Validator):  # an evaluation, whose results another validator checks, builds nothing
             check = run.checker.check_package
             layouts = LayoutStore(
-                run.archive, home, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock
+                run.archive, state_dir, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock
             )
         return Pullers(
             run.archive,
@@ -201,7 +205,7 @@ class Coordinator(Closing):
             run.settings,
             self._tables.note_change,
             run.meters,
-            nearby,
+            find_local_bundle,
             layouts,
         )
 

@@ -27,7 +27,7 @@ class TableWriter:
 
     Args:
         run: shared parts of the coordinator.
-        gate: results of the pilot before a new run.
+        gate: results of the gate before a new run.
     """
 
     def __init__(self, run: RunContext, gate: Sequence[GateOutcome]) -> None:

@@ -12,6 +12,7 @@ from schemas.appearance import DrawnAppearance
 from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath
 from schemas.errors import InvalidBundle
 from schemas.fingerprint import Fingerprint
+from schemas.instruction.start_view import InstanceIds
 from schemas.job import Job
 from schemas.language.instruction import Instruction
 from schemas.language.question.model import Question
@@ -136,6 +137,9 @@ class EpisodeMeta(Model):
     """Factors of the appearance that the frames show; null and omitted for the scene as it was compiled."""
     language: Instruction | None = Field(default=None, exclude_if=lambda it: it is None)
     """Verified instruction of a job with `language`; null and omitted for a template."""
+    choices: InstanceIds = Field(default=(), exclude_if=lambda it: not it)
+    """Objects that could be the target at the start, of which it was drawn; empty and omitted if the plan names the
+    target."""
     questions: Annotated[tuple[Question, ...], Field(max_length=8)] = Field(default=(), exclude_if=lambda it: not it)
     """Questions with verified answers of a job whose `language` has them; empty and omitted otherwise."""
     provenance: Provenance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field
@@ -19,9 +19,10 @@ from schemas.config import (
     TaskConfig,
 )
 from schemas.episode_spec import EpisodeSpec
-from schemas.instruction.start_view import StartView
+from schemas.instruction.start_view import StartView, TargetChoice
 from schemas.language.file import LanguageSpec
 from schemas.plan import MAX_EPISODES
+from schemas.scene import Target
 from schemas.terms import ExpertName, Recording
 from schemas.view import ViewSettings
 
@@ -95,6 +96,15 @@ class Job(EpisodeSpec):
     def episode_id(self) -> str:
         """Name of the episode, e.g. `ep_000001`."""
         return episode_id(self.index)
+
+    @property
+    def choice(self) -> TargetChoice | None:
+        """Draw of the target at the start; `None` if the plan names the target."""
+        return None if self.start_view is None else self.start_view.choice
+
+    def aimed_at(self, target: Target) -> Self:
+        """Returns the job with the target that was drawn at the start."""
+        return self.model_copy(update={"target_id": target.target_id, "colour": target.colour})
 
     def rng(self) -> np.random.Generator:
         """Returns the random generator of the attempt, seeded with (root seed, index, attempt).

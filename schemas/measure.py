@@ -97,6 +97,17 @@ class Goal:
             return float(footprint_distances((x, y), self.footprint_m))
         return math.hypot(self.centre_m[0] - x, self.centre_m[1] - y)
 
+    def is_disjoint(self, other: Goal) -> bool:
+        """Returns whether no point is in both goals."""
+        if self.footprint_m and other.footprint_m:
+            gap = min(self._least_gap(other.footprint_m), other._least_gap(self.footprint_m))
+        else:
+            gap = math.dist(self.centre_m, other.centre_m)
+        return gap > self.radius_m + other.radius_m
+
+    def _least_gap(self, points: ArrayLike) -> float:
+        return float(footprint_distances(points, self.footprint_m).min())
+
     def approach(self, starts: ArrayLike, distance_m: ArrayLike) -> Floats:
         """Returns the points (..., 2) at which straight lines from starts to the centroid come within a distance.
 

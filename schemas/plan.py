@@ -158,7 +158,7 @@ class Plan(Model):
                 "splits.test_false_premise: the templates have no false premises, the table [language] has them"
             )
         if self.language is not None:
-            mistakes += _language_faults(self.language, self.instructions)
+            mistakes += _language_faults(self, self.language)
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if mistakes:
@@ -249,15 +249,32 @@ class Plan(Model):
         return f"{self.name}-{self.digest[:8]}"
 
 
-def _language_faults(language: LanguageSpec, others: InstructionConfig) -> list[str]:
+def _language_faults(plan: Plan, language: LanguageSpec) -> list[str]:
     """Returns the keys of a language block that a plan does not support."""
     found = []
     if language.per_episode != 1:
         found.append("language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several")
     if language.false_premises:
         found.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
-    if others.unique != "off":
+    if plan.instructions.unique != "off":
         found.append("instructions.unique is for templates, remove it: `language` has `fit`")
+    if language.exchangeable:
+        found += _exchange_faults(plan)
+    return found
+
+
+def _exchange_faults(plan: Plan) -> list[str]:
+    """Returns the keys of a plan that do not permit to draw the target at the start."""
+    found = []
+    if plan.expert is not ExpertName.PLANNER:
+        found.append(
+            f"language.exchangeable: the expert {plan.expert} drives straight, so that few objects in view could be "
+            'the target; set expert = "planner"'
+        )
+    if any(plan.tiers_of(scene).get(Tier.FAR) for scene in plan.scenes):
+        found.append("language.exchangeable: the image does not show distances along the floor; set tiers.far to 0")
+    if plan.colors == "off":
+        found.append("language.exchangeable: `colors` is for templates, remove it; [language.features] has colour = 0")
     return found
 
 
@@ -266,7 +283,7 @@ def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = Non
 
     Args:
         model: model to write.
-        exclude: fields to leave out, as pydantic's `model_dump` takes them.
+        exclude: fields to omit, as pydantic's `model_dump` takes them.
     """
     data = model.model_dump(mode="json", exclude=exclude)
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

@@ -49,7 +49,7 @@ class ArchiveDifference:
 
     @property
     def strays(self) -> tuple[int, ...]:
-        """Unknown and changed episodes: files that the ledger does not own as they are."""
+        """Unknown and changed episodes: files that differ from the ledger's records, or have none."""
         return tuple(sorted((*self.unknown, *self.changed)))
 
 

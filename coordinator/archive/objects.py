@@ -1,8 +1,9 @@
 """Archive in object storage: an episode is one conditional put of a local part file.
 
-Part files and the lock file are stored in a local directory, the home. A lock object in the store names the home that
-may write. The lock object is created once and does not expire, so that a coordinator that was suspended for a while
-keeps the dataset. The module does not overwrite an episode and does not read bundle contents.
+Part files and the lock file are stored in a local directory, the state directory. A lock object in the store names the
+state directory whose coordinator may write. The lock object is created once and does not expire, so that a coordinator
+that was suspended for a while keeps the dataset. The module does not overwrite an episode and does not read bundle
+contents.
 """
 
 from __future__ import annotations
@@ -33,33 +34,34 @@ from schemas.support.closing import Closing
 
 _LOCK = ".lock"
 _NAME = ".name"
-"""File name in a home; the file holds the random id that the home writes into the lock object."""
+"""File in a state directory with its random id, which the lock object contains."""
 log = structlog.get_logger(__name__)
 
 
 class ObjectArchive(PackingArchive, SceneStore, Closing):
-    """Exclusively opened dataset in object storage: no coordinator with another home can open it until it is closed.
+    """Exclusively opened dataset in object storage: no coordinator with another state directory can
+    open it until it is closed.
 
     Args:
         root: root of the dataset.
-        home: local directory for part files; created if it does not exist. A dataset always needs the same home.
-        take_over: whether to delete the lock object of another home; its coordinator must have ended.
+        state_dir: local directory for part files; created if it does not exist. A dataset always needs the same one.
+        take_over: whether to delete the lock object of another state directory, whose coordinator must have ended.
 
     Raises:
-        WorldError: the home or the store cannot be written, another coordinator holds one of them, or the store
-            ignores conditional writes.
+        WorldError: the state directory or the store cannot be written, another coordinator holds one of them, or the
+            store ignores conditional writes.
     """
 
     root: ObjectPath
 
-    def __init__(self, root: ObjectPath, home: Path, *, take_over: bool = False) -> None:
+    def __init__(self, root: ObjectPath, state_dir: Path, *, take_over: bool = False) -> None:
         super().__init__()
         self.root = root
         self._objects = root.objects
-        self._home = home
-        self._staging = Staging(home, str(root))
+        self._state_dir = state_dir
+        self._staging = Staging(state_dir, str(root))
         try:
-            self._sign = _sign_of(home)
+            self._id = _id_of(state_dir)
             if take_over:
                 self._objects.delete(_LOCK)
             self._lock()
@@ -121,9 +123,9 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         self._objects.delete(*(f"{EPISODES}/{place.name}" for place in places))
 
     def _set_aside(self, path: Place, reason: str) -> Place:
-        """Moves an object; a local file is moved to the quarantine folder of the home."""
+        """Moves an object; a local file is moved to the quarantine folder of the state directory."""
         if isinstance(path, Path):
-            folder = self._home / QUARANTINE
+            folder = self._state_dir / QUARANTINE
             with translated("open", folder):
                 folder.mkdir(exist_ok=True)
             return set_aside(path, folder, reason)
@@ -155,7 +157,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return final
 
     def free_bytes(self) -> int:
-        """See `Archive.free_bytes`. The value is that of the home; object storage is not limited."""
+        """See `Archive.free_bytes`. The value is that of the state directory; object storage is not limited."""
         return self._staging.free_bytes()
 
     def _keep(self, source: Path, place: Place) -> None:
@@ -190,15 +192,15 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             self._objects.put_new(key, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ))
 
     def _lock(self) -> None:
-        mine = json.dumps({"home": self._sign, "host": socket.gethostname(), "directory": str(self._home)}).encode()
+        mine = json.dumps({"home": self._id, "host": socket.gethostname(), "directory": str(self._state_dir)}).encode()
         try:
             self._objects.put_new(_LOCK, mine)
         except FileExistsError as error:
-            said = _holder(self.root)
-            if said.get("home") != self._sign:  # else left by a killed process of this home
+            holder = _holder(self.root)
+            if holder.get("home") != self._id:  # else left by a killed process with this state directory
                 raise WorldError(
-                    f"{self.root} is in use by another coordinator, that of {said.get('directory')} on host "
-                    f"{said.get('host')}; stop it first, or choose another --out. If it will not run again: "
+                    f"{self.root} is in use by another coordinator, that of {holder.get('directory')} on host "
+                    f"{holder.get('host')}; stop it first, or choose another --out. If it will not run again: "
                     f"`factory repair --take-over {self.root}`"
                 ) from error
         try:
@@ -214,7 +216,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
     def close(self) -> None:
         """Releases the dataset, so that a run with another local directory can open it."""
         try:
-            if _holder(self.root).get("home") == self._sign:
+            if _holder(self.root).get("home") == self._id:
                 self._objects.delete(_LOCK)
         except WorldError as error:
             log.warning(
@@ -227,12 +229,12 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             self._staging.close()
 
 
-def other_holder(root: ObjectPath, home: Path) -> str:
-    """Returns the directory and host of another home that holds a dataset; empty if no other home holds it."""
-    said, name = _holder(root), home / _NAME
-    if not said or (name.exists() and said.get("home") == name.read_text(encoding="ascii")):
+def other_holder(root: ObjectPath, state_dir: Path) -> str:
+    """Returns the path and host of another state directory that has locked a dataset; empty if there is none."""
+    holder, name = _holder(root), state_dir / _NAME
+    if not holder or (name.exists() and holder.get("home") == name.read_text(encoding="ascii")):
         return ""
-    return f"{said.get('directory')} on host {said.get('host')}"
+    return f"{holder.get('directory')} on host {holder.get('host')}"
 
 
 def _holder(root: ObjectPath) -> dict[str, str]:
@@ -243,9 +245,9 @@ def _holder(root: ObjectPath) -> dict[str, str]:
     return said if isinstance(said, dict) else {}
 
 
-def _sign_of(home: Path) -> str:
-    """Returns the random id of a home, and creates it if necessary. The caller holds the lock of the home."""
-    file = home / _NAME
+def _id_of(state_dir: Path) -> str:
+    """Returns the random id of a state directory, and creates it if necessary. The caller holds its lock."""
+    file = state_dir / _NAME
     with translated("write", file):
         if not file.exists():
             part = file.with_name(f"{_NAME}.part")

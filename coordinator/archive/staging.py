@@ -32,8 +32,8 @@ class Staged(Closing):
         self.path = path
         self.size = 0
         """Bytes written so far."""
-        self.is_taken = False
-        """Whether the file is one that a process of this user wrote on this disk, see `take`."""
+        self.is_linked = False
+        """Whether the file is one that a process of this user wrote on this disk, see `link`."""
         self._file = file
         self._hash = hashlib.sha256()
 
@@ -53,7 +53,7 @@ class Staged(Closing):
         self._hash.update(data)
         self.size += len(data)
 
-    def take(self, source: Path) -> None:
+    def link(self, source: Path) -> None:
         """Replaces the part file with a hard link to an existing file.
 
         No process may write to the file afterwards.
@@ -66,24 +66,24 @@ class Staged(Closing):
                 changed.
             WorldError: the file cannot be read; the part file has been removed.
         """
-        link = self.path.with_suffix(".link")
-        os.link(source, link)
+        temporary = self.path.with_suffix(".link")
+        os.link(source, temporary)
         try:
-            link.replace(self.path)
-            taken = self.path.open("rb", buffering=0)
+            temporary.replace(self.path)
+            linked = self.path.open("rb", buffering=0)
             self._file.close()
-            self._file = taken
+            self._file = linked
             self.size = os.fstat(self._file.fileno()).st_size
-            self.is_taken = True
+            self.is_linked = True
         except OSError as error:
-            link.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
             self.abandon()
             raise world_error("read", source.parent, error) from error
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the bytes written so far, hexadecimal; of a taken file, it is computed at every access."""
-        if self.is_taken:
+        """SHA-256 of the bytes written so far, hexadecimal; of a linked file, it is computed at every access."""
+        if self.is_linked:
             self._file.seek(0)
             return hashlib.file_digest(self._file, "sha256").hexdigest()
         return self._hash.hexdigest()

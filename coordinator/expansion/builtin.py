@@ -79,14 +79,14 @@ _REFERRING = Plan(
     expert=ExpertName.PLANNER,
     balance="categories",
     disjoint_instances=True,
-    language=LanguageSpec(in_view=1, balanced=True),
-    budget=Budget(attempts_per_draw=3),
-    spawn=SpawnConfig(heading_noise_rad=0.7),
+    language=LanguageSpec(in_view=1, exchangeable=True),
+    budget=Budget(attempts_per_draw=1),
+    spawn=SpawnConfig(heading_noise_rad=0.75),
     task=_BY_SURFACE,
     demonstration=DemonstrationConfig(max_contact_steps=0),
 )
-"""1200 episodes in rooms with several objects of the named category in view, whose verified instructions fit the target
-only; the nearest and the most central of them are the target as often as a random one."""
+"""1200 episodes whose starts show several objects of the named category that could be the target. The target is drawn
+from these, so that only the verified instruction, which fits the target only, tells which one it is."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED, _REFERRING)})
 

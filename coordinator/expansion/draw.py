@@ -23,7 +23,7 @@ from schemas.config import DemonstrationConfig
 from schemas.episode_spec import EpisodeSpec
 from schemas.instruction.language import instruction, says_in_front
 from schemas.instruction.referents import referents, referents_of
-from schemas.instruction.start_view import IN_FRONT_RAD, StartView
+from schemas.instruction.start_view import IN_FRONT_RAD, StartView, TargetChoice
 from schemas.job import Job
 from schemas.language.file import LanguageSpec
 from schemas.layouts import LayoutPlan
@@ -185,7 +185,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         planner=plan.planner,
         record=plan.record,
         view=_view(plan, entry),
-        start_view=_start_view(plan, entry.info, planned),
+        start_view=_start_view(plan, entry, planned),
         demonstration=_demonstration(plan, planned.episode),
         language=plan.language,
     )
@@ -204,19 +204,23 @@ def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
     return wanted.model_copy(update={"target_in_view": False}) if episode.is_false_premise else wanted
 
 
-def _start_view(plan: Plan, info: SceneInfo, planned: PlannedJob) -> StartView | None:
+def _start_view(plan: Plan, entry: SceneEntry, planned: PlannedJob) -> StartView | None:
     """Returns the conditions on the start of an episode; `None` if there are none."""
-    episode = planned.episode
+    episode, info = planned.episode, entry.info
+    if plan.language is not None and plan.language.exchangeable:
+        return _choice_view(plan, plan.language, entry, planned)
     if plan.language is not None:
         return _language_view(plan, plan.language, info, planned)
     within_rad = IN_FRONT_RAD if says_in_front(episode.template_id) else None
     if plan.instructions.unique == "off":
         return None if within_rad is None else StartView(within_rad=within_rad)
     target = {info.target(episode.target_id).instance_id}
-    alike = referents(info, episode.category) - target
+    same_category = referents(info, episode.category) - target
     is_exempt = episode.category in plan.part(episode.scene).ambiguous
-    rivals = frozenset() if is_exempt else referents_of(episode, info) - target
-    return StartView(within_rad=within_rad, rivals=tuple(sorted(rivals)), alike=tuple(sorted(alike)))
+    others = frozenset() if is_exempt else referents_of(episode, info) - target
+    return StartView(
+        within_rad=within_rad, other_referents=tuple(sorted(others)), same_category=tuple(sorted(same_category))
+    )
 
 
 def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned: PlannedJob) -> StartView | None:
@@ -224,11 +228,30 @@ def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned:
     if not language.in_view:
         return None
     episode, ranks = planned.episode, None
-    if language.balanced:  # the same in all draws of an episode; otherwise ranks that rarely occur would get rarer
-        rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
+    if language.balanced:
+        rng = _rank_rng(plan, planned)
         ranks = (float(rng.random()), float(rng.random()))
-    alike = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
-    return StartView(alike=tuple(sorted(alike)), least_alike=language.in_view, ranks=ranks)
+    same_category = referents(info, episode.category) - {info.target(episode.target_id).instance_id}
+    return StartView(same_category=tuple(sorted(same_category)), least_same_category=language.in_view, ranks=ranks)
+
+
+def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned: PlannedJob) -> StartView:
+    """Returns the draw of the target at the start: of all objects of the category that the cell permits."""
+    episode = planned.episode
+    pool = scene_cells(plan, plan.part(episode.scene), entry).pool(episode.split, episode.tier)
+    among = sorted(target.instance_id for target in pool if target.category == episode.category)
+    choice = TargetChoice(
+        around=entry.info.target(episode.target_id).instance_id,
+        among=tuple(among),
+        share=float(_rank_rng(plan, planned).random()),
+    )
+    return StartView(least_same_category=language.in_view, choice=choice)
+
+
+def _rank_rng(plan: Plan, planned: PlannedJob) -> np.random.Generator:
+    """Returns a random generator that is the same in all draws of an episode; otherwise ranks and targets that rarely
+    occur would get rarer."""
+    return np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
 
 
 def _draw(options: Sequence[Option], rng: np.random.Generator) -> Option:

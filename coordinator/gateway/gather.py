@@ -111,7 +111,7 @@ def gather(
     missing: list[Missing] = []
     with ExitStack() as stack:
         store = dataset.root if isinstance(dataset.root, ObjectPath) else None
-        archive = stack.enter_context(open_archive(dataset.home, store))
+        archive = stack.enter_context(open_archive(dataset.state_dir, store))
         if dataset.foreign_ledger:
             raise WorldError(
                 f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` rebuilds the right one"
@@ -167,11 +167,11 @@ def _pack(archive: Archive, engine: Engine, plan: Plan, size: int) -> None:
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
     """Copies an episode durably into the dataset; returns the reason if that fails, else an empty string."""
-    home = archive.path_of(one.index)
-    if home.exists():
-        if digest_of(home) == one.sha256:
+    place = archive.path_of(one.index)
+    if place.exists():
+        if digest_of(place) == one.sha256:
             return ""  # a previous call ended between file and ledger
-        archive.quarantine(home, f"its SHA-256 is not {one.sha256}, which the ledger has")
+        archive.quarantine(place, f"its SHA-256 is not {one.sha256}, which the ledger has")
     found = []
     for source in sources:
         path = episode_place(source, one.index)

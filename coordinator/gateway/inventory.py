@@ -116,7 +116,7 @@ def _offer(
         return stray.why
     try:
         with local_copy(path) as file:
-            summary = checker.check(file, _job_of(file, stray.job), stray.target)
+            summary = checker.check(file, _job_of(file, stray.job), stray.candidates)
     except InvalidBundle as error:
         return str(error)
     ack = core.request_until_reply(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)

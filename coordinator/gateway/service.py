@@ -186,4 +186,4 @@ class Gateway(Closing):
 
 
 def _pull_of(order: RelayOrder) -> Pull:
-    return Pull(order.lease, order.sid, order.sha256, order.size, order.job, order.target)
+    return Pull(order.lease, order.sid, order.sha256, order.size, order.job, order.candidates)

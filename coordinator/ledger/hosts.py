@@ -33,10 +33,10 @@ _BARRED_PAUSE_S = 30.0
 """Pause of a barred host before its next claim, seconds."""
 _ABSENT_S = 300.0
 """Time without a message after which a host is not considered available, seconds."""
-_HARM = tuple(reason.value for reason in FailReason if reason.is_worker_failure)
+_WORKER_FAILURES = tuple(reason.value for reason in FailReason if reason.is_worker_failure)
 
 _FIND = PreparedStatement(select(*hosts.c).where(hosts.c.host == bindparam("name")))
-_RELIEVE = PreparedStatement(
+_HALVE_STRIKES = PreparedStatement(
     update(hosts)
     .where(hosts.c.host == bindparam("name"), hosts.c.strikes > 0, hosts.c.barred_at.is_(None))
     .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
@@ -49,7 +49,9 @@ _OLDEST = func.min(workers.c.last_beat).label("oldest")
 _KNOWN: Any = select(func.count().label("known"), _OLDEST).select_from(workers)
 _OF_ALL = PreparedStatement(_KNOWN)
 _OF_HOST = PreparedStatement(_KNOWN.where(workers.c.host == bindparam("name")))
-_HEARD = PreparedStatement(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
+_UPDATE_LAST_BEAT = PreparedStatement(
+    update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now"))
+)
 
 
 def pause_of(connection: Connection, host: str, now: datetime) -> float:
@@ -89,7 +91,7 @@ def strike(connection: Connection, host: str, job: JobRow, reason: str, now: dat
 
 def reduce_strikes(connection: Connection, sid: str) -> None:
     """Halves the strikes of a host that delivered an episode."""
-    _RELIEVE.count(connection, {"name": host_of(sid)})
+    _HALVE_STRIKES.count(connection, {"name": host_of(sid)})
 
 
 def release(connection: Connection, names: Sequence[str]) -> AdminReply:
@@ -132,15 +134,15 @@ def has_failed_everywhere(connection: Connection, job: JobRow, host: str, most: 
         most: number of hosts whose failures suffice; fewer hosts could all be faulty or hostile.
         now: time of the failure.
     """
-    hurt = _hurt_hosts(connection, job) | {host}
-    return len(hurt) > 1 and (len(hurt) >= most or not _others(connection, hurt, now))
+    failing = _failing_hosts(connection, job) | {host}
+    return len(failing) > 1 and (len(failing) >= most or not _others(connection, failing, now))
 
 
-def _hurt_hosts(connection: Connection, job: JobRow) -> set[str]:
+def _failing_hosts(connection: Connection, job: JobRow) -> set[str]:
     """Returns the hosts on which a job failed since its crash count was last reset."""
     recent = (
         select(attempts.c.sid)
-        .where(attempts.c.job_id == job.id, attempts.c.outcome.in_(_HARM))
+        .where(attempts.c.job_id == job.id, attempts.c.outcome.in_(_WORKER_FAILURES))
         .order_by(attempts.c.id.desc())
         .limit(job.crashes)
     )
@@ -192,7 +194,7 @@ def register(connection: Connection, hello: Hello, now: datetime) -> bool:
 
 def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> None:
     """Records the time of a message of a worker, registered or not, within the maximum number of sessions."""
-    is_known = _HEARD.count(connection, {"by": sid, "now": now.timestamp()}) > 0
+    is_known = _UPDATE_LAST_BEAT.count(connection, {"by": sid, "now": now.timestamp()}) > 0
     if not is_known and _make_room(connection, host, now):
         connection.execute(insert(workers).values(sid=sid, host=host, slots=1, last_beat=now.timestamp()))
 

@@ -69,24 +69,24 @@ _END_BUILD = Transition(
 )
 _ADOPT = Transition(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
 _LOSE = Transition(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
-_MISSED: dict[str, Any] = {
+_AFTER_TASK_FAILURE: dict[str, Any] = {
     **FREED,
     **_PAUSED,
     "misses": jobs.c.misses + 1,
     "losses": 0,
     "superseded": bindparam("has_successor"),
 }
-_MISS = Transition(Event.TASK_FAILED, *UNDER_LEASE, **_MISSED)
-_EXHAUST = Transition(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
-_HURTING: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
-_HURT = Transition(Event.WORKER_FAILED, *UNDER_LEASE, **_HURTING)
-_QUARANTINE = Transition(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
+_TASK_FAILED = Transition(Event.TASK_FAILED, *UNDER_LEASE, **_AFTER_TASK_FAILURE)
+_EXHAUST = Transition(Event.EXHAUSTED, *UNDER_LEASE, **_AFTER_TASK_FAILURE)
+_AFTER_WORKER_FAILURE: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
+_WORKER_FAILED = Transition(Event.WORKER_FAILED, *UNDER_LEASE, **_AFTER_WORKER_FAILURE)
+_QUARANTINE = Transition(Event.QUARANTINED, *UNDER_LEASE, **_AFTER_WORKER_FAILURE)
 _RELEASE = Transition(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
 _INSERT_EPISODE = PreparedStatement(insert(episodes))
-_CREDIT = PreparedStatement(
+_COUNT_ARCHIVED = PreparedStatement(
     update(workers).where(workers.c.sid == bindparam("by")).values(archived=workers.c.archived + 1)
 )
-_AT_HOME = PreparedStatement(
+_STORED_BY_COORDINATOR = PreparedStatement(
     select(episodes.c.idx)
     .outerjoin(gateway_episodes, gateway_episodes.c.idx == episodes.c.idx)
     .where(gateway_episodes.c.idx.is_(None), episodes.c.idx == bindparam("index"))
@@ -119,7 +119,7 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
 
 def archive(connection: Connection, lease: Lease, summary: BundleReceipt, now: datetime) -> bool:
     """Records a published episode if the lease is in force; returns whether it was recorded."""
-    return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
+    return _record_episode(connection, _ARCHIVE, lease_parameters(lease), summary, now)
 
 
 def record_package(
@@ -147,7 +147,7 @@ def record_package(
 
 def adopt(connection: Connection, job_id: int, summary: BundleReceipt, now: datetime) -> bool:
     """Records an episode that was published before a crash of the coordinator; its digest must be the announced one."""
-    return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
+    return _record_episode(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
 
 def fail(
@@ -179,9 +179,9 @@ def fail(
         return False
     if report.reason.is_task_failure:
         limits = budget_of_builds(budget) if row.tier == BUILD else budget
-        return _miss(connection, row, report, now, limits, successor)
+        return _record_task_failure(connection, row, report, now, limits, successor)
     if report.reason.is_worker_failure:
-        return _hurt(connection, row, report, now, budget, blames_hosts=blames_hosts)
+        return _record_worker_failure(connection, row, report, now, budget, blames_hosts=blames_hosts)
     return _release(connection, row, report, now)
 
 
@@ -199,10 +199,10 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
 
 def is_owned(connection: Connection, index: int) -> bool:
     """Returns whether the ledger records the episode in the core's directory, so that its file must not be deleted."""
-    return _AT_HOME.first(connection, {"index": index}) is not None
+    return _STORED_BY_COORDINATOR.first(connection, {"index": index}) is not None
 
 
-def _own(
+def _record_episode(
     connection: Connection, how: Transition, job: Mapping[str, Any], summary: BundleReceipt, now: datetime
 ) -> bool:
     """Changes the job to archived and records attempt and episode; returns whether the transition was possible."""
@@ -224,7 +224,7 @@ def _own(
             "archived_at": now.timestamp(),
         },
     )
-    _CREDIT.count(connection, {"by": row.sid})
+    _COUNT_ARCHIVED.count(connection, {"by": row.sid})
     hosts.reduce_strikes(connection, row.sid)
     return True
 
@@ -240,7 +240,7 @@ def _was_reported(connection: Connection, report: Fail) -> bool:
     return found == report.reason
 
 
-def _miss(
+def _record_task_failure(
     connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, successor: Successor
 ) -> bool:
     """Records a task failure: the next attempt at this draw follows, else the next draw, else the episode fails."""
@@ -252,7 +252,7 @@ def _miss(
         "why": f"{report.reason}: {report.detail}" if is_last else "",
         "has_successor": has_successor,
     }
-    if not _settle(connection, _EXHAUST if is_last else _MISS, row, report, now, values, settles=True):
+    if not _settle(connection, _EXHAUST if is_last else _TASK_FAILED, row, report, now, values, settles=True):
         return False
     if has_successor and row.tier == BUILD:
         insert_next_seed(connection, row, now, row.attempt + 1)
@@ -261,7 +261,7 @@ def _miss(
     return True
 
 
-def _hurt(
+def _record_worker_failure(
     connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, *, blames_hosts: bool
 ) -> bool:
     """Records a worker failure: the same attempt is repeated after a pause, or the job is quarantined."""
@@ -275,7 +275,7 @@ def _hurt(
     why = f"quarantined after {crashes} worker failures; the last was {last}" if is_last else ""
     pause_s = min(hosts.LONGEST_PAUSE_S, _CRASH_PAUSE_S * 2 ** (crashes - 1))
     values = {"next_attempt": row.attempt, "until": now.timestamp() + pause_s, "why": why}
-    if not _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False):
+    if not _settle(connection, _QUARANTINE if is_last else _WORKER_FAILED, row, report, now, values, settles=False):
         return False
     if blames_hosts:
         hosts.strike(connection, host, row, last, now)

@@ -7,8 +7,8 @@ from contextlib import ExitStack, contextmanager
 from datetime import datetime
 
 from coordinator.ledger import claims
+from coordinator.ledger.database.closed_digest import write_closed_digest
 from coordinator.ledger.database.engine import open_reader, open_writer
-from coordinator.ledger.database.seal import write_seal
 from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.reading.reader import Connection, translate_damage
@@ -77,7 +77,7 @@ class RunLedger(Closing):
             return not claims.has_open_jobs(connection)
 
     def close(self) -> None:
-        """Commits the queued work, closes the database, and seals it if no damage was found."""
+        """Commits the queued work, closes the database, and writes its digest if no damage was found."""
         self._stack.close()
         if self._is_usable and not self.writer.damage:
-            write_seal(self._url)
+            write_closed_digest(self._url)

@@ -30,15 +30,29 @@ class Event(StrEnum):
     ANNOUNCED = "announced"  # its worker announced that the bundle can be pulled
     ARCHIVED = "archived"  # the bundle was validated and published
     ADOPTED = "adopted"  # the bundle was found published at start, without a commit
-    TASK_FAILED = "missed"  # task failure; the next attempt follows
+    TASK_FAILED = "task_failed"  # task failure; the next attempt follows
     EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw, or a layout that is refused
     RELEASED = "released"  # its worker returned it without an outcome
     EXPIRED = "expired"  # the lease expired without a heartbeat
-    WORKER_FAILED = "hurt"  # worker failure: crash, hang or invalid bundle
+    WORKER_FAILED = "worker_failed"  # worker failure: crash, hang or invalid bundle
     QUARANTINED = "quarantined"  # worker failure that exceeds the crash budget
     LOST = "lost"  # the archived file is missing or damaged
     RETRIED = "retried"  # retried by an admin request
     CANCELLED = "cancelled"  # cancelled by an admin request
+
+
+FORMER_EVENTS = MappingProxyType({"missed": Event.TASK_FAILED, "hurt": Event.WORKER_FAILED})
+"""Mapping of names in ledgers of formats 1 to 3 to events. Rows of older events keep these names."""
+
+
+def event_name(recorded: str) -> str:
+    """Returns the current name of a recorded event, which a ledger of an older format may store by its former name."""
+    return FORMER_EVENTS.get(recorded, recorded)
+
+
+def recorded_names(event: Event) -> tuple[str, ...]:
+    """Returns the names by which ledgers of all formats store an event."""
+    return (event.value, *(name for name, listed in FORMER_EVENTS.items() if listed is event))
 
 
 class InvalidTransition(FactoryError):

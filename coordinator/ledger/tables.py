@@ -8,9 +8,9 @@ from __future__ import annotations
 from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, Integer, MetaData, String, Table, Text
 from sqlalchemy import text as sql
 
-LEDGER_FORMAT = 3
+LEDGER_FORMAT = 4
 """Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost; since 3
-jobs may build layouts."""
+jobs may build layouts; since 4 the events of task and worker failures have other names."""
 
 ADDED_LATER = frozenset({"hosts", "keepers", "unchecked_episodes", "job_tallies", "attempt_tallies"})
 """Tables that an intact ledger of an older format lacks; opening it for writing adds them."""

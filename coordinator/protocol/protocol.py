@@ -26,6 +26,7 @@ from coordinator.ledger.opening import planned_of
 from coordinator.ledger.tables import BUILD
 from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.base import Model
+from schemas.exchangeable import candidates_of
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.protocol.administration import AdminRequest
@@ -274,10 +275,10 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
-        return Pull(lease_of(row), sid, row.sha256, row.size, build, None)  # the coordinator needs it, not a gateway
+        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # the coordinator needs it, not a gateway
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-    target = terms.catalog[job.scene].info.target(job.target_id)
-    return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via, is_validated)
+    candidates = candidates_of(job, terms.catalog[job.scene].info)
+    return Pull(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)
 
 
 _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

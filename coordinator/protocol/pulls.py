@@ -35,8 +35,8 @@ class Pull:
     """Announced size, bytes."""
     job: Job | BuildJob
     """Job of the bundle."""
-    target: Target | None
-    """Target in the compiled scene; `None` for a package."""
+    candidates: tuple[Target, ...]
+    """Targets of the compiled scene that the episode may have; none for a package."""
     via: str | None = None
     """zenoh id of the router that the worker is connected to; `None` if unknown."""
     is_validated: bool = False

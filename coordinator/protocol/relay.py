@@ -14,7 +14,7 @@ from schemas.dataset.rows import EpisodeSummary
 from schemas.job import Job
 from schemas.protocol.administration import Hosts
 from schemas.protocol.messages import Detail, Lease, RouterId, SessionId, Version
-from schemas.scene import Target
+from schemas.scene import MAX_INSTANCES, Target
 
 MAX_FILES, MAX_LOST, MAX_ORDERS = 1000, 1000, 64
 """Maximum numbers of files per inventory, of lost episodes per reply and of orders per reply."""
@@ -62,8 +62,8 @@ class RelayOrder(Model):
     """Announced size, bytes."""
     job: Job
     """Job of the bundle."""
-    target: Target
-    """Target in the compiled scene."""
+    candidates: Annotated[tuple[Target, ...], Field(min_length=1, max_length=MAX_INSTANCES)]
+    """Targets of the compiled scene that the episode may have."""
 
 
 class Orders(Model):
@@ -125,8 +125,8 @@ class UnrecordedFile(Model):
     """Reason why the ledger has no record of the file."""
     job: Job | None = None
     """Job that an intact file may be adopted for; `None` if the ledger does not need the file."""
-    target: Target | None = None
-    """Target of the job."""
+    candidates: Annotated[tuple[Target, ...], Field(max_length=MAX_INSTANCES)] = ()
+    """Targets that the episode may have."""
 
 
 class InventoryReply(Model):

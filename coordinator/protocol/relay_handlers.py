@@ -40,6 +40,7 @@ from coordinator.protocol.relay import (
 )
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, file_name_of
+from schemas.exchangeable import candidates_of
 from schemas.job import Job
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Fail, Refusal, cut_detail
@@ -66,9 +67,9 @@ def orders_for(pulls: tuple[Pull, ...]) -> Orders:
     """Returns the message with the orders of a gateway."""
     return Orders(
         orders=tuple(
-            RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
+            RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, candidates=p.candidates)
             for p in pulls
-            if isinstance(p.job, Job) and p.target is not None  # no package of a layout is assigned to a gateway
+            if isinstance(p.job, Job)  # no package of a layout is assigned to a gateway
         )
     )
 
@@ -180,8 +181,8 @@ def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator
             yield UnrecordedFile(index=index, why=f"no file is expected for this episode (its job is {row.state})")
         else:
             job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-            target = terms.catalog[job.scene].info.target(job.target_id)
-            yield UnrecordedFile(index=index, why=f"its job is {row.state}", job=job, target=target)
+            candidates = candidates_of(job, terms.catalog[job.scene].info)
+            yield UnrecordedFile(index=index, why=f"its job is {row.state}", job=job, candidates=candidates)
 
 
 RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

@@ -19,10 +19,10 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.database.engine import open_writer
-from coordinator.ledger.given_up import end_given_up
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.repair import record_failures, record_whole
 from coordinator.ledger.tables import episodes
+from coordinator.ledger.unfinished_jobs import end_unfinished_jobs
 from coordinator.packing import pack_settled
 from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
 from coordinator.recovery.table_records import failures_of, validated_files
@@ -51,7 +51,7 @@ class JoinTarget:
 
     root: Place
     """Root of the dataset."""
-    home: Path
+    state_dir: Path
     """Local directory of the dataset: `root`, or the state directory of a dataset in object storage."""
     url: str
     """URL of the ledger."""
@@ -182,7 +182,7 @@ def join_shards(
     gathered = 0
     with ExitStack() as stack:
         store = target.root if isinstance(target.root, ObjectPath) else None
-        archive = stack.enter_context(open_archive(target.home, store))
+        archive = stack.enter_context(open_archive(target.state_dir, store))
         engine = open_writer(target.url)
         stack.callback(engine.dispose)
         open_run(engine, target.plan, target.catalog, CoordinatorSettings().lease_ttl_s, now)
@@ -195,7 +195,7 @@ def join_shards(
             if state.finished:
                 kept = list_episodes(place).episodes.keys() | validated_files(place, target.plan).keys()
                 with engine.begin() as connection:
-                    end_given_up(connection, numbers, kept, str(state.shard), now)
+                    end_unfinished_jobs(connection, numbers, kept, str(state.shard), now)
             gathered += len(copied)
             rejected += refused
             on_progress(done, len(shards))

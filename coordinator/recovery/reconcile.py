@@ -22,8 +22,8 @@ from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
+from coordinator.ledger.database.closed_digest import is_unchanged
 from coordinator.ledger.database.engine import is_server, shown_url, sqlite_files
-from coordinator.ledger.database.seal import is_sealed
 from coordinator.ledger.gateway_episodes import record_at_core, recorded_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
@@ -35,6 +35,7 @@ from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.contract import BundleValidator, EpisodeValidator
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
+from schemas.exchangeable import candidates_of
 from schemas.storage.place import FilePlace, Place, local_copy
 
 log = structlog.get_logger(__name__)
@@ -138,9 +139,9 @@ def _validate_result(
         return "the plan has no episode of this number"
     try:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-        target = terms.catalog[row.scene].info.target(row.target_id)
+        candidates = candidates_of(job, terms.catalog[row.scene].info)
         with local_copy(path) as file:
-            return checker.check(file, job, target), (row.draw, row.attempt)
+            return checker.check(file, job, candidates), (row.draw, row.attempt)
     except InvalidBundle as error:
         return str(error)
 
@@ -208,7 +209,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
         WorldError: a database server stores a damaged ledger, which only its administrator can replace.
         UsageError: the ledger has a newer format.
     """
-    trouble = "" if is_sealed(url) else ledger_trouble(url, catalog)
+    trouble = "" if is_unchanged(url) else ledger_trouble(url, catalog)
     if not trouble:
         return
     if is_server(url) and "lacks the tables" not in trouble:

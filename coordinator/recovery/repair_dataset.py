@@ -66,8 +66,8 @@ class RepairInput:
 
     root: Place
     """Root of the dataset."""
-    home: Path
-    """Directory of the dataset; for object storage the directory of its ledger, part files and lock."""
+    state_dir: Path
+    """Directory of the dataset; for object storage the state directory."""
     url: str
     """URL of the ledger."""
     plan: Plan
@@ -98,7 +98,8 @@ def repair(
         checker: validator of files to adopt.
         now: time of the repair.
         apply: whether to apply the actions; otherwise the dataset is not changed.
-        take_over: whether to take over a dataset in object storage from a home whose coordinator has ended.
+        take_over: whether to take over a dataset in object storage from a state directory whose coordinator has
+            ended.
         on_progress: progress callback with the number of examined episodes and the total.
 
     Raises:
@@ -127,7 +128,7 @@ def repair(
 
 def _open(dataset: RepairInput, take_over: bool) -> Archive:
     store = dataset.root if isinstance(dataset.root, ObjectPath) else None
-    return open_archive(dataset.home, store, take_over=take_over)
+    return open_archive(dataset.state_dir, store, take_over=take_over)
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from coordinator.transfer.contract import EpisodeValidator
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.errors import InvalidBundle
+from schemas.exchangeable import candidates_of
 from schemas.job import Job, episode_id
 from schemas.plan import Plan
 from schemas.storage.episode_list import list_episodes
@@ -118,7 +119,7 @@ class StrayClassifier:
                 sha256 = self._validated.get(index)
                 if job == said and sha256 is not None and digest_of(local) == sha256:
                     return summary_of(meta, sha256, local.stat().st_size)
-                return self._checker.check(local, job, self._draws.catalog[job.scene].info.target(job.target_id))
+                return self._checker.check(local, job, candidates_of(job, self._draws.catalog[job.scene].info))
         except InvalidBundle as error:
             return str(error)
         except OSError as error:

@@ -133,8 +133,8 @@ _RELABELLED = (
     "  with their meaning. A verifier accepted each of them. `meta.json` of an episode has the recorded instruction."
 )
 _FRAMES = """`rgb_front/*.png` (640 x 640, 8 bit),
-  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
-  table in `meta.json`), """
+  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 where no surface was hit),
+  `seg_front/*.png` (16-bit instance ids, table in `meta.json`), """
 _SENSORS = """`sensors/*` (measurements of the rig `{}`, see
   `plan.rig` in `dataset_meta.json`), """
 _RENDERED = """ This dataset records states:

@@ -45,7 +45,7 @@ class Checkpoints:
         archive: archive of the dataset, held exclusively.
         plan: plan of the run.
         catalog: compiled scenes of the plan; layouts are added when they are built.
-        gate: results of the pilot; empty keeps the results in the existing metadata.
+        gate: results of the gate; empty keeps the results in the existing metadata.
     """
 
     def __init__(self, archive: Archive, plan: Plan, catalog: Catalog, gate: Sequence[GateOutcome] = ()) -> None:

@@ -59,7 +59,7 @@ class TableContent(NamedTuple):
     shared: Mapping[str, tuple[str, ...]] | None = None
     """Mapping of scene name to the categories with shared instances; `None` for other plans."""
     gate: Sequence[GateOutcome] = ()
-    """Results of the pilot; empty keeps the results in the existing metadata."""
+    """Results of the gate; empty keeps the results in the existing metadata."""
     refused_seeds: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     """Reasons why seeds of layouts were not used, by layout."""
 
@@ -159,7 +159,7 @@ def write_tables(
         now: the time of writing, UTC.
         sides: mapping of scene name to the side of each instance.
         shared: mapping of scene name to the categories with shared instances.
-        gate: results of the pilot.
+        gate: results of the gate.
     """
     content = TableContent(plan, scenes, ListedRows(episodes), ListedRows(failures), sides, shared, gate)
     return DatasetTables().write(archive, content, now)

@@ -13,18 +13,20 @@ from schemas.job import Job
 from schemas.protocol.messages import Lease
 from schemas.scene import Target
 
-Nearby = Callable[[Lease], Path | None]
+FindLocalBundle = Callable[[Lease], Path | None]
 """Function that returns the path of a lease's bundle on this machine, or `None` if unknown."""
 
 
-def nothing_nearby(_lease: Lease) -> None:
-    """Finds no bundle on this machine."""
+def no_local_bundle(_lease: Lease) -> None:
+    """Returns `None`: every bundle is transferred over the network."""
 
 
 class BundleValidator(Protocol):
     """Interface of thread-safe bundle validators."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> BundleReceipt:
+    def check(
+        self, path: Path, job: Job, candidates: tuple[Target, ...] = (), scope: Scope = Scope.ALL
+    ) -> BundleReceipt:
         """Validates the part `scope` of a bundle, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
@@ -34,7 +36,9 @@ class BundleValidator(Protocol):
 class EpisodeValidator(BundleValidator, Protocol):
     """Interface of validators of collected episodes."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:
+    def check(
+        self, path: Path, job: Job, candidates: tuple[Target, ...] = (), scope: Scope = Scope.ALL
+    ) -> EpisodeSummary:
         """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 

@@ -43,7 +43,7 @@ class LayoutStore:
 
     archive: Archive
     """Archive of the dataset, which stores the packages."""
-    home: Path
+    state_dir: Path
     """Directory of the run; with a dataset in object storage, it keeps a copy of each package for the workers."""
     writer: Writer
     """Writer of the ledger."""
@@ -70,7 +70,7 @@ class LayoutStore:
             InvalidBundle: the file is not a package of the layout, or not the announced one.
             WorldError: the disk is full or unavailable; nothing has been recorded.
         """
-        if staged.is_taken and staged.sha256 != pull.sha256:
+        if staged.is_linked and staged.sha256 != pull.sha256:
             raise InvalidBundle("bundle refused", [f"SHA-256 {staged.sha256}, {pull.sha256} was announced"])
         self.check(staged.path)
         with unpacked(staged.path) as package:
@@ -118,7 +118,7 @@ class LayoutStore:
         stored = self.archive.add_scene(staged.path, layout, staged.sha256, staged.textures)
         if isinstance(stored, Path):
             return stored
-        copy = self.home / SCENES / stored.name
+        copy = self.state_dir / SCENES / stored.name
         with translated("write", copy.parent):
             (copy.parent / TEXTURES).mkdir(parents=True, exist_ok=True)
             for sha256 in staged.textures:
@@ -131,7 +131,7 @@ class LayoutStore:
 
     def _remove_others(self, layout: str, entry: SceneEntry) -> None:
         """Removes packages of the layout whose build was not recorded; another processor may give other bytes."""
-        for path in (self.home / SCENES).glob(f"{layout}-*.scene.zip"):
+        for path in (self.state_dir / SCENES).glob(f"{layout}-*.scene.zip"):
             if path != entry.path:
                 path.unlink()
 

@@ -17,9 +17,9 @@ from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import BundleValidator, LedgerClient, Nearby, nothing_nearby
+from coordinator.transfer.contract import BundleValidator, FindLocalBundle, LedgerClient, no_local_bundle
 from coordinator.transfer.fair_queue import FairQueue
-from coordinator.transfer.judge import BundleJudge, Judgement
+from coordinator.transfer.spot_checks import SpotCheckedValidation, ValidatedBundle
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import episode_id
@@ -99,18 +99,18 @@ class Pullers(Closing):
         settings: CoordinatorSettings,
         on_archived: Callable[[], None],
         meters: Meters | None = None,
-        nearby: Nearby = nothing_nearby,
+        find_local_bundle: FindLocalBundle = no_local_bundle,
         layouts: LayoutStore | None = None,
     ) -> None:
         self._archive = archive
         self._ledger = ledger
         self._fetch = fetch
-        self._nearby = nearby
+        self._find_local_bundle = find_local_bundle
         self._layouts = layouts
         self._settings = settings
         self._on_archived = on_archived
         self._meters = meters or Meters()
-        self._judging = BundleJudge(checker, self._meters, settings.spot_checks)
+        self._validation = SpotCheckedValidation(checker, self._meters, settings.spot_checks)
         self._queue: FairQueue[_Transfer] = FairQueue()
         self._failing = Repeated(log, "pull_failed")
         self._limit = LogLimit(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
@@ -168,14 +168,14 @@ class Pullers(Closing):
         """Continues a transfer for one turn; returns whether it has ended, successfully or not."""
         pull = transfer.pull
         try:
-            return self._stop.is_set() or self._bring(host, transfer)
+            return self._stop.is_set() or self._advance(host, transfer)
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
             if isinstance(error, FactoryError):
                 self._meters.add(Meter.PULLS_FAILED)
             self._failing.fail(error, episode=pull.name, worker=pull.sid)
         return True
 
-    def _bring(self, host: str, transfer: _Transfer) -> bool:
+    def _advance(self, host: str, transfer: _Transfer) -> bool:
         pull = transfer.pull
         if transfer.staged is None and not self._begin(transfer):
             return True
@@ -188,16 +188,16 @@ class Pullers(Closing):
                 f"too slow: {staged.size} of {pull.size} bytes in {transfer.seconds:.0f} s; a worker has to serve "
                 f"{self._settings.min_bytes_per_s:.0f} bytes per second",
             )
-        elif not staged.is_taken and self._is_another(pull, staged.sha256):
+        elif not staged.is_linked and self._is_another(pull, staged.sha256):
             return True
         else:
             self._ledger.keep(pull, _VALIDATION_S)
             if isinstance(pull.job, BuildJob):
                 self._receive_layout(pull, pull.job, staged)
                 return True
-            verdict = self._judge(pull, staged)
-            if verdict is not None and not (staged.is_taken and self._is_another(pull, verdict.receipt.file_sha256)):
-                self._publish(pull, staged, verdict)
+            bundle = self._validate(pull, staged)
+            if bundle is not None and not (staged.is_linked and self._is_another(pull, bundle.receipt.file_sha256)):
+                self._publish(pull, staged, bundle)
         return True
 
     def _is_another(self, pull: Pull, sha256: str) -> bool:
@@ -216,7 +216,7 @@ class Pullers(Closing):
             return False
         self._require_free_space(pull)
         transfer.staged = self._archive.stage(pull.job.index)
-        self._take_nearby(pull, transfer.staged)
+        self._link_local_bundle(pull, transfer.staged)
         return True
 
     def _prepare_destination(self, index: int) -> bool:
@@ -281,12 +281,12 @@ class Pullers(Closing):
                 f"{now - failures.since:.0f} s, while its worker was alive",
             )
 
-    def _take_nearby(self, pull: Pull, staged: Staged) -> None:
+    def _link_local_bundle(self, pull: Pull, staged: Staged) -> None:
         """Links a bundle on the archive's disk instead of transferring and copying it."""
         try:
-            source = self._nearby(pull.lease)
+            source = self._find_local_bundle(pull.lease)
             if source is not None and source.stat().st_size == pull.size:
-                staged.take(source)
+                staged.link(source)
         except OSError as error:
             log.debug("fetched_instead", episode=pull.name, error=str(error))
 
@@ -298,9 +298,9 @@ class Pullers(Closing):
         except InvalidBundle as error:
             self._refuse(pull, str(error))
 
-    def _judge(self, pull: Pull, staged: Staged) -> Judgement | None:
+    def _validate(self, pull: Pull, staged: Staged) -> ValidatedBundle | None:
         try:
-            return self._judging.judge(pull, staged.path, is_local=staged.is_taken)
+            return self._validation.validate(pull, staged.path, is_local=staged.is_linked)
         except InvalidBundle as error:
             self._refuse(pull, str(error), is_false=pull.is_validated)
             return None
@@ -316,14 +316,14 @@ class Pullers(Closing):
         with self._guard:
             self._failed.pop(pull.job.index, None)
 
-    def _publish(self, pull: Pull, staged: Staged, verdict: Judgement) -> None:
+    def _publish(self, pull: Pull, staged: Staged, bundle: ValidatedBundle) -> None:
         index = pull.job.index
         self._forget_failures(pull)
         self._archive.publish(staged, index)
-        if self._ledger.own(pull, verdict.receipt, is_checked=verdict.is_checked):
+        if self._ledger.own(pull, bundle.receipt, is_checked=bundle.is_checked):
             self._meters.add(Meter.ARCHIVED)
             self._failing.succeed()
-            log.info("archived", episode=episode_id(index), worker=pull.sid, steps=verdict.receipt.num_steps)
+            log.info("archived", episode=episode_id(index), worker=pull.sid, steps=bundle.receipt.num_steps)
             self._on_archived()
         else:
             self._archive.unpublish(index)  # the lease was lost meanwhile, and no other worker delivered the episode

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 from schemas.episode import EpisodeMeta
 from schemas.instruction.language import FROM_START, TEMPLATES, instruction, needs_colour, templates_for
@@ -19,12 +20,20 @@ CENTROID_SLACK_M = 1e-6
 """Tolerance between the centroids in meta.json and in the scene, metres: both are the same float64 written as JSON."""
 
 
+_DRAWN = frozenset({"target_id", "colour"})
+"""Fields of a job that depend on a target that is drawn at the start."""
+
+
 def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
-    """Returns a finding per field in which the bundle's job differs from the leased job."""
+    """Returns a finding per field in which the bundle's job differs from the leased job.
+
+    Target and colour may differ if the target is drawn at the start; `target_findings` checks them.
+    """
+    drawn = frozenset() if job.choice is None else _DRAWN
     return [
         f"job.{name}: the bundle has {_show(getattr(meta.job, name))}, the ledger leased {_show(getattr(job, name))}"
         for name in Job.model_fields
-        if getattr(meta.job, name) != getattr(job, name)
+        if name not in drawn and getattr(meta.job, name) != getattr(job, name)
     ]
 
 
@@ -40,12 +49,19 @@ def table_findings(meta: EpisodeMeta) -> list[str]:
     return found + _language_findings(meta) + _instance_findings(meta)
 
 
-def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
-    """Returns a finding per field in which the bundle's target differs from the target in the compiled scene."""
+def target_findings(meta: EpisodeMeta, candidates: Sequence[Target]) -> list[str]:
+    """Returns a finding per field in which the bundle's target differs from the target in the compiled scene.
+
+    Args:
+        meta: metadata of the episode.
+        candidates: targets that the episode may have, at least one.
+    """
     job = meta.job
+    target = next((each for each in candidates if each.target_id == job.target_id), candidates[0])
     pairs = {
         "target_id": (job.target_id, target.target_id),
         "category": (job.category, target.category),
+        "colour": (job.colour, job.colour if job.choice is None else target.colour),
         "target_prim_path": (meta.target_prim_path, target.prim_path),
         "target_instance_id": (meta.target_instance_id, target.instance_id),
         "target_footprint_m": (meta.target_footprint_m, target.footprint_m),

@@ -130,20 +130,26 @@ def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[
 
 
 def _success_findings(meta: EpisodeMeta, distances: NDArray[np.float64], poses: NDArray[np.float64]) -> list[str]:
-    """Returns how an episode misses the success rule, given the distances of all poses to the goal, metres."""
+    """Returns how an episode violates the success rule, given the distances of all poses to the goal, metres."""
     task, steps = meta.job.task, hold_steps_of(meta.job, meta.job.task)
     if meta.rollout.end_reason is not EndReason.SUCCESS:
         return [f"end_reason is {meta.rollout.end_reason}; only successes are archived"]
     if len(poses) <= steps:
         return [f"{len(poses)} frames are too few for a success, which needs {steps} stationary steps"]
     found = []
-    hold = poses[-steps - 1 :, :2]  # one more pose, because a speed needs two
+    last = poses[-steps - 1 :, :2]  # one more pose, because a speed needs two
     farthest = float(distances[-steps:].max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
-        found.append(f"no success: {farthest:.4f} m from the target in the hold, radius {task.success_radius_m:g} m")
-    speed = float(np.linalg.norm(np.diff(hold, axis=0), axis=1).max()) * task.control_hz
+        found.append(
+            f"no success: {farthest:.4f} m from the target during the last {steps} steps, radius "
+            f"{task.success_radius_m:g} m"
+        )
+    speed = float(np.linalg.norm(np.diff(last, axis=0), axis=1).max()) * task.control_hz
     if not speed < task.stationary_speed_mps + SPEED_SLACK_MPS:
-        found.append(f"no success: {speed:.4f} m/s in the hold, stationary is below {task.stationary_speed_mps:g} m/s")
+        found.append(
+            f"no success: {speed:.4f} m/s during the last {steps} steps, stationary is below "
+            f"{task.stationary_speed_mps:g} m/s"
+        )
     return found
 
 

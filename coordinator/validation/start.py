@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.episode import EpisodeMeta
-from schemas.instruction.start_view import start_view_findings
+from schemas.exchangeable import exchangeable_targets
+from schemas.instruction.referents import ids_in_view
+from schemas.instruction.start_view import TargetChoice, start_view_findings
+from schemas.scene import Target
 from schemas.support.planar import yaw_of
 
 BEARING_SLACK_RAD = 1e-5
@@ -17,7 +21,11 @@ BEARING_SLACK_RAD = 1e-5
 
 
 def start_findings(
-    meta: EpisodeMeta, arrays: EpisodeArrays, ids: NDArray[np.uint16], depth: NDArray[np.float32]
+    meta: EpisodeMeta,
+    arrays: EpisodeArrays,
+    ids: NDArray[np.uint16],
+    depth: NDArray[np.float32],
+    candidates: Sequence[Target] = (),
 ) -> list[str]:
     """Returns the conditions of the job on the image and heading at the start that the episode does not meet.
 
@@ -29,14 +37,47 @@ def start_findings(
         arrays: arrays of the episode.
         ids: (S, S) instance ids of frame 0.
         depth: (S, S) depth of frame 0, metres.
+        candidates: targets that the episode may have, of the compiled scene; empty if the scene cannot be read.
     """
-    view = meta.job.start_view
+    view, job, target = meta.job.start_view, meta.job, meta.target_instance_id
     if view is None:
         return []
+    if view.choice is not None:
+        found = _choice_findings(meta, view.choice, ids, candidates)
+        return [f"start: {finding}" for finding in found]
     x, y = arrays.poses[0, :2].astype(np.float64).tolist()
     towards = math.atan2(meta.target_centroid_m[1] - y, meta.target_centroid_m[0] - x)
     off = abs(math.remainder(towards - float(yaw_of(arrays.poses[:1])[0]), 2 * math.pi))
     least_off = max(0.0, off - BEARING_SLACK_RAD)
-    job, target = meta.job, meta.target_instance_id
     found = start_view_findings(view, target, least_off, ids, depth, job.camera, job.gains.min_mask_px)
     return [f"start: {finding}" for finding in found]
+
+
+def choice_findings(meta: EpisodeMeta) -> list[str]:
+    """Returns the contradictions between the target of an episode and the draw of its job; reads no image."""
+    view, choices = meta.job.start_view, meta.choices
+    if view is None or view.choice is None:
+        return ["objects that could be the target, of a job whose plan names the target"] if choices else []
+    found = []
+    if len(choices) <= view.least_same_category:
+        found.append(f"{len(choices)} objects could be the target, the plan requires {view.least_same_category + 1}")
+    stray = sorted(set(choices).difference(view.choice.among))
+    if stray or list(choices) != sorted(set(choices)):
+        found.append(f"choices {list(choices)}, the job permits {list(view.choice.among)}, each once, in this order")
+    if choices and meta.target_instance_id != view.choice.of(choices):
+        found.append(f"the target is object {meta.target_instance_id}, the job selects {view.choice.of(choices)}")
+    return found
+
+
+def _choice_findings(
+    meta: EpisodeMeta, choice: TargetChoice, ids: NDArray[np.uint16], candidates: Sequence[Target]
+) -> list[str]:
+    """Returns the differences between the recorded objects that could be the target, and those of the first frame."""
+    if {each.instance_id for each in candidates} != set(choice.among):
+        hidden = sorted(set(meta.choices).difference(ids_in_view(ids, meta.job.gains.min_mask_px)))
+        return [f"objects {hidden} are not in view, but recorded as possible targets"] if hidden else []
+    there = exchangeable_targets(meta.job, candidates, meta.rollout.spawn_pose, ids)
+    measured = tuple(each.instance_id for each in there)
+    if measured == meta.choices:
+        return []
+    return [f"objects {list(measured)} could be the target in the first frame, recorded are {list(meta.choices)}"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from coordinator.validation.rollout import arrival_findings, rollout_findings, v
 from coordinator.validation.route import route_findings
 from coordinator.validation.scope import Scope
 from coordinator.validation.sensors import rig_findings, survey_measurements
-from coordinator.validation.start import start_findings
+from coordinator.validation.start import choice_findings, start_findings
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import POSES
 from schemas.episode import EpisodeMeta
@@ -29,7 +29,7 @@ _STRIDE = 8
 def validate(
     bundle: BundleReader,
     job: Job | None = None,
-    target: Target | None = None,
+    candidates: Sequence[Target] = (),
     on_frame: Callable[[int], None] = lambda _t: None,
     scope: Scope = Scope.ALL,
 ) -> list[str]:
@@ -41,7 +41,8 @@ def validate(
     Args:
         bundle: open bundle; opening it has checked members, shapes, dtypes and bounds of the arrays.
         job: leased job; `None` validates the bundle against its recorded job.
-        target: target in the compiled scene; `None` skips the comparison.
+        candidates: targets of the compiled scene that the episode may have, see `candidates_of`; none skips the
+            comparison.
         on_frame: progress callback with the number of each processed frame.
         scope: part of the bundle that is read. `SAMPLE` decodes `sampled_frames`, for bundles that this user's workers
             wrote on this machine; `CLAIM` decodes no frame and does not check the drive.
@@ -51,9 +52,9 @@ def validate(
     """
     meta, arrays, task = bundle.meta, bundle.arrays, bundle.meta.job.task
     findings = job_findings(meta, job) if job is not None else []
-    findings += table_findings(meta)
+    findings += table_findings(meta) + choice_findings(meta)
     findings += _format_findings(bundle)
-    findings += target_findings(meta, target) if target is not None else []
+    findings += target_findings(meta, candidates) if candidates else []
     if scope is Scope.CLAIM:
         return findings + _digest_findings(bundle)
     of_rig, is_sample = rig_findings(bundle), scope is Scope.SAMPLE
@@ -69,7 +70,7 @@ def validate(
             return findings  # the remaining checks need every frame
         findings += visibility_findings(meta, survey.target_pixels)
         findings += arrival_findings(meta, survey.target_pixels[bundle.length - 1])
-        findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0))
+        findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0), candidates)
     return findings + _digest_findings(bundle)
 
 

@@ -65,8 +65,8 @@ class ValidationTask(Model):
 
     job: Job | None = None
     """Leased job; `None` if the bundle is the package of a scene."""
-    target: Target | None = None
-    """Target in the compiled scene; `None` skips the comparison."""
+    candidates: tuple[Target, ...] = ()
+    """Targets of the compiled scene that the episode may have; none skips the comparison."""
     scope: Scope = Scope.ALL
     """Part of the bundle that is read."""
 
@@ -111,13 +111,15 @@ class Validator(Closing):
         for child in self._all:
             self._free.put(child)
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:
+    def check(
+        self, path: Path, job: Job, candidates: tuple[Target, ...] = (), scope: Scope = Scope.ALL
+    ) -> EpisodeSummary:
         """Validates a bundle against its job.
 
         Args:
             path: path of the bundle, usually a part file.
             job: leased job.
-            target: target in the compiled scene; `None` skips the comparison.
+            candidates: targets of the compiled scene that the episode may have; none skips the comparison.
             scope: part of the bundle that is read.
 
         Returns:
@@ -128,7 +130,7 @@ class Validator(Closing):
             TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
                 cannot be opened now.
         """
-        verdict = self._verdict(ValidationTask(job=job, target=target, scope=scope), path)
+        verdict = self._verdict(ValidationTask(job=job, candidates=candidates, scope=scope), path)
         return self._with_sentence(verdict, job)
 
     def check_package(self, path: Path) -> None:
@@ -160,7 +162,8 @@ class Validator(Closing):
             from coordinator.validation.language import sentence_findings  # children start faster without it
 
             start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
-            found = sentence_findings(job, verdict.language, start, package)
+            aimed = job.model_copy(update={"target_id": summary.target_id})
+            found = sentence_findings(aimed, verdict.language, start, package)
             if found:
                 raise InvalidBundle("bundle refused", found)
         return summary

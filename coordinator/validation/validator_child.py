@@ -33,7 +33,7 @@ from schemas.language.grammar import LANGUAGES, grammar
 from schemas.scene.complete import require_sound
 
 
-def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
+def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
     """Validates an open bundle in the current process."""
     try:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
@@ -44,7 +44,7 @@ def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
             require_sound(file)
             return Verdict()
         with BundleReader(file) as bundle:
-            findings = validate(bundle, task.job, task.target, scope=task.scope)
+            findings = validate(bundle, task.job, task.candidates, scope=task.scope)
             if not findings:
                 return Verdict(summary=summary_of(bundle.meta, sha256, size), language=bundle.meta.language)
     except InvalidBundle as error:
@@ -93,7 +93,7 @@ def main(arguments: list[str]) -> int:
         task, file = received
         _allow_cpu(limits)
         with file:
-            verdict = judge(task, file)
+            verdict = verdict_of(task, file)
         sys.stdout.write(f"{verdict.model_dump_json()}\n")
         sys.stdout.flush()
     return 0

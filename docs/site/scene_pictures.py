@@ -1,8 +1,10 @@
-"""Renders the pictures of docs/scenes: views, frames, categories and map of a scene; maps and views of a family.
+"""Renders the pictures of docs/scenes: views, frames, categories and map of the paper's scenes; maps and views of
+families.
 
-A family has one sheet of maps and one of views, each with twelve layouts. Seeds without a layout are left out.
+A family has one sheet of maps and one of views, each with its first twelve layouts. Seeds without a layout are
+omitted.
 
-python docs/site/scene_pictures.py [SCENE|FAMILY ...]
+python docs/site/scene_pictures.py [FAMILY ...]
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ import io
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count, islice
 from pathlib import Path
 
 from PIL import Image, ImageOps
@@ -20,65 +23,78 @@ from factory.scenes import build_scene, encode_topdown
 from factory.scenes.pictures.sheet import draw_sheet, variants
 from factory.scenes.pictures.viewpoints import EYE, best_views
 from factory.support.settings import scene_cache
-from schemas.errors import WorldError
+from schemas.errors import LayoutError
 from schemas.scene import CompiledScene, read_scene
+from schemas.terms import BUILTIN_CATEGORIES, PAPER_SCENES, layout_name
 from workers.render.choose import open_renderer
 
-SCENES = ("office", "hospital", "full_warehouse", "warehouse_multiple_shelves")
-FAMILIES = ("home", "shop", "school")
 LAYOUTS = 12
+TILE_PX = 420
+RANKS = 3
+"""Layouts show their best, second and third view in turn, so that a sheet shows more than the best room of each."""
 FOLDER = Path(__file__).parents[1] / "scenes"
 GAP_PX = 4
 
 
-def main(scenes: Sequence[str]) -> None:
-    """Writes four pictures of each scene, and three of each family."""
-    for scene in scenes:
-        if scene in FAMILIES:
-            draw_family(scene)
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            rendered = Path(folder)
-            subprocess.run(["factory", "scene", "render", scene, "-o", folder], check=True, stdout=subprocess.DEVNULL)
-            save(tile(opened(rendered, "eye_*.png"), columns=3, size_px=420), f"{scene}_eye.jpg")
-            save(tile(opened(rendered, "robot_*.png"), columns=4, size_px=320), f"{scene}_robot.jpg")
-            categories = Image.open(rendered / "categories.png").convert("RGB")
-            categories.thumbnail((1600, 1600))
-            save(categories, f"{scene}_categories.jpg")
-            Image.open(rendered / "map.png").convert("RGB").quantize(64).save(
-                FOLDER / f"{scene}_map.png", optimize=True
-            )
+def main(families: Sequence[str]) -> None:
+    """Writes the two sheets of each family, and the pictures of the layout of the paper or of the categories."""
+    for family in families:
+        if family in PAPER_SCENES:
+            draw_paper_scene(family)
+        draw_family(family)
+
+
+def draw_paper_scene(scene: str) -> None:
+    """Writes four pictures of a layout of the paper."""
+    with tempfile.TemporaryDirectory() as folder:
+        rendered = Path(folder)
+        subprocess.run(["factory", "scene", "render", scene, "-o", folder], check=True, stdout=subprocess.DEVNULL)
+        save(tile(opened(rendered, "eye_*.png"), columns=3, size_px=420), f"{scene}_eye.jpg")
+        save(tile(opened(rendered, "robot_*.png"), columns=4, size_px=320), f"{scene}_robot.jpg")
+        categories = Image.open(rendered / "categories.png").convert("RGB")
+        categories.thumbnail((1600, 1600))
+        save(categories, f"{scene}_categories.jpg")
+        Image.open(rendered / "map.png").convert("RGB").quantize(64).save(FOLDER / f"{scene}_map.png", optimize=True)
 
 
 def draw_family(family: str) -> None:
-    """Writes the maps and a view of the first layouts of a family, and the categories of the first one."""
+    """Writes the maps and a view of the first layouts of a family; the categories of the first one, if none of the
+    paper's layouts shows them."""
     maps: list[Image.Image] = []
     views: list[Image.Image] = []
-    for seed in range(3 * LAYOUTS):
+    for scene in islice(layouts(family), LAYOUTS):
+        if not maps and family not in PAPER_SCENES:
+            draw_categories(scene, family)
+        maps.append(Image.open(io.BytesIO(encode_topdown(scene))))
+        views.append(draw_view(scene, len(views) % RANKS))
+    save(tile(maps, 4, TILE_PX, fill="white"), f"{family}_maps.jpg", 75)
+    save(tile(views, 4, TILE_PX), f"{family}_views.jpg", 78)
+
+
+def layouts(family: str) -> Iterator[CompiledScene]:
+    """Yields the layouts of a family in the order of their seeds."""
+    for seed in count():
         try:
-            package = build_scene(family, seed, scene_cache())
-        except WorldError as error:
+            package = build_scene(family, seed, scene_cache(), called=layout_name(family, seed))
+        except LayoutError as error:
             print(error)
             continue
-        scene = read_scene(package)
-        maps.append(Image.open(io.BytesIO(encode_topdown(scene))))
-        views.append(draw_view(scene))
-        if len(maps) == 1:
-            with open_renderer("auto", 400) as eye:
-                categories = draw_sheet(eye, scene, variants(scene.info.targets))
-            categories.thumbnail((1400, 1600))
-            save(categories, f"{family}_categories.jpg", 80)
-        if len(maps) == LAYOUTS:
-            break
-    save(tile(maps, 4, 340, fill="white"), f"{family}_maps.jpg", 75)
-    save(tile(views, 4, 340), f"{family}_views.jpg", 78)
+        yield read_scene(package)
 
 
-def draw_view(scene: CompiledScene) -> Image.Image:
-    """Returns the best view of a scene at eye height."""
+def draw_categories(scene: CompiledScene, family: str) -> None:
+    """Writes the variants of the objects of a layout."""
+    with open_renderer("auto", 400) as eye:
+        categories = draw_sheet(eye, scene, variants(scene.info.targets))
+    categories.thumbnail((1400, 1600))
+    save(categories, f"{family}_categories.jpg", 80)
+
+
+def draw_view(scene: CompiledScene, rank: int) -> Image.Image:
+    """Returns one of the best views of a scene at eye height; rank 0 is the best."""
     with open_renderer("auto", 96) as eye:
-        (view,) = best_views(eye, scene, EYE, 1)
-    with open_renderer("auto", 2 * 340) as eye:
+        view = best_views(eye, scene, EYE, rank + 1)[-1]
+    with open_renderer("auto", 2 * TILE_PX) as eye:
         eye.load(scene, view.camera)
         return Image.fromarray(eye.render(view.pose).rgb)
 
@@ -109,4 +125,4 @@ def save(picture: Image.Image, name: str, quality: int = 85) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or (*SCENES, *FAMILIES))
+    main(sys.argv[1:] or tuple(BUILTIN_CATEGORIES))

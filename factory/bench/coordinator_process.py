@@ -53,7 +53,13 @@ class _AcceptAll:
     def __init__(self, meta: EpisodeMeta, sha256: str, size: int) -> None:
         self._meta, self._sha256, self._size = meta, sha256, size
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EpisodeSummary:  # noqa: ARG002
+    def check(
+        self,
+        path: Path,  # noqa: ARG002
+        job: Job,
+        candidates: tuple[Target, ...] = (),  # noqa: ARG002
+        scope: Scope = Scope.ALL,  # noqa: ARG002
+    ) -> EpisodeSummary:
         job = self._meta.job.model_copy(update={"index": job.index})
         meta = self._meta.model_copy(update={"job": job, "episode_id": job.episode_id})
         return summary_of(meta, self._sha256, self._size)

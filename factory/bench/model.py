@@ -232,8 +232,8 @@ class WireBench(Model):
     """CPU time of the worker process per cycle, on the same cores, milliseconds."""
     start_s: Spread
     """Startup time on the filled ledger until it listens, seconds."""
-    crowd: SessionLoad
-    rush: DeliveryLoad
+    session_load: SessionLoad
+    delivery_load: DeliveryLoad
 
 
 class CoordinatorBench(Model):

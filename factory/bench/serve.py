@@ -157,7 +157,7 @@ def _draw(dataset: Dataset, count: int) -> list[str]:
 
 
 def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, float]:
-    """Requests the frames of an episode as the player does; returns frames per second and CPU milliseconds a frame."""
+    """Requests frames of an episode as the player does; returns frames per second and CPU milliseconds per frame."""
     steps = range(1, len(dataset[name]), 2)
     is_stored = dataset.meta.plan.record is Recording.FRAMES
     queries = ("kind=rgb" if is_stored else "kind=rgb&small=1", "kind=depth&small=1", "kind=ids&small=1")

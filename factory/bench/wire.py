@@ -76,8 +76,8 @@ def bench_wire(
         coordinator_cpu_ms=Spread.of([1000 * run.coordinator_cpu_s / run.cycles for run in runs]),
         workers_cpu_ms=Spread.of([1000 * run.fleet.cpu_s / run.cycles for run in runs]),
         start_s=Spread.of([run.start_s for run in runs]),
-        crowd=_measure_sessions(heavy, plan.run, sessions),
-        rush=_measure_deliveries(heavy, plan.run, workers, bundle_bytes),
+        session_load=_measure_sessions(heavy, plan.run, sessions),
+        delivery_load=_measure_deliveries(heavy, plan.run, workers, bundle_bytes),
     )
 
 

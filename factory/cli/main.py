@@ -28,8 +28,8 @@ from workers.process.one_core import one_core
 _MAKE, _INSPECT, _USE, _LEARN = "Generate", "Inspect", "Export", "Train and evaluate"
 _FARM, _OTHER = "Multiple hosts", "Other"
 _MEASURED = {("bench", "rollout"), ("bench", "render"), ("bench", "memory")}
-"""Commands that measure the work of a simulation in this process and therefore need the environment variables of
-one."""
+"""Benchmark commands that simulate in this process, and therefore need the environment variables of a simulation
+process."""
 
 
 class CommandEntry(NamedTuple):

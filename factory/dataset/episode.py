@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.packages import ScenePackage
-from factory.dataset.steps import read_steps
+from factory.dataset.steps import read_questions, read_steps
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import EpisodeSummary
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.language.question.model import Question
 from schemas.language.route.model import SubInstruction
 from schemas.rig import Imu, Rig, Sensor, WheelOdometry
 from schemas.scene import Instance
@@ -112,6 +113,12 @@ class Episode(Closing):
         `factory relabel` writes routes (docs/language.md#routes).
         """
         return read_steps(self.path.parents[1], self.episode_id)
+
+    @cached_property
+    def questions(self) -> tuple[Question, ...]:
+        """Questions about the episode with answers and reasons (docs/language.md#questions)."""
+        written = read_questions(self.path.parents[1], self.episode_id)
+        return self.meta.questions if written is None else written
 
     @property
     def actions(self) -> NDArray[np.float32]:

@@ -75,7 +75,7 @@ class Marks:
     """
 
     def __init__(self, site: Site) -> None:
-        self._path = site.home / MARKS_FILE
+        self._path = site.state_dir / MARKS_FILE
         self._writing = threading.Lock()
 
     def read(self) -> dict[str, Mark]:

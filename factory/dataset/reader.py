@@ -66,7 +66,7 @@ class Dataset:
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
 
     Raises:
-        WorldError: The directory holds no dataset, or its format is newer than this software.
+        WorldError: The directory contains no dataset, or its format is newer than this software.
         ArchiveCorrupt: The tables are damaged.
         UsageError: The rig does not exist, has mistakes, or has a rate that does not divide the control rate;
             the appearance does not exist or has mistakes, or the dataset stores frames.

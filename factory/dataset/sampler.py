@@ -62,7 +62,7 @@ class SceneSampler:
         seed: Random seed; the order depends on seed, epoch and dataset only.
         rank: Number of this process in a distributed training, from 0.
         replicas: Number of processes of a distributed training.
-        even: Whether all ranks get the same number of samples; up to `replicas - 1` samples of an epoch are left out.
+        even: Whether all ranks get the same number of samples; up to `replicas - 1` samples of an epoch are omitted.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class SceneSampler:
 
         Args:
             epoch: Number of the epoch, from 0.
-            done: Number of samples of this rank that are left out at the beginning, to resume a training; the number
+            done: Number of samples of this rank that are skipped at the beginning, to resume a training; the number
                 of finished batches times the batch size.
         """
         self._epoch, self._done = epoch, done

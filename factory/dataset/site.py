@@ -22,7 +22,7 @@ class Site:
 
     place: Place
     """Location of the dataset, a path or an object storage URL."""
-    home: Path
+    state_dir: Path
     """Local directory of the ledger and the other files that the coordinator keeps on disk."""
 
     @property
@@ -41,10 +41,10 @@ def site_of(name: str | Place) -> Site:
         UsageError: The URL is invalid, or the extra for object storage is not installed.
     """
     place = place_of(name)
-    return Site(place, place if isinstance(place, Path) else _home_of(place))
+    return Site(place, place if isinstance(place, Path) else _state_dir_of(place))
 
 
-def _home_of(place: ObjectPath) -> Path:
+def _state_dir_of(place: ObjectPath) -> Path:
     # the same bucket name on two servers means two datasets
     whole = f"{place} {store_endpoint()}"
     readable = re.sub(r"[^A-Za-z0-9_-]+", "-", str(place).partition("://")[2])[-40:].strip("-")

@@ -1,13 +1,15 @@
-"""Reads the sub-instructions of routes from a relabelled dataset. Writes nothing."""
+"""Reads the sub-instructions of routes, and questions, from a relabelled dataset. Writes nothing."""
 
 from __future__ import annotations
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from schemas.dataset.meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt
+from schemas.language.question.model import Question, QuestionMeaning
 from schemas.language.route.model import RouteStep, SubInstruction
-from schemas.storage.dataset_files import STEPS_FILE
+from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
 
@@ -15,6 +17,12 @@ from schemas.support.foreign import PARSER_ERRORS
 def has_routes(root: Place) -> bool:
     """Returns whether a dataset has a table of sub-instructions."""
     return (root / STEPS_FILE).is_file()
+
+
+def has_questions(root: Place, meta: DatasetMeta) -> bool:
+    """Returns whether a dataset has questions, of `factory relabel` or of its plan."""
+    planned = meta.plan.language
+    return (root / QUESTIONS_FILE).is_file() or (planned is not None and planned.questions)
 
 
 def read_text_table(path: Place, episode_id: str | None = None) -> pa.Table:
@@ -54,4 +62,20 @@ def read_steps(root: Place, episode_id: str) -> tuple[SubInstruction, ...]:
         )
         for row in rows
         if row["number"] == first
+    )
+
+
+def read_questions(root: Place, episode_id: str) -> tuple[Question, ...] | None:
+    """Returns the questions about an episode that `factory relabel` wrote; `None` if it wrote none for the dataset.
+
+    Raises:
+        ArchiveCorrupt: the table is damaged.
+    """
+    if not (root / QUESTIONS_FILE).is_file():
+        return None
+    rows = read_text_table(root / QUESTIONS_FILE, episode_id).to_pylist()
+    names = [name for name in Question.model_fields if name != "meaning"]
+    return tuple(
+        Question(**{name: row[name] for name in names}, meaning=QuestionMeaning.model_validate_json(row["meaning"]))
+        for row in sorted(rows, key=lambda row: int(row["number"]))
     )

@@ -47,7 +47,7 @@ class FrameBatch(list[Sample]):
     def __init__(self, samples: Sequence[Sample], images: dict[str, NDArray[Any]]) -> None:
         super().__init__(samples)
         self.images = images
-        """Batch arrays by field name of `Sample`, (N, ...); each sample holds a view of one element."""
+        """Batch arrays by field name of `Sample`, (N, ...); each sample has a view of one element."""
 
 
 class ClipDataset:

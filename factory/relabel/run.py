@@ -88,7 +88,7 @@ class RelabelReport(Model):
     rejected: dict[str, int] = Field(default_factory=dict)
     """Number of sentences that the verifier rejected, by reason, in this call."""
     paraphrases: ParaphraseReport | None = None
-    """Paraphrases that an endpoint was asked for in this call; `None` if it was not asked."""
+    """Paraphrases that were requested from an endpoint in this call; `None` without a request."""
 
 
 class _Job(NamedTuple):
@@ -122,10 +122,14 @@ def relabel(
 
     Raises:
         UsageError: the source has no episodes, or `out` contains other files or another relabelling.
-        InvalidLanguage: no target of a scene can get an instruction; the error lists what is possible there.
+        InvalidLanguage: no target of a scene can get an instruction; the error lists what is possible there. Or a key
+            is for plans only.
         ArchiveCorrupt: the source is damaged.
         WorldError: the disk is full or not available.
     """
+    if spec.exchangeable:
+        fault = "exchangeable: a plan draws the start before the target, an episode has its target: remove the key"
+        raise InvalidLanguage("the language file has a key for plans only", [fault])
     dataset = Dataset(root)
     if not len(dataset):
         raise UsageError(f"{root} has no episodes")

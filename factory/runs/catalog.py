@@ -131,21 +131,21 @@ def _require_textures(catalog: Catalog) -> None:
         )
 
 
-def scenes_before_run(plan: Plan, pilots: Iterable[Plan]) -> frozenset[str] | None:
+def scenes_before_run(plan: Plan, gates: Iterable[Plan]) -> frozenset[str] | None:
     """Returns the scenes that are needed before a run, whose workers build the others; `None` for all.
 
     These are the scenes that are not layouts, the first layout of each family, which shows whether the plan is
-    possible, and the scenes of pilots. Light groups are baked before a run, so that varied light needs all scenes.
+    possible, and the scenes of the gate. Light groups are baked before a run, so that varied light needs all scenes.
 
     Args:
         plan: Plan of the run.
-        pilots: Plans of the pilots before the run.
+        gates: Plans of the gate runs before the run.
     """
     if plan.record is Recording.FRAMES and plan.appearance is not None and plan.appearance.light is not None:
         return None
     first = {family_of(part.name): part.name for part in reversed(plan.parts)}
     fixed = {part.name for part in plan.parts if not isinstance(part, LayoutPlan)}
-    return frozenset({*fixed, *first.values(), *(part.name for pilot in pilots for part in pilot.parts)})
+    return frozenset({*fixed, *first.values(), *(part.name for gate in gates for part in gate.parts)})
 
 
 def with_light(plan: Plan, catalog: Catalog) -> Catalog:
@@ -162,7 +162,7 @@ def with_light(plan: Plan, catalog: Catalog) -> Catalog:
 def find_built(plan: Plan, cache: Path) -> Catalog:
     """Returns the scenes of a plan whose current version is in the cache; builds none.
 
-    Layouts of families are left out, because only a build finds their seeds.
+    Layouts of families are omitted, because only a build finds their seeds.
     """
     found = {part.name: _find(part, cache) for part in plan.parts}
     return {name: read_entry(path) for name, path in found.items() if path is not None}

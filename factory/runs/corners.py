@@ -20,7 +20,7 @@ _MOST_TARGETS = 12
 
 
 def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
-    """Returns by scene the expected share of far starts that need a corner, 0..1; leaves out scenes without far starts.
+    """Returns by scene the expected share of far starts that need a corner, 0..1; omits scenes without far starts.
 
     It is estimated from the `_MOST_TARGETS` most frequent targets of each scene, from which every surveyed point in the
     range of the tier is as probable. Conditions on the start view and tests in physics are not computed.

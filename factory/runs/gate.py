@@ -31,8 +31,8 @@ _STARTS = 3
 
 
 @dataclass(frozen=True)
-class Pilot:
-    """Jobs and settings of a pilot run."""
+class GateRun:
+    """Jobs and settings of a gate run."""
 
     jobs: tuple[Job, ...]
     packages: Mapping[str, Path]
@@ -42,8 +42,8 @@ class Pilot:
     processes: int = 1
 
     @classmethod
-    def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> Pilot:
-        """Returns a pilot run of the first attempts at all episodes of a plan with one scene or one family.
+    def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> GateRun:
+        """Returns a gate run of the first attempts at all episodes of a plan with one scene or one family.
 
         The attempts record states, because their frames are deleted; the recording does not change their outcome.
 
@@ -89,24 +89,24 @@ class GateReport(Model):
     """Failed trials in the order of the plan."""
 
 
-def run_pilot(pilot: Pilot, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
+def run_gate(run: GateRun, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
     """Runs every job once; returns the trials that ended before all were done or `stop` was set.
 
     Args:
-        pilot: Jobs and settings.
-        stop: Event that stops the pilot run immediately.
+        run: Jobs and settings.
+        stop: Event that stops the gate run immediately.
         tell: Progress callback, called with the number of finished attempts.
 
     Raises:
         WorldError: Simulations do not start, or the disk of temporary files is full.
     """
-    waiting, trials = deque(pilot.jobs), list[Trial]()
+    waiting, trials = deque(run.jobs), list[Trial]()
     with tempfile.TemporaryDirectory(prefix="gate-") as folder, ExitStack() as stack:
-        count = min(pilot.processes, len(pilot.jobs))
-        slots = [_TrialProcess(pilot, Path(folder) / f"{number}.zip", count) for number in range(count)]
+        count = min(run.processes, len(run.jobs))
+        slots = [_TrialProcess(run, Path(folder) / f"{number}.zip", count) for number in range(count)]
         for slot in slots:
             stack.callback(slot.close)
-        while len(trials) < len(pilot.jobs) and not stop.is_set():
+        while len(trials) < len(run.jobs) and not stop.is_set():
             for slot in slots:
                 trial = slot.turn(waiting)
                 if trial is not None:
@@ -149,11 +149,11 @@ def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success:
 class _TrialProcess:
     """Simulation process and its current job; all processes are polled in turn, so no call may block for long."""
 
-    def __init__(self, pilot: Pilot, bundle: Path, slots: int) -> None:
-        self._pilot, self._bundle = pilot, bundle
+    def __init__(self, run: GateRun, bundle: Path, slots: int) -> None:
+        self._run, self._bundle = run, bundle
         self._poll_s = _POLL_S / slots
         limit_s = _HANG_S / slots  # each process is polled only once per round
-        self._simulation = Simulation(pilot.command, limit_s, limit_s)
+        self._simulation = Simulation(run.command, limit_s, limit_s)
         self._job: Job | None = None
         self._is_ready = False
         self._starts = 0
@@ -179,7 +179,7 @@ class _TrialProcess:
     def _order(self, job: Job) -> None:
         self._job = job
         self._simulation.order(
-            SimulationOrder(job=job, scene_path=self._pilot.packages[job.scene], bundle_path=self._bundle, sid="gate")
+            SimulationOrder(job=job, scene_path=self._run.packages[job.scene], bundle_path=self._bundle, sid="gate")
         )
 
     def _handle_report(self, report: SimulationReport) -> Trial | None:
@@ -202,6 +202,6 @@ class _TrialProcess:
             return Trial(job, death.reason, death.detail)
         self._starts += 1
         if self._starts >= _STARTS:
-            command = " ".join(self._pilot.command)
+            command = " ".join(self._run.command)
             raise WorldError(f"the simulation did not start after {_STARTS} tries of `{command}`: {death.detail}")
         return None

@@ -30,20 +30,24 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
         UsageError: The directory does not exist, or this machine has no state directory for the URL.
         WorldError: The directory has no ledger.
     """
-    if url is None and not site.home.is_dir():
+    if url is None and not site.state_dir.is_dir():
         begin = f"start a run with `factory run demo --out {site}`"
         if site.store is None:
             raise UsageError(f"directory {site} does not exist; {begin}")
         raise UsageError(
-            f"the ledger of {site} is missing in {site.home}; {begin}, or rebuild the ledger with `factory repair "
+            f"the ledger of {site} is missing in {site.state_dir}; {begin}, or rebuild the ledger with `factory repair "
             f"{site}`"
         )
-    if url is None and not (site.home / LEDGER_FILE).is_file() and (count := len(list_episodes(site.place).episodes)):
+    if (
+        url is None
+        and not (site.state_dir / LEDGER_FILE).is_file()
+        and (count := len(list_episodes(site.place).episodes))
+    ):
         raise WorldError(
             f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair {site}`, or continue "
             "the run with the command that started it"
         )
-    return open_ledger(ledger_url_of(site.home, url))
+    return open_ledger(ledger_url_of(site.state_dir, url))
 
 
 def plan_of(site: Site) -> Plan | None:
@@ -53,10 +57,10 @@ def plan_of(site: Site) -> Plan | None:
         WorldError: Ledger and `dataset_meta.json` contain different plans.
         UsageError: The format of the ledger is newer than this software.
     """
-    noted, described = _noted_plan(site.home), _described_plan(site.place)
+    noted, described = _noted_plan(site.state_dir), _described_plan(site.place)
     if noted is not None and described is not None and noted.digest != described.digest:
         raise WorldError(
-            f"the ledger in {site.home} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: "
+            f"the ledger in {site.state_dir} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: "
             f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
         )
     return noted or described
@@ -73,17 +77,17 @@ def shard_of(site: Site, url: str | None = None) -> RunShard | None:
     if state is not None:
         return state.shard
     try:
-        with open_ledger(ledger_url_of(site.home, url)) as connection:
+        with open_ledger(ledger_url_of(site.state_dir, url)) as connection:
             return read_info(connection).shard if holds_run(connection) else None
     except WorldError:
         return None
 
 
-def _noted_plan(home: Path) -> Plan | None:
-    if not (home / LEDGER_FILE).is_file():
+def _noted_plan(state_dir: Path) -> Plan | None:
+    if not (state_dir / LEDGER_FILE).is_file():
         return None
     try:
-        with open_ledger(ledger_url_of(home)) as connection:
+        with open_ledger(ledger_url_of(state_dir)) as connection:
             return read_info(connection).plan if holds_run(connection) else None
     except WorldError:
         return None  # damaged; the coordinator rebuilds it when it starts
@@ -98,7 +102,7 @@ def _described_plan(place: Place) -> Plan | None:
 
 def require_outside_datasets(site: Site) -> None:
     """Raises `UsageError` if a directory is inside another dataset."""
-    around = next((parent for parent in site.home.absolute().parents if is_dataset(parent)), None)
+    around = next((parent for parent in site.state_dir.absolute().parents if is_dataset(parent)), None)
     if site.store is None and around is not None:
         raise UsageError(f"{site} is inside the dataset {around}: choose an --out outside of it")
 
@@ -113,7 +117,7 @@ def progress_of(site: Site, url: str | None = None) -> Progress:
         progress = read_progress(connection, datetime.now(UTC)).model_copy(
             update={"shards": len(shard_places(site.place))}
         )
-        has_coordinator = is_held(site.home) if url is None else has_writer(connection)
+        has_coordinator = is_held(site.state_dir) if url is None else has_writer(connection)
     if has_coordinator is not False:
         return progress
     gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)

@@ -115,8 +115,8 @@ def run_locally(
 
     Raises:
         WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
-        UsageError: The directory holds another plan, this version does not have the expert, or a package that a sensor
-            needs is not installed.
+        UsageError: The directory contains another plan, this version does not have the expert, or a package that a
+            sensor needs is not installed.
     """
     require_expert(run.plan.expert)
     require_sensor_packages(run.plan.rig)
@@ -132,7 +132,7 @@ def run_locally(
         take_over=run.take_over,
         shard=run.shard,
         find_states=run.find_states,
-        nearby=lambda lease: find_bundle(spool, lease),
+        find_local_bundle=lambda lease: find_bundle(spool, lease),
     )
     with Coordinator(run.root, run.plan, run.catalog, options) as coordinator, pages(coordinator):
         write_target_lists(run.catalog, run.store or run.root)

@@ -103,7 +103,7 @@ def prepare_rendering(
     if renderer is not None and len(dataset):
         _require_recorded_frame(dataset[0], renderer)
     if site.store is None:
-        _require_room(dataset, site.home)
+        _require_room(dataset, site.state_dir)
     if missing := plan.episodes - len(dataset):
         log.warning("states_missing", episodes=missing, remedy="finish the recording, or let them be simulated now")
     if begun is None:
@@ -149,7 +149,7 @@ def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
     """Writes the failed attempts and a description of a dataset without episodes, which name the run to resume."""
     meta = meta.model_copy(update={"episodes": 0, "complete": False, "dataset_digest": None})
     attempts, described = (dataset.root / ATTEMPTS_FILE).read_bytes(), meta.model_dump_json(indent=1).encode()
-    with open_archive(site.home, site.store) as archive:
+    with open_archive(site.state_dir, site.store) as archive:
         for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # the description makes it a run
             with archive.replacing(name) as part:
                 part.write_bytes(data)

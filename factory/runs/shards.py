@@ -77,7 +77,7 @@ def may_take_over(
     if site.store is None or read_shard_state(site.store) is None:
         return False
     seen, waited_s = read_shard_state(site.store), 0.0
-    while holder := other_holder(site.store, site.home):
+    while holder := other_holder(site.store, site.state_dir):
         if read_shard_state(site.store) != seen:
             raise WorldError(f"another process runs the shard {site}, that of {holder}: stop it first")
         if waited_s >= patience_s or stop.wait(pause_s):
@@ -109,7 +109,7 @@ class ShardRecorder:
         now = time.monotonic()
         if self._written is not None and now - self._written < _INTERVAL_S:
             return
-        if self.site.store is not None and (holder := other_holder(self.site.store, self.site.home)):
+        if self.site.store is not None and (holder := other_holder(self.site.store, self.site.state_dir)):
             raise WorldError(f"another process has taken over the shard {self.site}, that of {holder}")
         self._write(progress)
         self._written = now

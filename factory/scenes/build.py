@@ -12,14 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_content, author_scene
+from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, PAPER_LAYOUTS, author_content, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.requirements import require_building
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
-from factory.scenes.version import COMPILER_VERSION
+from factory.scenes.version import COMPILER_VERSION, MATERIALS_VERSION
 from schemas.errors import InvalidBundle, LayoutError, UsageError, WorldError
 from schemas.scene import LAYOUT_FORMAT, SCENE_FORMAT, CompiledScene, encode_layout, encode_scene
 from schemas.scene.files import faulty_textures
@@ -54,8 +54,10 @@ def package_path(
         known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a file"
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or rules_of(name)).model_dump_json()
-    package_format = SCENE_FORMAT if _is_paper(name, seed) else LAYOUT_FORMAT
+    is_paper = _is_paper(name, seed, called)
+    package_format = SCENE_FORMAT if is_paper else LAYOUT_FORMAT
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{package_format}\n{book}"
+    made_from += "" if is_paper else f"\nmaterials {MATERIALS_VERSION}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
     made_from += "" if called is None else f"\n{called}"
@@ -72,6 +74,8 @@ def build_scene(
     called: str | None = None,
 ) -> Path:
     """Authors and compiles a built-in scene unless the cache contains its package.
+
+    Seed 0 of a scene of the paper under its name is the layout of the paper; all others are layouts of the family.
 
     Args:
         name: one of `BUILTIN_SCENES`.
@@ -95,10 +99,10 @@ def build_scene(
         require_building()
         tell()
         try:
-            scene = _compile_builtin(name, seed, called or name, rules, targets, cache)
+            scene = _compile_builtin(name, seed, called, rules, targets, cache)
         except WorldError as error:
             raise LayoutError(f"{name}, seed {seed}: {error}") from error
-        if _is_paper(name, seed):
+        if _is_paper(name, seed, called):
             write_whole(path, encode_scene(scene))
         else:
             _write_layout(path, scene)
@@ -124,7 +128,7 @@ def _write_layout(path: Path, scene: CompiledScene) -> None:
 
 
 def _compile_builtin(
-    name: str, seed: int, called: str, rules: RuleBook | None, targets: TargetList | None, cache: Path
+    name: str, seed: int, called: str | None, rules: RuleBook | None, targets: TargetList | None, cache: Path
 ) -> CompiledScene:
     """Compiles a layout; the paper's four from USD files, whose digests their packages record."""
     from factory.scenes.author.drawn import DrawnTextures  # only now: most scenes are cached
@@ -132,27 +136,28 @@ def _compile_builtin(
     from factory.scenes.light import LAYOUT_DETAIL
 
     source, book = f"built-in {name}, seed {seed}", rules or rules_of(name)
-    if not _is_paper(name, seed):
-        required = {category for group in BUILTIN_CATEGORIES[name] for category in group}
-        is_usual = rules is None and targets is None
-        content = author_content(name, seed)
-        return compile_extraction(
-            name,
-            content,
-            called,
-            source,
-            book,
-            targets,
-            LAYOUT_DETAIL,
-            required if is_usual else (),
-            DrawnTextures(cache, AUTHOR_VERSION).pixels,
-        )
-    with tempfile.TemporaryDirectory(prefix="scene-") as directory:
-        return compile_stage(author_scene(name, seed, Path(directory)), called, source, book, targets)
+    if _is_paper(name, seed, called):
+        with tempfile.TemporaryDirectory(prefix="scene-") as directory:
+            stage = author_scene(PAPER_LAYOUTS[name], seed, Path(directory))
+            # without materials, the packages of the paper's layouts keep their bytes
+            return compile_stage(stage, name, source, book, targets, has_materials=False)
+    required = {category for group in BUILTIN_CATEGORIES[name] for category in group}
+    is_usual = rules is None and targets is None
+    return compile_extraction(
+        name,
+        author_content(BUILTIN_SCENES[name], seed),
+        called or name,
+        source,
+        book,
+        targets,
+        LAYOUT_DETAIL,
+        required if is_usual else (),
+        draw=DrawnTextures(cache, AUTHOR_VERSION).pixels,
+    )
 
 
-def _is_paper(name: str, seed: int) -> bool:
-    return name in PAPER_SCENES and seed == PAPER_SEED
+def _is_paper(name: str, seed: int, called: str | None) -> bool:
+    return name in PAPER_LAYOUTS and seed == PAPER_SEED and called in (None, name)
 
 
 def rules_of(name: str) -> RuleBook:
@@ -236,7 +241,7 @@ def _read_stage(
     extraction = extract_scene(path, limits)
     book = (rules or builtin_rules()).model_dump_json()
     parts = (path.name, extraction.files_sha256, *extraction.notes, book, targets and targets.digest)
-    made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts)))
+    made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, MATERIALS_VERSION, *parts)))
     return extraction, hashlib.sha256(made_from.encode()).hexdigest()
 
 

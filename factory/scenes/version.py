@@ -2,3 +2,5 @@
 
 COMPILER_VERSION = 11
 """Incremented when the same stage compiles to different bytes."""
+MATERIALS_VERSION = 1
+"""Incremented when the recorded materials of the same stage change; the paper's layouts record none."""

@@ -36,6 +36,8 @@ class EpisodeView:
     """Objects with a category in view in the first frame."""
     is_in_view_at_end: bool
     """Whether the target is in view in the last frame."""
+    choices: frozenset[int] = frozenset()
+    """Ids of the objects that could be the target, of which it was drawn at the start; empty if the plan names it."""
 
     @property
     def language(self) -> str:
@@ -102,6 +104,7 @@ def _row(group: str, views: Sequence[EpisodeView]) -> LanguageRow:
         central=_share(views, lambda view: _first(view.seen, _bearing) == view.target),
         central_of_category=_share(views, lambda view: _first(_alike(view), _bearing) == view.target),
         nearest_of_category=_share(views, lambda view: _first(_alike(view), _range) == view.target),
+        largest_of_category=_share(views, lambda view: _first(_alike(view), _smallness) == view.target),
         chance=mean_of([_chance(view) for view in views]),
         others_in_view=mean_of([sum(each.id != view.target for each in _alike(view)) for view in views]),
         several_in_scene=_share(views, lambda view: len(view.fitting) > 1),
@@ -127,8 +130,13 @@ def _bearing(seen: SeenObject) -> float:
     return abs(seen.bearing_rad)
 
 
+def _smallness(seen: SeenObject) -> float:
+    return -seen.pixels
+
+
 def _alike(view: EpisodeView) -> list[SeenObject]:
-    return [each for each in view.seen if each.id in view.of_category]
+    """Returns the objects of the category in view; of a target that was drawn at the start, those that could be it."""
+    return [each for each in view.seen if each.id in (view.choices or view.of_category)]
 
 
 def _chance(view: EpisodeView) -> float:

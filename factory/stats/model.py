@@ -232,7 +232,10 @@ class Statistics(Model):
 
 
 class LanguageRow(Model):
-    """Shares of episodes in which the target can be found without language, or the instruction is not clear."""
+    """Shares of episodes in which the target can be found without language, or the instruction is not clear.
+
+    If targets are drawn at the start, only the objects that could be the target count as objects of the category.
+    """
 
     group: str
     """Name of the scene, or `all`."""
@@ -245,6 +248,8 @@ class LanguageRow(Model):
     """The object of the named category with the smallest bearing at the start is the target."""
     nearest_of_category: Share
     """The nearest object of the named category at the start is the target."""
+    largest_of_category: Share
+    """The object of the named category with the largest mask at the start is the target."""
     chance: float | None
     """Share of episodes in which a random object of the named category in view at the start is the target, expected."""
     others_in_view: float | None
@@ -311,7 +316,7 @@ class LanguageStatistics(Model):
     others_in_scene: float | None
     """Mean number of other objects of the named category in the scene."""
     false_premises: Count
-    """Number of instructions that fit no object; the other measures leave them out."""
+    """Number of instructions that fit no object; the other measures exclude them."""
 
     @property
     def is_sound(self) -> bool:

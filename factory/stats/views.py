@@ -88,6 +88,7 @@ def read_view(
         fitting=_fitting(meta, info, fits.get(episode.episode_id)),
         seen=see_objects(episode.ids(0), episode.depth(0), objects, meta.job.camera, min_pixels),
         is_in_view_at_end=target_in_view(episode.ids(-1), target, min_pixels),
+        choices=frozenset(meta.choices),
     )
 
 

@@ -22,7 +22,7 @@ from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset, Episode
 from factory.scenes.targets.target_list import list_file_name
 from factory.support.logs import configure_logs
-from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, target_of
+from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, targets_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from factory.verify.rows import RowCheck
 from schemas.dataset.meta import DatasetMeta
@@ -106,8 +106,10 @@ def verify(
     report.rendered = len(drawn)
     rows = RowCheck(dataset, report)
     frames_of = _reference_episodes(reference, dataset, drawn)
+    language = meta.plan.language
+    is_drawn = language is not None and language.exchangeable
     checks = _plan_checks(
-        rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None
+        rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None, is_drawn
     )
     for done, result in enumerate(_run_checks(checks, processes), 1):
         report.findings += result.findings
@@ -162,14 +164,15 @@ def _plan_checks(
     drawn: Collection[str],
     frames_of: Mapping[str, Episode],
     relabelled: bool,
+    is_drawn: bool,
 ) -> Iterator[EpisodeCheck]:
     for row in rows:
-        target, findings = target_of(row, scenes.get(row.scene))
+        candidates, findings = targets_of(row, scenes.get(row.scene), is_drawn)
         report.findings += findings
         name = row.episode_id
-        package = None if target is None else scenes[row.scene].path
+        package = scenes[row.scene].path if candidates else None
         frames = frames_of.get(name)
-        yield EpisodeCheck(report.root, row, target, report.deep, name in drawn, frames, package, relabelled)
+        yield EpisodeCheck(report.root, row, candidates, report.deep, name in drawn, frames, package, relabelled)
 
 
 def _run_checks(checks: Iterator[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:

@@ -19,6 +19,7 @@ from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.job import Job
 from schemas.scene import Target
 from schemas.storage.dataset_files import METADATA_FILE
 from schemas.storage.place import Place, opened
@@ -35,8 +36,8 @@ class EpisodeCheck:
 
     root: Place
     row: EpisodeSummary
-    target: Target | None
-    """Target in the scene; `None` where the scene cannot be read."""
+    candidates: tuple[Target, ...]
+    """Targets of the scene that the episode may have, that of the row first; none where the scene cannot be read."""
     deep: bool
     render: bool = False
     """Whether to render frames again and compare them with their digests."""
@@ -76,14 +77,15 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
                 found.append(Finding(Kind.CHANGED, row.file_name, f"SHA-256 {sha256}, recorded {row.file_sha256}"))
             if check.deep:
                 with BundleReader(file) as bundle:
-                    violations = validate(bundle, target=check.target)
+                    violations = validate(bundle, candidates=_candidates(check, bundle.meta.job))
                     violations += [] if violations else said_findings(bundle, check.package)
                     differences = _differences(row, summary_of(bundle.meta, sha256, size), check.relabelled)
                 found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
             if check.render:
                 with EpisodeBundle(file, check.root) as episode:
-                    texts = compare_rendered(episode, difference, check.reference)
+                    candidates = _candidates(check, episode.meta.job)
+                    texts = compare_rendered(episode, difference, check.reference, candidates)
                 found += [Finding(Kind.RENDERED, row.file_name, text) for text in texts]
     except FileNotFoundError:
         found.append(Finding(Kind.MISSING, row.file_name, "is missing"))
@@ -96,23 +98,35 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
     return EpisodeFindings(found, difference)
 
 
-def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | None, list[Finding]]:
+def _candidates(check: EpisodeCheck, job: Job) -> tuple[Target, ...]:
+    """Returns the targets that an episode may have by its job."""
+    if job.choice is None:
+        return check.candidates[:1]
+    return tuple(each for each in check.candidates if each.instance_id in job.choice.among)
+
+
+def targets_of(
+    row: EpisodeSummary, scene: SceneEntry | None, is_drawn: bool = False
+) -> tuple[tuple[Target, ...], list[Finding]]:
     """Returns the target of a row as defined in its scene, and findings where both contradict each other.
 
     Args:
         row: Row of the episode.
         scene: Scene package; `None` where it cannot be read, which is a separate finding.
+        is_drawn: Whether the target was drawn at the start; the other targets of its category then follow it.
     """
     if scene is None:
-        return None, []
+        return (), []
     if scene.sha256 != row.scene_sha256:
         text = f"its scene has SHA-256 {row.scene_sha256}, but the package of {row.scene} has {scene.sha256}"
-        return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
+        return (), [Finding(Kind.CONTRADICTION, row.file_name, text)]
     try:
-        return scene.info.target(row.target_id), []
+        target = scene.info.target(row.target_id)
     except KeyError:
         text = f"target {row.target_id} is not in the scene {row.scene}"
-        return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
+        return (), [Finding(Kind.CONTRADICTION, row.file_name, text)]
+    others = [each for each in scene.info.targets if each.category == target.category and each != target]
+    return (target, *(others if is_drawn else ())), []
 
 
 def _differences(row: EpisodeSummary, found: EpisodeSummary, relabelled: bool) -> list[str]:

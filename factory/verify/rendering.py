@@ -5,7 +5,7 @@ Changes no files.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,12 +20,16 @@ from factory.dataset.rendering.shared_renderer import shared_renderer
 from factory.verify.difference import RenderDifference
 from schemas.encoding.digest import frame_digest
 from schemas.rig import Imu, WheelOdometry
+from schemas.scene import Target
 from schemas.terms import Recording
 from workers.sensors.observation import arrays_in, measure, observe
 
 
 def compare_rendered(
-    bundle: EpisodeBundle, difference: RenderDifference, reference: Episode | None = None
+    bundle: EpisodeBundle,
+    difference: RenderDifference,
+    reference: Episode | None = None,
+    candidates: Sequence[Target] = (),
 ) -> list[str]:
     """Renders every frame with a recorded digest, measures samples of stored sensors, and returns the findings.
 
@@ -34,6 +38,7 @@ def compare_rendered(
         difference: the frames are added to it. How far pixels differ is measured if they are stored: in the episode, or
             in the reference.
         reference: the same episode in a frames recording.
+        candidates: targets of the scene that the episode may have; none if the scene cannot be read.
 
     Raises:
         WorldError: this machine cannot render.
@@ -47,7 +52,7 @@ def compare_rendered(
     for t, recorded in zip(steps, digests, strict=False):  # a wrong number of digests is another finding
         frame = bundle.render(t)
         if t == 0 and not bundle.has_frames:  # the validator has checked stored frames
-            found += start_findings(bundle.meta, bundle.arrays, frame.ids, frame.depth)
+            found += start_findings(bundle.meta, bundle.arrays, frame.ids, frame.depth, candidates)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:
             difference.add_equal(frame.depth.size, bundle.has_frames or reference is not None)

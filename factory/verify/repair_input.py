@@ -38,16 +38,16 @@ class _Record:
 
 
 def inspect_dataset(
-    root: Place, home: Path, plan: Plan | None, url: str | None, cache: Path, tell: MessageCallback
+    root: Place, state_dir: Path, plan: Plan | None, url: str | None, cache: Path, tell: MessageCallback
 ) -> RepairInput:
     """Returns the input of a repair.
 
     Args:
         root: Location of the dataset.
-        home: Directory of the ledger, unless `url` is given: the dataset directory, or the state directory of a dataset
-            in object storage.
+        state_dir: Directory of the ledger, unless `url` is given: the dataset directory, or the state directory of a
+            dataset in object storage.
         plan: Plan given by the user; `None` uses the plan in the ledger or in `dataset_meta.json`.
-        url: URL of the ledger, if it is not in `home`.
+        url: URL of the ledger, if it is not in `state_dir`.
         cache: Folder in which missing scenes are built.
         tell: Called with the name of each scene to be built.
 
@@ -57,7 +57,7 @@ def inspect_dataset(
     """
     if not root.is_dir():
         raise UsageError(f"directory {root} does not exist; give the --out of a run")
-    ledger = ledger_url_of(home, url)
+    ledger = ledger_url_of(state_dir, url)
     noted, described = _from_ledger(ledger), _from_meta(root)
     record, foreign_ledger = _settle_plan(root, noted, described, plan)
     if record is None:
@@ -67,7 +67,7 @@ def inspect_dataset(
         )
     catalog, troubles = _catalog(record, root, cache, tell)
     return RepairInput(
-        root, home, ledger, record.plan, catalog, troubles, shard_of(Site(root, home), url), foreign_ledger
+        root, state_dir, ledger, record.plan, catalog, troubles, shard_of(Site(root, state_dir), url), foreign_ledger
     )
 
 

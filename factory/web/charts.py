@@ -23,7 +23,7 @@ def draw_lines(title: str, unit: str, values: ArrayLike, duration_s: float, name
     Args:
         title: title of the chart.
         unit: unit of the values.
-        values: (T,) values at equal distances in time; NaN is left out.
+        values: (T,) values at equal distances in time; NaN is omitted.
         duration_s: time of the last value, seconds.
         name: name of the series, for the page's script.
     """

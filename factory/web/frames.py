@@ -34,7 +34,7 @@ class FrameKey(NamedTuple):
     kind: str
     """`rgb`, `depth` or `ids`."""
     is_small: bool
-    """Whether every second row and column is left out."""
+    """Whether every second row and column is omitted."""
 
 
 class TooBusy(Exception):

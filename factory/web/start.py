@@ -55,7 +55,7 @@ def serve(
     files, name = read_credentials(tls) if tls else (None, OPERATOR)
 
     def ask(request: AdminRequest) -> AdminReply:
-        return administer_dataset(site.home, request, datetime.now(UTC), ledger, name=name, tls=files)
+        return administer_dataset(site.state_dir, request, datetime.now(UTC), ledger, name=name, tls=files)
 
     app = create_app(Workspace(site, ledger), address, access, administer or ask, more_routes, evaluations)
     with WebServer(app, address, files) as server:

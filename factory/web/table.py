@@ -64,7 +64,7 @@ class TableQuery:
     page: int = 0
     """Number of the page, from 0."""
     flagged: bool = False
-    """Whether only flagged episodes are wanted."""
+    """Whether only flagged episodes are listed."""
 
 
 def parse_query(given: Mapping[str, str]) -> TableQuery:

@@ -144,14 +144,14 @@ class Workspace:
         """Returns kind and size of the ledger, and whether a coordinator writes to it."""
         if self.ledger is not None:
             return f"{self.ledger.partition('://')[0]} database"
-        sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.home)) if path.exists()]
-        writer = "a coordinator writes to it" if is_held(self.site.home) else "no coordinator writes to it"
+        sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.state_dir)) if path.exists()]
+        writer = "a coordinator writes to it" if is_held(self.site.state_dir) else "no coordinator writes to it"
         return f"{format_bytes(sum(sizes))}, {writer}"
 
     def _version_of_tables(self) -> object:
         if self.site.store is not None:
             return None
-        return tuple(_stamp(self.site.home / name) for name in (METADATA_FILE, META_FILE))
+        return tuple(_stamp(self.site.state_dir / name) for name in (METADATA_FILE, META_FILE))
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:

@@ -32,16 +32,16 @@ _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "mod
 
 
 class GateOutcome(Model):
-    """Result of the pilot attempts in one scene, made before the run."""
+    """Result of the gate in one scene, measured before the run."""
 
     scene: str
     """Name of the scene."""
     expert: str
     """Controller that drove."""
     attempts: Annotated[int, Field(ge=1)]
-    """Number of pilot attempts."""
+    """Number of first attempts."""
     succeeded: Annotated[int, Field(ge=0)]
-    """Number of pilot attempts that succeeded."""
+    """Number of first attempts that succeeded."""
     min_success: Fraction
     """Required fraction of successful attempts."""
     passed: bool
@@ -106,7 +106,7 @@ class DatasetMeta(Model):
     """Seen categories, by scene, that have too few instances to separate training from evaluation; the instances of
     every other category occur either in training or in evaluation. Null if the plan does not separate instances."""
     gate: tuple[GateOutcome, ...] = ()
-    """Results of the pilot attempts before the run; empty if the gate was skipped."""
+    """Results of the gate before the run; empty if the gate was skipped."""
     refused_seeds: dict[str, tuple[str, ...]] = Field(default={}, exclude_if=lambda seeds: not seeds)
     """Reasons why earlier seeds of a layout were not used, by layout; omitted if there are none."""
     relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)

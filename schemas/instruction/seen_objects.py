@@ -23,6 +23,8 @@ class SeenObject:
     """Distance from the camera to the nearest visible point, metres."""
     bearing_rad: float
     """Horizontal angle from the optical axis to the mean column of the mask, radians; positive to the right."""
+    pixels: int
+    """Size of its mask, pixels."""
 
 
 def see_objects(
@@ -57,4 +59,4 @@ def _see(
     """Returns an object from its pixels, rows and columns."""
     up, aside = tangents[pixels[0]], tangents[pixels[1]]
     ranges = depth[pixels] * np.sqrt(1 + up**2 + aside**2)
-    return SeenObject(number, float(ranges.min()), math.atan(float(aside.mean())))
+    return SeenObject(number, float(ranges.min()), math.atan(float(aside.mean())), len(ranges))

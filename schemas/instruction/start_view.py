@@ -7,11 +7,12 @@ frame, all with the function of this module. It renders nothing.
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from schemas.base import Count, Fraction, Model, NonNegative
 from schemas.config import CameraConfig
@@ -22,29 +23,55 @@ from schemas.scene import MAX_INSTANCES
 IN_FRONT_RAD = math.radians(30)
 """Largest angle between the heading and the direction to a target that is "in front of you", radians."""
 
-InstanceIds = Annotated[tuple[Annotated[int, Field(ge=1, le=MAX_INSTANCES)], ...], Field(max_length=MAX_INSTANCES)]
+Item = TypeVar("Item")
+InstanceId = Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
+InstanceIds = Annotated[tuple[InstanceId, ...], Field(max_length=MAX_INSTANCES)]
+
+
+class TargetChoice(Model):
+    """Draw of the target at the start, from the objects that could be the target there; docs/language.md#plans."""
+
+    around: InstanceId
+    """Object around which the starts are drawn; the target of the planned draw."""
+    among: InstanceIds
+    """Objects of the category that the episode may have as its target, in the order of their ids."""
+    share: Annotated[float, Field(ge=0, lt=1)]
+    """Random number: of the k objects that could be the target, the one with the number `floor(share * k)`, from 0, in
+    the order of their ids, is the target."""
+
+    def of(self, found: Sequence[Item]) -> Item:
+        """Returns the drawn one of at least one object, which are in the order of their ids."""
+        return found[int(self.share * len(found))]
 
 
 class StartView(Model):
-    """Conditions on the image and the heading at the start; docs/design/starts.md#start-view."""
+    """Conditions on the image and the heading at the start; docs/design/starts.md#start-view.
+
+    JSON has the published names `rivals`, `alike` and `least_alike` of three fields.
+    """
+
+    model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
     within_rad: NonNegative | None = None
     """Largest angle between heading and target, which is in view; `None` sets no limit."""
-    rivals: InstanceIds = ()
+    other_referents: Annotated[InstanceIds, Field(alias="rivals")] = ()
     """Other objects that the instruction fits. If there are any, the target is in view and none of them is."""
-    alike: InstanceIds = ()
+    same_category: Annotated[InstanceIds, Field(alias="alike")] = ()
     """Other objects of the target's category. Each is in view only together with the target."""
-    least_alike: Count = Field(default=0, exclude_if=lambda it: it == 0)
-    """Smallest number of objects of `alike` that are in view, together with the target; 0 sets no condition."""
+    least_same_category: Annotated[Count, Field(alias="least_alike", exclude_if=lambda it: it == 0)] = 0
+    """Smallest number of objects of `same_category` that are in view, together with the target; 0 sets no condition."""
     ranks: tuple[Fraction, Fraction] | None = Field(default=None, exclude_if=lambda it: it is None)
     """Two random numbers from 0 to 1. If the first is below 1 / k, the target is the nearest of the k objects of its
     category in view; otherwise another one is the nearest. The second decides in the same way which object is the most
     central. `None` sets no condition."""
+    choice: TargetChoice | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Draw of the target at the start, for which `least_same_category` counts the objects that could be the target;
+    `None` if the plan names the target."""
 
     @property
     def shows_target(self) -> bool:
         """Whether the target is in view."""
-        return bool(self.rivals) or self.within_rad is not None or self.least_alike > 0
+        return bool(self.other_referents) or self.within_rad is not None or self.least_same_category > 0
 
 
 def start_view_findings(
@@ -73,32 +100,33 @@ def start_view_findings(
         limit = math.degrees(view.within_rad)
         found.append(f"the target is {math.degrees(abs(bearing_rad)):.1f} degrees from the heading, above {limit:.0f}")
     if target in shown:
-        others = sorted(shown.intersection(view.rivals))
+        others = sorted(shown.intersection(view.other_referents))
         if others:
             found.append(f"objects {others} are in view, which the instruction fits as well")
-        alike = shown.intersection(view.alike)
-        if len(alike) < view.least_alike:
-            found.append(f"{len(alike)} other objects of the target's category are in view, not {view.least_alike}")
+        same = shown.intersection(view.same_category)
+        if len(same) < view.least_same_category:
+            least = view.least_same_category
+            found.append(f"{len(same)} other objects of the target's category are in view, not {least}")
         elif view.ranks is not None:
-            found += _rank_findings(view.ranks, target, alike, ids, depth, camera, min_pixels)
+            found += _rank_findings(view.ranks, target, same, ids, depth, camera, min_pixels)
         return found
     if view.shows_target:
         found.append("the target is not in view")
-    others = sorted(shown.intersection(view.alike))
+    others = sorted(shown.intersection(view.same_category))
     return [*found, f"objects {others} of the target's category are in view, the target is not"] if others else found
 
 
 def _rank_findings(
     ranks: tuple[float, float],
     target: int,
-    alike: frozenset[int],
+    same_category: frozenset[int],
     ids: NDArray[np.uint16],
     depth: NDArray[np.float32],
     camera: CameraConfig,
     min_pixels: int,
 ) -> list[str]:
     """Returns a sentence for each of both measures in which the target does not have the required rank."""
-    seen = see_objects(ids, depth, {target, *alike}, camera, min_pixels)
+    seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
     found = []
     measures = {"nearest": _range_of, "most central": _angle_of}
     for (name, measure), share in zip(measures.items(), ranks, strict=True):

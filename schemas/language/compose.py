@@ -17,14 +17,14 @@ from schemas.language.expression import Clause, Expression, Family, Landmark, Re
 from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import (
-    indefinite_expressions,
-    minimal_expressions,
+    indefinite_candidates,
+    minimal_candidates,
     redundant_expressions,
 )
-from schemas.language.generator.search import Search
+from schemas.language.generator.search import ExpressionCandidate, Search
 from schemas.language.grammar import SentencePattern
-from schemas.language.graph import UNKNOWN
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.kinds import UNKNOWN
 from schemas.language.mistakes import MistakeKind, with_mistake
 from schemas.language.reading import Reader
 from schemas.language.scene import SceneLanguage
@@ -32,9 +32,9 @@ from schemas.language.view import SceneView
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
-_FEW = 4
-"""Number of features of a short search."""
-_WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
+_FEW, _SHORT_SEARCHES = 4, 2
+"""Number of features of a short search, and of such searches."""
+_WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article", "material")
 _SYNONYMS = 6
 
 
@@ -42,7 +42,7 @@ class _Options(NamedTuple):
     """Expressions for a target by their features, with the search that found them."""
 
     search: Search
-    groups: Mapping[frozenset[Family], list[Expression]]
+    groups: Mapping[frozenset[Family], list[ExpressionCandidate]]
 
 
 class Composer:
@@ -84,13 +84,12 @@ class Composer:
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
-        source = self._by_language[code].grammar
-        return Search(scene.facts, seen, number, families, source.nouns, source.rooms)
+        return Search(scene.parts, seen, number, families, self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
-        """Returns a few features, drawn by their weights, for a short search; after half of the tries, all features."""
+        """Returns a few features, drawn by their weights, for a short search; after two tries, all features."""
         every = self.spec.families
-        if len(every) <= _FEW or turn >= _TRIES // 2:
+        if len(every) <= _FEW or turn >= _SHORT_SEARCHES:
             return every
         shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
         drawn: set[Family] = set()
@@ -122,6 +121,8 @@ class Composer:
             if (code, families) not in options:
                 search = self._search(scene, seen, number, code, families)
                 options[code, families] = _Options(search, self._grouped(search, number, rng))
+            if all(self._is_hopeless(each, options) for each in self._by_language):
+                break
             one = self._one(scene, view, number, held_out, code, options[code, families], rng)
             if one is not None:
                 found.setdefault(one.text, one)
@@ -130,15 +131,20 @@ class Composer:
             found |= {} if wrong is None else {wrong.text: wrong}
         return list(found.values())
 
+    def _is_hopeless(self, code: str, options: Mapping[tuple[str, frozenset[Family]], _Options]) -> bool:
+        """Returns whether a search with all features has found nothing in a language."""
+        found = options.get((code, self.spec.families))
+        return found is not None and not found.groups
+
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
-    ) -> dict[frozenset[Family], list[Expression]]:
+    ) -> dict[frozenset[Family], list[ExpressionCandidate]]:
         """Returns the possible expressions by their features."""
         is_one = self.spec.fit == "one"
         kind = search.facts.graph.objects[number].kind
-        groups: dict[frozenset[Family], list[Expression]] = defaultdict(list)
-        for expression in minimal_expressions(search, rng) if is_one else indefinite_expressions(search):
-            groups[features_of(expression, kind)].append(expression)
+        groups: dict[frozenset[Family], list[ExpressionCandidate]] = defaultdict(list)
+        for candidate in minimal_candidates(search, rng) if is_one else indefinite_candidates(search):
+            groups[candidate.families(kind)].append(candidate)
         return groups
 
     def _one(
@@ -159,7 +165,8 @@ class Composer:
         names = sorted(groups, key=sorted)
         weights = [_mean_weight(self.spec, group) for group in names]
         group = groups[names[draw_index(weights, rng)]]
-        expression, is_minimal = group[int(rng.integers(len(group)))], True
+        expression = group[int(rng.integers(len(group)))].expression(self.spec.fit == "one")
+        is_minimal = True
         if self.spec.redundant and rng.random() < self.spec.redundant:
             longer = redundant_expressions(options.search, expression)
             if longer:

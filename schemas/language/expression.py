@@ -24,6 +24,10 @@ class Relation(StrEnum):
     ON = "on"  # on the top of the landmark
     ON_WALL = "on_wall"  # above the floor, at a wall
     IN_CORNER = "in_corner"  # close to two perpendicular walls
+    EMPTY = "empty"  # nothing is on its flat top
+    LADEN = "laden"  # something is on its flat top
+    WITH_BESIDE = "with_beside"  # an exact number of objects of a kind is close to it, and to no other such object
+    WITH_ON = "with_on"  # an exact number of objects of a kind is on its top
     THIS_ROOM = "this_room"  # in the room of the start
     IN_ROOM = "in_room"  # in the only room of a type
     SAME_ROOM = "same_room"  # in the room of a landmark
@@ -45,16 +49,19 @@ class Size(StrEnum):
 
 
 class ViewSide(StrEnum):
-    """End of the view from which objects are counted."""
+    """Order in which objects are counted: across the view from one end, or along the heading on one side."""
 
     LEFT = "left"  # from the left edge of the image
     RIGHT = "right"  # from the right edge of the image
+    AHEAD_LEFT = "ahead_left"  # along the left side of the way ahead, such as the racks of an aisle
+    AHEAD_RIGHT = "ahead_right"  # along the right side of the way ahead
 
 
 class Family(StrEnum):
     """Group of features of an expression, which a language file weights."""
 
     COLOUR = "colour"  # colour of the target
+    MATERIAL = "material"  # material of the target
     SUPERCLASS = "superclass"  # a superclass instead of the category
     SIZE = "size"  # superlative of size
     NEAR = "near"  # next to
@@ -62,6 +69,8 @@ class Family(StrEnum):
     BETWEEN = "between"  # between two landmarks
     SUPPORT = "support"  # on, under
     WALL = "wall"  # on the wall, in the corner
+    STATE = "state"  # empty, or with something on it
+    COUNT = "count"  # with a number of objects beside or on it
     ROOM = "room"  # this room, type of the room, room of a landmark
     EGO = "ego"  # on your left, on your right, straight ahead
     ORDINAL = "ordinal"  # second from the left
@@ -72,6 +81,7 @@ ARITY = MappingProxyType(
     dict.fromkeys(Relation, 0)
     | dict.fromkeys((Relation.NEXT_TO, Relation.LEFT_OF, Relation.RIGHT_OF, Relation.IN_FRONT_OF, Relation.BEHIND), 1)
     | dict.fromkeys((Relation.UNDER, Relation.ON, Relation.SAME_ROOM, Relation.NEAREST_TO, Relation.FARTHEST_FROM), 1)
+    | dict.fromkeys((Relation.WITH_BESIDE, Relation.WITH_ON), 1)
     | {Relation.BETWEEN: 2}
 )
 """Number of landmarks of each relation."""
@@ -79,6 +89,14 @@ FROM_VIEW = frozenset({Relation.LEFT_OF, Relation.RIGHT_OF, Relation.IN_FRONT_OF
 """Relations between two objects that depend on the start pose."""
 OF_VIEWER = frozenset({Relation.YOUR_LEFT, Relation.YOUR_RIGHT, Relation.AHEAD})
 """Relations of an object to the start pose."""
+STATES = frozenset({Relation.EMPTY, Relation.LADEN})
+"""Relations of an object to anything that is on it."""
+COUNTED = frozenset({Relation.WITH_BESIDE, Relation.WITH_ON})
+"""Relations to a number of objects."""
+AHEAD_SIDES = MappingProxyType({ViewSide.AHEAD_LEFT: 1.0, ViewSide.AHEAD_RIGHT: -1.0})
+"""Sides of the way ahead; positive to the left."""
+OF_START = FROM_VIEW | OF_VIEWER | {Relation.THIS_ROOM}
+"""Relations that depend on the start pose, without superlatives."""
 SUPERLATIVES = frozenset({Relation.NEAREST_TO, Relation.FARTHEST_FROM, Relation.NEAREST_YOU})
 """Relations that select one of the objects that the rest of the expression fits."""
 FAMILY = MappingProxyType(
@@ -89,6 +107,8 @@ FAMILY = MappingProxyType(
         Relation.ON: Family.SUPPORT,
         Relation.ON_WALL: Family.WALL,
         Relation.IN_CORNER: Family.WALL,
+        **dict.fromkeys(STATES, Family.STATE),
+        **dict.fromkeys(COUNTED, Family.COUNT),
         **dict.fromkeys((Relation.THIS_ROOM, Relation.IN_ROOM, Relation.SAME_ROOM), Family.ROOM),
         **dict.fromkeys(FROM_VIEW, Family.VIEW),
         **dict.fromkeys(OF_VIEWER, Family.EGO),
@@ -118,6 +138,8 @@ class Clause(Model):
     """Landmarks, in the order of the words."""
     room: Name | None = Field(default=None, exclude_if=lambda it: it is None)
     """Type of the room, for `in_room` only."""
+    count: Annotated[int, Field(ge=2, le=6)] | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Number of objects like the landmark, for `with_beside` and `with_on` only."""
 
     @model_validator(mode="after")
     def _has_its_arguments(self) -> Clause:
@@ -125,16 +147,18 @@ class Clause(Model):
             raise ValueError(f"{self.relation} has {ARITY[self.relation]} landmarks, found {len(self.landmarks)}")
         if (self.room is None) == (self.relation is Relation.IN_ROOM):
             raise ValueError("`room` is the argument of in_room")
+        if (self.count is None) == (self.relation in COUNTED):
+            raise ValueError("`count` is the argument of with_beside and with_on")
         return self
 
 
 class Ordinal(Model):
-    """Place in the view at the start."""
+    """Place in the view at the start, or along the way ahead."""
 
     number: Annotated[int, Field(ge=1, le=4)]
     """Number, from 1."""
     side: ViewSide
-    """End at which counting starts."""
+    """Order in which objects are counted."""
 
 
 class Expression(Model):
@@ -146,6 +170,8 @@ class Expression(Model):
     """Whether the expression fits exactly one object; otherwise it fits any object of a set."""
     colour: Name | None = Field(default=None, exclude_if=lambda it: it is None)
     """Colour; `None` if it is not named."""
+    material: Name | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Material; `None` if it is not named."""
     size: Size | None = Field(default=None, exclude_if=lambda it: it is None)
     """Superlative of size."""
     ordinal: Ordinal | None = Field(default=None, exclude_if=lambda it: it is None)
@@ -156,7 +182,12 @@ class Expression(Model):
     @property
     def families(self) -> frozenset[Family]:
         """Families of the features; a superclass is not among them, because the kind alone does not show it."""
-        parts = {Family.COLOUR: self.colour, Family.SIZE: self.size, Family.ORDINAL: self.ordinal}
+        parts = {
+            Family.COLOUR: self.colour,
+            Family.MATERIAL: self.material,
+            Family.SIZE: self.size,
+            Family.ORDINAL: self.ordinal,
+        }
         named = {family for family, value in parts.items() if value is not None}
         return frozenset(named | {FAMILY[clause.relation] for clause in self.clauses})
 

@@ -51,6 +51,14 @@ Mistakes = Annotated[dict[MistakeKind, Fraction], Field(max_length=len(MistakeKi
 """Share of sentences by kind of error."""
 
 
+_WITHOUT_VIEW = frozenset(
+    {
+        *(Family.COLOUR, Family.MATERIAL, Family.SUPERCLASS, Family.SIZE, Family.SUPPORT, Family.WALL),
+        *(Family.STATE, Family.COUNT),
+    }
+)
+
+
 class TextKind(StrEnum):
     """Kind of text that a relabelling writes."""
 
@@ -84,6 +92,9 @@ class LanguageSpec(Model):
     balanced: bool = False
     """Whether starts in a plan are drawn until the target is as often the nearest and the most central object of its
     category in view as a random one; needs `in_view`."""
+    exchangeable: bool = Field(default=False, exclude_if=lambda it: not it)
+    """Whether the target of an episode in a plan is drawn at its start, from the objects of its category that could be
+    the target there; `in_view` counts these. Omitted if not."""
     questions: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether each episode gets questions with computed answers; omitted if not."""
     false_premises: Fraction = 0.0
@@ -136,6 +147,11 @@ class LanguageSpec(Model):
     def _is_possible(self) -> LanguageSpec:
         if self.balanced and not self.in_view:
             raise ValueError("`balanced` compares objects in view: set `in_view` to 1 or more")
+        if self.exchangeable and (self.balanced or not self.in_view):
+            raise ValueError(
+                "`exchangeable` draws the target from the objects in view: set `in_view` to 1 or more, and remove "
+                "`balanced`, which selects starts for a given target"
+            )
         if sum(self.mistakes.values()) > 1:
             raise ValueError("the shares of `mistakes` add up to more than 1")
         if self.fit == "any" and self.redundant:
@@ -150,7 +166,7 @@ class LanguageSpec(Model):
     @property
     def needs_view(self) -> bool:
         """Whether expressions may depend on the start pose."""
-        return bool(self.families - {Family.COLOUR, Family.SUPERCLASS, Family.SIZE, Family.SUPPORT, Family.WALL})
+        return bool(self.families - _WITHOUT_VIEW)
 
     @property
     def families(self) -> frozenset[Family]:

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from schemas.base import Model, Name
 from schemas.errors import UsageError
-from schemas.language.expression import Clause, Expression, Landmark, Relation, Size
+from schemas.language.expression import AHEAD_SIDES, Clause, Expression, Landmark, Ordinal, Relation, Size
 from schemas.language.kinds import DATA
 from schemas.support.suggest import did_you_mean
 
@@ -25,7 +25,7 @@ LANGUAGES = ("en", "de", "es", "zh")
 """Codes of the languages (ISO 639-1)."""
 REGISTERS = ("imperative", "polite", "question", "terse", "spoken")
 """Registers of the sentence patterns."""
-SLOT = re.compile(r"\{(np|0|1|room)(?::([a-z]+))?\}")
+SLOT = re.compile(r"\{(np|0|1|room|count)(?::([a-z]+))?\}")
 """Slot of a pattern: what it takes, and its case."""
 _CHOICE = re.compile(r"\(([^()]*\|[^()]*)\)")
 _GENDER = re.compile(r"<([^<>]*)>")
@@ -89,6 +89,14 @@ class Grammar(Model):
     """Superlatives."""
     colours: dict[Name, tuple[str, ...]]
     """Colour words."""
+    materials: dict[Name, tuple[str, ...]]
+    """Material words, at the place of the layout."""
+    states: dict[Relation, tuple[str, ...]]
+    """Adjectives that are synonyms of relations without landmarks."""
+    numbers: dict[str, str]
+    """Numbers of objects."""
+    plurals: dict[Name, tuple[str, ...]]
+    """Nouns of several objects by kind, in the case that relations with a number need."""
     sides: dict[str, tuple[str, ...]]
     """Sides at which counting starts."""
     relations: dict[Relation, tuple[str, ...]]
@@ -131,6 +139,11 @@ class Grammar(Model):
                 name = f"{self.code}_paraphrase_{register}_{number:03d}"
                 yield SentencePattern(name, register, False, text[: slot.start()], slot[2] or "nom", text[slot.end() :])
 
+    @cached_property
+    def kinds(self) -> frozenset[str]:
+        """Kinds that the language can name, and types of rooms."""
+        return frozenset({*self.nouns, *(f"in {room}" for room in self.rooms)})
+
     def names(self, kind: str) -> bool:
         """Returns whether the language has a noun for a kind."""
         return kind in self.nouns
@@ -164,18 +177,22 @@ class Grammar(Model):
             expression: its meaning.
             case: case of the slot; `bare` omits the article.
             choice: number of the synonym by word group: `kind`, `landmark`, `relation`, `size`, `side`, `colour`,
-                `article`; modulo the number of synonyms.
+                `article`, `material`; modulo the number of synonyms.
         """
         noun, gender = _split(_nth(self.nouns[expression.kind], choice.get("kind", 0)))
         article = "the" if expression.definite else "a"
         named = article if case != "bare" else "bare"
         parts = {
             "article": "" if case == "bare" else self._article(article, gender, case, choice.get("article", 0)),
-            "ordinal": "" if expression.ordinal is None else self.ordinals[str(expression.ordinal.number)],
+            "ordinal": "" if expression.ordinal is None else self.ordinals[_place(expression.ordinal)],
             "size": "" if expression.size is None else _nth(self.sizes[expression.size], choice.get("size", 0)),
             "colour": ""
             if expression.colour is None
             else _nth(self.colours[expression.colour], choice.get("colour", 0)),
+            "material": ""
+            if expression.material is None
+            else _nth(self.materials[expression.material], choice.get("material", 0)),
+            "state": " ".join(self._adjective(clause, choice) for clause in expression.clauses),
         }
         ending = self._ending(named, gender, "nom" if case == "bare" else case)
         words = {name: self._agreeing(text, gender).replace("~", ending) for name, text in parts.items()}
@@ -183,10 +200,17 @@ class Grammar(Model):
             words["article"] = ""
         if expression.ordinal is not None:
             words["side"] = _nth(self.sides[_side(expression)], choice.get("side", 0)).replace("~", ending)
-        clauses = [self._clause(clause, gender, choice, number) for number, clause in enumerate(expression.clauses)]
+        spoken = [clause for clause in expression.clauses if not self._adjective(clause, choice)]
+        clauses = [self._clause(clause, gender, choice, number) for number, clause in enumerate(spoken)]
         opener = self.opener if len(clauses) > 1 else ""
         words |= {"noun": noun, "clauses": opener + self.joiner.join(clauses)}
         return _SPACES.sub(" ", _fill(self.layout, words)).strip()
+
+    def _adjective(self, clause: Clause, choice: Mapping[str, int]) -> str:
+        """Returns the adjective of a relation; empty if the words of the relation follow the noun."""
+        words = self.states.get(clause.relation, ())
+        number = choice.get("relation", 0) % (len(words) + len(self.relations[clause.relation]))
+        return words[number] if number < len(words) else ""
 
     def _clause(self, clause: Clause, gender: str, choice: Mapping[str, int], number: int) -> str:
         text = _nth(self.relations[clause.relation], choice.get("relation", 0) + number)
@@ -196,6 +220,10 @@ class Grammar(Model):
             if slot[1] == "room":
                 assert clause.room is not None
                 return _nth(self.rooms[clause.room], choice.get("landmark", 0))
+            if slot[1] == "count":
+                return self.numbers[str(clause.count)]
+            if slot[2] == "many":
+                return _nth(self.plurals[clause.landmarks[int(slot[1])].kind], choice.get("landmark", 0))
             return self._landmark(clause.landmarks[int(slot[1])], slot[2] or "nom", choice.get("landmark", 0))
 
         return SLOT.sub(fill, text)
@@ -224,10 +252,15 @@ class Grammar(Model):
         return _GENDER.sub(lambda found: found[1].split("|")[place], text)
 
 
+def _place(ordinal: Ordinal) -> str:
+    """Returns the key of an ordinal number; the leftmost object has none."""
+    return "first" if ordinal.number == 1 and ordinal.side in AHEAD_SIDES else str(ordinal.number)
+
+
 def _side(expression: Expression) -> str:
     ordinal = expression.ordinal
     assert ordinal is not None
-    return f"{ordinal.side}most" if ordinal.number == 1 else str(ordinal.side)
+    return f"{ordinal.side}most" if ordinal.number == 1 and ordinal.side not in AHEAD_SIDES else str(ordinal.side)
 
 
 def _nth(words: Sequence[str], number: int) -> str:

@@ -5,20 +5,29 @@ Computed once for each scene. Does not interpret expressions.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from schemas.language.kinds import Kinds, kinds
-from schemas.language.rooms import CellGrid, SceneRoom, divide_rooms, find_walls, nearest_room, wall_gaps
+from schemas.language.kinds import UNNAMED, Kinds, kinds
+from schemas.language.objects import RawObject, find_objects
+from schemas.language.rooms import (
+    THRESHOLD_M,
+    WIDE_M,
+    CellGrid,
+    SceneRoom,
+    divide_rooms,
+    find_walls,
+    nearest_room,
+    opening_gaps,
+    wall_gaps,
+)
+from schemas.language.thresholds import TOUCH_M
+from schemas.language.tops import SurfaceTop, find_tops
 from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-UNKNOWN = "unknown"
-"""Colour of an object without a dominant or recorded colour."""
 _LOW_M, _TALL_M = 0.6, 1.6
 _BETWEEN_ROOMS = frozenset({"door", "gate", "window"})
 _BESIDE_M = (0.1, 0.13, 0.16, 0.2)
@@ -53,6 +62,14 @@ class SceneObject:
     """Height of its lower side above the floor, metres."""
     looks: str | None = None
     """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
+    shows: tuple[str, ...] = ()
+    """Kinds for which a viewer may take a part of it, such as the screen of a till."""
+    area: int = 0
+    """Number of the part of its room, which wide openings divide; 0 if unknown."""
+    materials: tuple[str, ...] = ()
+    """Recorded materials: the one that covers most of it first, then others that are visible; empty if unknown."""
+    top: SurfaceTop | None = None
+    """Flat upper side; `None` if the object has none or nothing can be put on its kind."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +84,8 @@ class SceneGraph:
     """Type of each room, or `None`."""
     room_grid: CellGrid
     """Number of the room of each cell."""
+    area_grid: CellGrid
+    """Number of the part of a room of each cell, which wide openings divide; 0 close to an opening."""
     sight_grid: CellGrid
     """0 free, 1 occupied by an object, 2 wall."""
     floor_m: float
@@ -90,13 +109,36 @@ class SceneGraph:
         return np.array([each.room for each in self.objects], np.int64)
 
     @cached_property
+    def area_of(self) -> Ints:
+        """(N,) part of a room of each object, 0 if unknown."""
+        return np.array([each.area for each in self.objects], np.int64)
+
+    @cached_property
+    def hangs(self) -> Bools:
+        """(N,) objects that hang on a wall or above a door, so that they are seen from one side only."""
+        gaps = np.array([min(each.wall_gap_m, each.high_m[0] - each.low_m[0]) for each in self.objects])
+        thin = np.minimum(gaps, (self.high - self.low)[:, 1]) <= TOUCH_M.bad
+        return np.asarray(thin & (np.array([each.base_m for each in self.objects]) > TOUCH_M.bad))
+
+    def areas_of_type(self, room: int, kind: str) -> frozenset[int]:
+        """Returns the parts of a room that show its type: those with an object of the type, or its only part."""
+        areas = frozenset(each.area for each in self.objects if each.room == room)
+        shown = self.kinds.rooms[kind].has
+        held = frozenset(each.area for each in self.objects if each.room == room and each.kind in shown)
+        return (held if shown else areas if len(areas) == 1 else frozenset()) - {0}
+
+    @cached_property
     def number_of(self) -> dict[str, int]:
         """Number of the object of each target."""
         return {each.target_id: number for number, each in enumerate(self.objects) if each.target_id is not None}
 
     def room_at(self, x: float, y: float) -> int:
         """Returns the room at a point, or 0."""
-        return int(self.room_grid.at(np.array((x, y))))
+        return self.room_grid.label_at(x, y)
+
+    def area_at(self, x: float, y: float) -> int:
+        """Returns the part of a room at a point; 0 if it is unknown or close to an opening."""
+        return self.area_grid.label_at(x, y)
 
     def unique_room(self, kind: str) -> int:
         """Returns the only room of a type; 0 if there is none or several."""
@@ -104,31 +146,21 @@ class SceneGraph:
         return found[0] if len(found) == 1 else 0
 
 
-@dataclass(frozen=True)
-class _Raw:
-    """Object whose room and distances to walls are not computed yet."""
-
-    ids: tuple[int, ...]
-    kind: str
-    colour: str
-    low: Floats
-    high: Floats
-    outline: Floats
-    target_id: str | None
-    looks: str | None = None
-
-
 def build_graph(scene: CompiledScene) -> SceneGraph:
     """Returns the scene graph of a compiled scene."""
     table, info = kinds(), scene.info
-    raw = _objects(scene, table)
+    raw = find_objects(scene, table)
     occupancy = CellGrid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)
-    boxes = np.array([_covered(each, info) for each in raw if each.kind not in _BETWEEN_ROOMS])
+    boxes = np.array([_covered(each, info) for each in raw if each.kind not in (*_BETWEEN_ROOMS, UNNAMED)])
     walls = find_walls(occupancy, boxes.reshape(-1, 2, 2))
-    room_grid, rooms = divide_rooms(walls, _building(scene))
+    inside = _building(scene)
+    room_grid, rooms = divide_rooms(walls, inside)
+    area_grid, _ = divide_rooms(walls, inside, WIDE_M)
     centres = np.array([(each.low[:2] + each.high[:2]) / 2 for each in raw]).reshape(-1, 2)
     gaps, corners = wall_gaps(walls, centres, [each.outline for each in raw])
-    labels = nearest_room(room_grid, centres)
+    labels, areas = nearest_room(room_grid, centres), nearest_room(area_grid, centres)
+    surfaces = {n: (each.ids, each.outline) for n, each in enumerate(raw) if table.of(each.kind).surface}
+    tops = find_tops(scene, surfaces)
     objects = tuple(
         SceneObject(
             ids=each.ids,
@@ -143,15 +175,22 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
             corner_gap_m=float(corners[number]),
             base_m=float(each.low[2]) - info.floor_height_m,
             looks=each.looks,
+            shows=each.shows,
+            area=int(areas[number]),
+            materials=each.materials if table.of(each.kind).material else (),
+            top=tops.get(number),
         )
         for number, each in enumerate(raw)
     )
     types = tuple(_room_type(room, objects, table) for room in rooms)
     sight = np.where(walls.values, 2, scene.occupancy > 0).astype(np.uint8)
-    return SceneGraph(objects, rooms, types, room_grid, occupancy._replace(values=sight), info.floor_height_m, table)
+    sight_grid = occupancy._replace(values=sight)
+    inner = np.where(opening_gaps(walls, WIDE_M) < THRESHOLD_M, 0, area_grid.values)
+    inner_grid = area_grid._replace(values=inner)
+    return SceneGraph(objects, rooms, types, room_grid, inner_grid, sight_grid, info.floor_height_m, table)
 
 
-def _room_of_leaf(each: _Raw, walls: CellGrid, room_grid: CellGrid) -> int:
+def _room_of_leaf(each: RawObject, walls: CellGrid, room_grid: CellGrid) -> int:
     """Returns the room of an open door leaf in front of a wall; 0 for a leaf in its doorway, and for other objects."""
     if each.kind != "door":
         return 0
@@ -163,7 +202,7 @@ def _room_of_leaf(each: _Raw, walls: CellGrid, room_grid: CellGrid) -> int:
     return int(room_grid.at(middle + free[0] * offsets[-1])) if len(free) == 1 else 0
 
 
-def _covered(each: _Raw, info: SceneInfo) -> Floats:
+def _covered(each: RawObject, info: SceneInfo) -> Floats:
     """Returns the lower and upper corner of the rectangle in which occupied cells belong to an object, not to a wall.
 
     For a tall object on the floor, it includes the cells at the edges; for a low or hanging one, it excludes them.
@@ -180,63 +219,6 @@ def _building(scene: CompiledScene) -> Bools:
     x = info.grid_origin_m[0] + (np.arange(columns) + 0.5) * info.grid_resolution_m
     y = info.grid_origin_m[1] + (np.arange(rows) + 0.5) * info.grid_resolution_m
     return np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
-
-
-def _objects(scene: CompiledScene, table: Kinds) -> list[_Raw]:
-    boxes = _boxes(scene)
-    targets = {target.instance_id: target for target in scene.info.targets}
-    landmarks: dict[tuple[str, str], list[int]] = defaultdict(list)
-    found = []
-    for instance in scene.info.instances:
-        target = targets.get(instance.id)
-        if target is not None:
-            centre, half = np.array(target.centroid_m), np.array(target.size_m) / 2
-            low, high = centre - half, centre + half
-            outline = np.array(target.footprint_m) if target.footprint_m else _rectangle(low, high)
-            looks = _looks(table, target.category, instance.prim_path)
-            own = (target.category, target.colour, low, high, outline, target.target_id, looks)
-            found.append(_Raw((instance.id,), *own))
-        elif instance.id not in boxes:
-            continue
-        elif instance.category is not None:
-            low, high = boxes[instance.id]
-            found.append(_Raw((instance.id,), instance.category, UNKNOWN, low, high, _rectangle(low, high), None))
-        else:
-            segments = instance.prim_path.split("/")
-            named = table.landmark_of(segments)
-            if named is not None:
-                landmarks[named[0], "/".join(segments[: named[1] + 1])].append(instance.id)
-    for (kind, _), ids in landmarks.items():
-        low = np.min([boxes[number][0] for number in ids], axis=0)
-        high = np.max([boxes[number][1] for number in ids], axis=0)
-        found.append(_Raw(tuple(ids), kind, UNKNOWN, low, high, _rectangle(low, high), None))
-    return found
-
-
-def _looks(table: Kinds, category: str, prim_path: str) -> str | None:
-    """Returns the kind that a prim names if it is another one that looks like the category, such as a stool."""
-    named = table.landmark_of(prim_path.split("/"))
-    return named[0] if named is not None and named[0] in table.borderline_of(category) else None
-
-
-def _boxes(scene: CompiledScene) -> dict[int, tuple[Floats, Floats]]:
-    """Returns the bounding box of each instance that has triangles."""
-    if not len(scene.part_first):
-        return {}
-    order = np.argsort(scene.part_first)
-    first = scene.part_first[order]
-    lows: NDArray[np.float32] = np.minimum.reduceat(scene.positions, first, axis=0)
-    highs: NDArray[np.float32] = np.maximum.reduceat(scene.positions, first, axis=0)
-    found: dict[int, tuple[Floats, Floats]] = {}
-    for number, low, high in zip(scene.part_instance[order].tolist(), lows, highs, strict=True):
-        if number in found:
-            low, high = np.minimum(found[number][0], low), np.maximum(found[number][1], high)
-        found[number] = (low.astype(float), high.astype(float))
-    return found
-
-
-def _rectangle(low: Floats, high: Floats) -> Floats:
-    return np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])])
 
 
 def _room_type(room: SceneRoom, objects: tuple[SceneObject, ...], table: Kinds) -> str | None:

@@ -12,6 +12,10 @@ from types import MappingProxyType
 from schemas.base import Model, Name
 
 DATA = Path(__file__).parent / "data"
+UNKNOWN = "unknown"
+"""Colour or material of an object without a dominant or recorded one."""
+UNNAMED = "thing"
+"""Kind of an object that has no words, but looks like another kind."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
@@ -24,6 +28,12 @@ class ObjectKind(Model):
     """Kinds that a viewer may confuse with this kind."""
     prims: tuple[tuple[str, ...], ...] = ()
     """Words of the prim's name that identify a landmark without a category."""
+    of: Name | None = None
+    """Category whose objects have this kind if their prim has these words: a pile of boxes is a box by its category."""
+    surface: bool = False
+    """Whether things are put on its top, so that it can be empty."""
+    material: bool = False
+    """Whether its material can be named."""
 
 
 class RoomRule(Model):
@@ -44,6 +54,8 @@ class Kinds(Model):
     """Kinds of each superclass."""
     kinds: dict[Name, ObjectKind]
     """Known kinds; a category that is not among them has the default properties."""
+    seen_as: dict[Name, tuple[tuple[str, ...], ...]]
+    """Words of prims in which a viewer may see an object of a kind, beside the words of the kind's name."""
     rooms: dict[Name, RoomRule]
     """Types of rooms, in the order in which they are tested."""
 
@@ -91,6 +103,25 @@ class Kinds(Model):
             for wanted, kind in self._prims:
                 if wanted <= words:
                     return kind, number
+        return None
+
+    @cached_property
+    def _seen(self) -> tuple[tuple[frozenset[str], str], ...]:
+        own = [(frozenset(kind.split("_")), kind) for kind in self.kinds]
+        return (*own, *((frozenset(words), kind) for kind, group in self.seen_as.items() for words in group))
+
+    def special_of(self, category: str, segments: Iterable[str]) -> str:
+        """Returns the kind of an object of a category, which the words of its prim may make a special one."""
+        named = self.landmark_of(segments)
+        return named[0] if named is not None and self.of(named[0]).of == category else category
+
+    def seen_in(self, segments: Iterable[str]) -> tuple[tuple[str, ...], int] | None:
+        """Returns the kinds that a viewer may see in a prim, and the number of the segment that names them."""
+        for number, segment in reversed(list(enumerate(segments))):
+            words = frozenset(word.lower() for word in _WORD.findall(segment))
+            found = dict.fromkeys(kind for wanted, kind in self._seen if wanted <= words)
+            if found:
+                return tuple(found), number
         return None
 
 

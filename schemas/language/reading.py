@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from schemas.language.expression import Clause, Expression, Landmark, Ordinal, Relation, Size, ViewSide
+from schemas.language.expression import AHEAD_SIDES, Clause, Expression, Landmark, Ordinal, Relation, Size, ViewSide
 from schemas.language.grammar import SLOT, Grammar, SentencePattern, grammar
 
 _SPACE = re.compile(r"\s+")
@@ -71,6 +71,9 @@ class Reader:
             self._patterns[self.normal(pattern.before)].append((self.normal(pattern.after), pattern))
         self._groups = self._tables(source)
         self._relations = list(self._clause_patterns(source))
+        self._by_start: dict[str, list[tuple[Relation, tuple[str, ...]]]] = defaultdict(list)
+        for relation, parts in self._relations:
+            self._by_start[parts[0][:1] if parts[0] not in _SLOTS else ""].append((relation, parts))
         self._opener, self._joiner = self.normal(source.opener).strip(), self.normal(source.joiner).strip()
 
     @cached_property
@@ -134,9 +137,11 @@ class Reader:
         return found
 
     def _clause(self, text: str, at: int) -> Iterator[tuple[Clause, int]]:
-        for relation, parts in self._relations:
+        start = self._blank(text, at)
+        for relation, parts in (*self._by_start.get(text[start : start + 1], ()), *self._by_start.get("", ())):
             landmarks: list[Landmark] = []
             room: str | None = None
+            count: int | None = None
             end: int | None = at
             for part in parts:
                 assert end is not None
@@ -144,6 +149,13 @@ class Reader:
                 if part == "room":
                     named = self._groups["room"].match(text, end)
                     room, end = (None, None) if named is None else (str(named[0]), named[1])
+                elif part == "count":
+                    number = self._groups["number"].match(text, end)
+                    count, end = (None, None) if number is None else (int(str(number[0])), number[1])
+                elif part == "many":
+                    several = self._groups["plural"].match(text, end)
+                    landmarks += [] if several is None else [Landmark(kind=str(several[0]), definite=False)]
+                    end = None if several is None else several[1]
                 elif part in ("0", "1"):
                     noun = self._noun(text, end)
                     landmark = None if noun is None else _landmark(noun)
@@ -154,7 +166,7 @@ class Reader:
                 if end is None:
                     break
             if end is not None and (end == len(text) or not self._spaced or not text[end].isalnum()):
-                yield Clause(relation=relation, landmarks=tuple(landmarks), room=room), end
+                yield Clause(relation=relation, landmarks=tuple(landmarks), room=room, count=count), end
 
     def _noun(self, text: str, at: int) -> _Noun | None:
         """Returns article, adjectives and noun at a position."""
@@ -188,12 +200,17 @@ class Reader:
         return start + len(word) if word and text.startswith(word, start) else at
 
     def _tables(self, source: Grammar) -> dict[str, _Words]:
-        tables: dict[str, dict[str, object]] = {group: {} for group in (*_GROUPS, "room")}
+        tables: dict[str, dict[str, object]] = {group: {} for group in (*_GROUPS, "room", "number", "plural")}
         for key, words in source.articles.items():
             self._add(tables["article"], words, key.partition("_")[0] == "the")
         for number, word in source.ordinals.items():
-            self._add(tables["ordinal"], [word], int(number))
-        groups = (("size", source.sizes), ("colour", source.colours), ("side", source.sides), ("room", source.rooms))
+            self._add(tables["ordinal"], [word], 1 if number == "first" else int(number))
+        for number, word in source.numbers.items():
+            self._add(tables["number"], [word], int(number))
+        groups = (
+            *(("size", source.sizes), ("colour", source.colours), ("side", source.sides), ("room", source.rooms)),
+            *(("material", source.materials), ("state", source.states), ("plural", source.plurals)),
+        )
         for group, entries in groups:
             for name, words in entries.items():
                 self._add(tables[group], words, name)
@@ -212,6 +229,8 @@ class Reader:
             for text in texts:
                 for whole in _forms(text):
                     pieces = SLOT.split(whole)  # literal, slot, case, literal, ...
+                    for place in range(2, len(pieces), 3):  # a noun in the plural is read by other words
+                        pieces[place - 1] = "many" if pieces[place] == "many" else pieces[place - 1]
                     parts = [piece for number, piece in enumerate(pieces) if number % 3 != 2]
                     yield relation, tuple(self.normal(part).strip() for part in parts if part.strip())
 
@@ -222,7 +241,9 @@ def _forms(text: str) -> list[str]:
     return [_GENDERED.sub(chosen, text) for chosen in found[1].split("|")] if found else [text]
 
 
-_GROUPS = ("article", "ordinal", "size", "colour", "noun", "side")
+_SLOTS = frozenset({"0", "1", "room", "count", "many"})
+"""Parts of a relation that are not literal."""
+_GROUPS = ("article", "ordinal", "size", "state", "colour", "material", "noun", "side")
 
 
 def _landmark(noun: _Noun) -> Landmark | None:
@@ -240,15 +261,20 @@ def _expression(noun: _Noun, clauses: tuple[Clause, ...]) -> Expression | None:
     is_extreme = side in ("leftmost", "rightmost")
     if (number is not None or is_extreme) != (side is not None) or (number is not None and is_extreme):
         return None
+    if number == 1 and side not in AHEAD_SIDES:
+        return None
     ordinal = None
     if side is not None:
         ordinal = Ordinal(number=1 if is_extreme else int(str(number)), side=ViewSide(str(side).removesuffix("most")))
-    colour, size = parts.get("colour"), parts.get("size")
+    colour, size, material, state = (parts.get(name) for name in ("colour", "size", "material", "state"))
+    if state is not None:
+        clauses = (Clause(relation=Relation(str(state))), *clauses)
     try:
         return Expression(
             kind=str(parts["noun"]),
             definite=bool(parts.get("article", True)),
             colour=None if colour is None else str(colour),
+            material=None if material is None else str(material),
             size=None if size is None else Size(str(size)),
             ordinal=ordinal,
             clauses=clauses,

@@ -7,6 +7,7 @@ Implementation, and Analysis, ICRA 2016).
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,6 +19,10 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 
 OPENING_M = 2.4
 """Largest width of an opening in a wall along the axes of the grid, metres; a wider one does not divide a room."""
+WIDE_M = 5.0
+"""Largest width of an opening in a wall that may look as if it divides a room, metres."""
+THRESHOLD_M = 0.5
+"""Distance from an opening within which a viewer may be in either room, metres."""
 DOOR_M = 1.3
 """Largest width of a door in any direction, metres."""
 MIN_ROOM_M2 = 3.0
@@ -45,9 +50,30 @@ class CellGrid(NamedTuple):
         rows, columns = self.values.shape
         return np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)
 
+    def label_at(self, x: float, y: float) -> int:
+        """Returns the integer value at one world point."""
+        rows, columns = self.values.shape
+        row = math.floor((y - self.origin_m[1]) / self.resolution_m)
+        column = math.floor((x - self.origin_m[0]) / self.resolution_m)
+        return int(self.values[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
     def at(self, points: Floats) -> NDArray[np.generic]:
         """Returns the values at (..., 2) world points."""
         return np.asarray(self.values[self.cells(points)])
+
+
+def opening_gaps(walls: CellGrid, opening_m: float) -> Floats:
+    """Returns (H, W) distances of the cells to the nearest opening between two collinear walls, metres.
+
+    Args:
+        walls: grid of walls.
+        opening_m: largest width of an opening, metres.
+    """
+    filled = np.asarray(walls.values, bool)
+    openings = _close_openings(filled, walls.resolution_m, opening_m) & ~filled
+    if not openings.any():
+        return np.full(filled.shape, np.inf)
+    return np.asarray(scipy.ndimage.distance_transform_edt(~openings) * walls.resolution_m)
 
 
 class SceneRoom(NamedTuple):
@@ -64,7 +90,7 @@ class SceneRoom(NamedTuple):
 def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
     """Returns the grid of walls: cells that block the view, outside of the boxes of objects.
 
-    Components shorter than `_SMALLEST_WALL_M` are left out.
+    Components shorter than `_SMALLEST_WALL_M` are omitted.
 
     Args:
         occupancy: 0 free, 1 occupied, 2 occupied and blocking the view.
@@ -82,14 +108,17 @@ def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
     return occupancy._replace(values=walls)
 
 
-def divide_rooms(walls: CellGrid, inside: Bools) -> tuple[CellGrid, tuple[SceneRoom, ...]]:
+def divide_rooms(
+    walls: CellGrid, inside: Bools, opening_m: float = OPENING_M
+) -> tuple[CellGrid, tuple[SceneRoom, ...]]:
     """Returns the number of the room of each cell, 0 outside of rooms, and the rooms.
 
     Args:
         walls: grid of walls.
         inside: (H, W) cells within the building.
+        opening_m: largest width of an opening between two collinear walls that divides a room, metres.
     """
-    free = inside & ~_close_openings(np.asarray(walls.values, bool), walls.resolution_m)
+    free = inside & ~_close_openings(np.asarray(walls.values, bool), walls.resolution_m, opening_m)
     clearance = scipy.ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * walls.resolution_m
     seeds, count = scipy.ndimage.label(clearance > DOOR_M / 2)
     cost = np.where(free, 1, 255).astype(np.uint8)
@@ -110,9 +139,9 @@ def divide_rooms(walls: CellGrid, inside: Bools) -> tuple[CellGrid, tuple[SceneR
     return walls._replace(values=labels), tuple(rooms)
 
 
-def _close_openings(walls: Bools, resolution_m: float) -> Bools:
+def _close_openings(walls: Bools, resolution_m: float, opening_m: float) -> Bools:
     """Returns the walls with the gaps between two collinear runs of cells filled, along both axes."""
-    longest, least = OPENING_M / resolution_m, _SHORTEST_RUN_M / resolution_m
+    longest, least = opening_m / resolution_m, _SHORTEST_RUN_M / resolution_m
     closed = walls.copy()
     for lines, filled in ((walls, closed), (walls.T, closed.T)):
         for line, target in zip(lines, filled, strict=True):

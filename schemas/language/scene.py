@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from schemas.language.generator.facts import SceneFacts
+from schemas.language.generator.parts import SceneParts
 from schemas.language.graph import SceneGraph
 from schemas.language.route.doorways import RoomPassage, find_doorways
 from schemas.language.verifier.verify import Verifier
@@ -26,6 +27,7 @@ class SceneLanguage:
 
     def __post_init__(self) -> None:
         self.facts = SceneFacts(self.graph)
+        self.parts = SceneParts(self.facts)
         self.verifier = Verifier(self.graph)
         self._of_kind = Counter(each.kind for each in self.graph.objects)
 

@@ -45,6 +45,14 @@ TOUCH_M = Band(0.15, 0.3)
 OVERLAP = Band(0.5, 0.1)
 """Smallest share of the footprint within that of the landmark for `on` and `under`. `min_supported_area_ratio` of
 Sr3D is 0.3."""
+THING_M = 0.08
+"""Smallest extent of a thing that surely is something on a top, metres."""
+REST_M = (-0.03, 0.05)
+"""Height of the lower side of a thing above the top on which it surely rests, metres."""
+BESIDE_M = Band(0.35, 1.2)
+"""Gap of footprints for `with_beside`, metres."""
+BESIDE_OTHER_M = 0.3
+"""Smallest difference of the gaps to this object and to the next one that has a top, metres."""
 WALL_BASE_M = Band(0.3, 0.1)
 """Smallest height of the lower side for `on_wall`, metres."""
 CORNER_M = Band(0.45, 1.2)
@@ -65,6 +73,18 @@ HEIGHT_RATIO = 1.2
 """Smallest ratio of heights for the tallest and lowest object."""
 BEARING_GAP_RAD = math.radians(4)
 """Smallest angle between objects that are counted from a side."""
+ROW_AHEAD_M = Band(0.7, -0.35)
+"""Smallest distance of the middle along the heading, for objects that are counted along the way ahead, metres."""
+ROW_ASIDE_M = Band(0.2, 0.0)
+"""Smallest distance of the near side of such an object from the axis of the heading, and of its far side, metres."""
+ROW_GAP_M = Band(2.0, 4.0)
+"""Distance of the near side from the axis, metres."""
+ROW_STEP_M = 0.8
+"""Smallest distance along the heading between two objects that are counted, metres."""
+ROW_HIDDEN_M = 0.3
+"""Distance from the axis by which an object is behind another one that covers it, metres."""
+ROW_HIDDEN = 0.5
+"""Share of an object along the heading that another one covers, so that it is not counted."""
 VISIBLE_M = 10.0
 """Largest distance at which an object counts as surely visible, metres."""
 EDGE_RAD = math.radians(4)

@@ -23,6 +23,8 @@ _FREE_SHARE = 0.5
 _BEFORE_M = 0.12
 """Length before the object at which a line of sight ends, metres: the object itself does not block it."""
 _STEP_CELLS = 1.5
+_TALL_M = 0.6
+"""Height of which an image must show so much of a tall object, metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Points of a footprint, the centre first, in half extents."""
 
@@ -39,6 +41,8 @@ class SceneView:
     """Heading, radians."""
     room: int
     """Room of the start, or 0."""
+    area: int
+    """Part of the room of the start; 0 if unknown, or if the start is close to an opening."""
     sure: Bools
     """(N,) objects that are surely visible."""
     possible: Bools
@@ -74,8 +78,7 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
     half = math.radians(camera.fov_deg) / 2
     inside, maybe = np.abs(bearing) <= half - EDGE_RAD, np.abs(bearing) <= half + EDGE_RAD
     maybe[:, 0] |= (bearing.min(axis=1) < 0) & (bearing.max(axis=1) > 0) & (np.ptp(bearing, axis=1) < math.pi)
-    middle = (graph.low[:, 2] + graph.high[:, 2]) / 2 - graph.floor_m - camera.z_m
-    inside &= (np.abs(middle) <= distance[:, 0] * math.tan(half - EDGE_RAD))[:, None]
+    inside &= _are_at_image_height(graph, distance[:, 0] * math.tan(half - EDGE_RAD), camera)[:, None]
     far = distance[:, 0] > _FAR_M
     sure, possible = np.zeros(len(points), bool), far & maybe.any(axis=1)
     near = np.flatnonzero(maybe.any(axis=1) & ~far)
@@ -84,10 +87,25 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         clear = (blocked == 0) & inside[near]
         sure[near] = (clear.mean(axis=1) >= _FREE_SHARE) & (distance[near, 0] <= VISIBLE_M) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
-    room = graph.room_at(x, y)
+    room, area = graph.room_at(x, y), graph.area_at(x, y)
+    sure &= ~graph.hangs | (graph.room_of == room) & (room > 0)  # lines of sight end before the wall behind an object
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
-    return SceneView(float(eye[0]), float(eye[1]), yaw, room, sure, possible, middle_rad, distance[:, 0])
+    return SceneView(float(eye[0]), float(eye[1]), yaw, room, area, sure, possible, middle_rad, distance[:, 0])
+
+
+def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:
+    """Returns (N,) objects of which half of the height, or `_TALL_M`, is at a height that the image shows.
+
+    Args:
+        graph: scene graph.
+        reach_m: (N,) height above and below the camera that the image shows at the distance of each object, metres.
+        camera: camera of the robot.
+    """
+    eye_m = graph.floor_m + camera.z_m
+    low, high = graph.low[:, 2] - eye_m, graph.high[:, 2] - eye_m
+    shown = np.minimum(high, reach_m) - np.maximum(low, -reach_m)
+    return np.asarray(shown >= np.minimum((high - low) / 2, _TALL_M))
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:
@@ -109,6 +127,18 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
     count = max(2, math.ceil(float(np.abs(steps).max()) / _STEP_CELLS))
     share = ((np.arange(count) + 0.5) / count).astype(np.float32)
     rows, columns = grid.values.shape
-    row = (np.float32(start[1]) + steps[..., 1, None] * share).astype(np.int32).clip(0, rows - 1)
-    column = (np.float32(start[0]) + steps[..., 0, None] * share).astype(np.int32).clip(0, columns - 1)
-    return np.asarray(np.take(grid.values, row * columns + column).max(axis=-1), np.uint8)
+    row = np.float32(start[1]) + steps[..., 1, None] * share
+    column = np.float32(start[0]) + steps[..., 0, None] * share
+    if not _are_inside(start, steps, rows, columns):
+        row, column = row.clip(0, rows - 1), column.clip(0, columns - 1)
+    cells = row.astype(np.int32)
+    cells *= columns
+    cells += column.astype(np.int32)
+    return np.asarray(grid.values.ravel()[cells].max(axis=-1), np.uint8)
+
+
+def _are_inside(start: Floats, steps: NDArray[np.float32], rows: int, columns: int) -> bool:
+    """Returns whether both ends of all lines, in cells, are within the grid."""
+    flat = steps.reshape(-1, 2)
+    low, high = start + flat.min(axis=0), start + flat.max(axis=0)
+    return bool((np.minimum(low, start) >= 0).all() and (np.maximum(high, start) < (columns - 1, rows - 1)).all())

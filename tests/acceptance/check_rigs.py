@@ -36,7 +36,7 @@ APPEARANCES = ("none", "varied")
 RATE_HZ = 3.0
 """Rate of the cameras and lidars of the rigs with several sensors, which store megabytes for each step."""
 PLAN = Path(__file__).parents[2] / "docs/training/near_office.toml"
-JUDGE = Path(__file__).parents[1] / "judges/lerobot_rig_judge.py"
+READER = Path(__file__).parents[1] / "readers/lerobot_rig_reader.py"
 Found = Counter[tuple[str, str]]
 """Number of measurements by sensor and array, as a format names the array."""
 
@@ -172,7 +172,7 @@ def check_rig(states: Path, rig: Path, appearance: str, lerobot: str) -> None:
         _say(root.name, name, check_export(name, root / name, loaded, steps, hz))
     words = ("--to", "lerobot", "--fps", 3, "--depth", "--ids", "--workers", 1)
     _factory("export", root / "dataset", "--rig", rig, "-o", root / "lerobot", *words)
-    subprocess.run([lerobot, JUDGE, root / "paper", root / "lerobot"], check=True)
+    subprocess.run([lerobot, READER, root / "paper", root / "lerobot"], check=True)
 
 
 def main() -> int:

@@ -51,11 +51,11 @@ def of_coordinator(report: dict[str, Any]) -> Iterator[Figure]:
     wire = report["wire"]
     yield Figure("claim + done over zenoh, cycles/s", wire["cycles_per_s"]["median"], 1000)
     yield Figure("start on the ledger, s (target: of 100k jobs)", wire["start_s"]["median"], 3, at_most=True)
-    crowd, rush = wire["crowd"], wire["rush"]
-    yield Figure(f"memory with {crowd['sessions']} sessions, MiB", crowd["memory"]["peak_mib"], 400, at_most=True)
-    at_once = f"{rush['workers']} x {rush['bundle_mb']:g} MB at once"
-    yield Figure(f"{at_once}: peak memory, MiB", rush["memory"]["peak_mib"], 200, at_most=True)
-    yield Figure(f"{at_once}: a bystander's claim, p99 ms", rush["claim_p99_ms"], 50, at_most=True)
+    sessions, deliveries = wire["session_load"], wire["delivery_load"]
+    yield Figure(f"memory with {sessions['sessions']} sessions, MiB", sessions["memory"]["peak_mib"], 400, at_most=True)
+    at_once = f"{deliveries['workers']} x {deliveries['bundle_mb']:g} MB at once"
+    yield Figure(f"{at_once}: peak memory, MiB", deliveries["memory"]["peak_mib"], 200, at_most=True)
+    yield Figure(f"{at_once}: a bystander's claim, p99 ms", deliveries["claim_p99_ms"], 50, at_most=True)
 
 
 def of_read(report: dict[str, Any]) -> Iterator[Figure]:

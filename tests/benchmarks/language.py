@@ -1,6 +1,6 @@
-"""Measures language in the built-in scenes: instructions per second of CPU time, and rejected changed words.
+"""Measures language in built-in scenes: instructions per second of CPU time, and rejected changed words.
 
-python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves
+python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves home:1 home:2
 """
 
 from __future__ import annotations
@@ -89,7 +89,8 @@ def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tu
 
 def measure(name: str, folder: Path) -> tuple[int, int]:
     """Prints the rows of one scene."""
-    scene = read_geometry(build_scene(name, 0, folder))
+    scene_name, _, seed = name.partition(":")
+    scene = read_geometry(build_scene(scene_name, int(seed or 0), folder))
     begin = time.process_time()
     language = SceneLanguage(build_graph(scene))
     said = f"{name}: {len(language.graph.objects)} objects, graph in {time.process_time() - begin:.2f} s"

@@ -1,4 +1,4 @@
-"""Draws sheets of random instructions, routes and questions to judge by eye: the image of the start beside a map.
+"""Draws sheets of random instructions, routes and questions to inspect by eye: the image of the start beside a map.
 
 python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [PACKAGE ...]
 

@@ -66,7 +66,7 @@ def serve(order: dict[str, Any], markers: Path) -> None:
     elif word == "die":
         os.kill(os.getpid(), signal.SIGKILL)
     elif word == "exit":
-        sys.stderr.write("chatter\nEGL: the driver is gone\n")
+        sys.stderr.write("chatter\nEGL: the driver is missing\n")
         sys.stderr.flush()
         os._exit(3)
     elif word == "miss":

@@ -12,8 +12,10 @@ import numpy as np
 
 from schemas.config import CameraConfig
 from schemas.language.expression import (
+    COUNTED,
     FROM_VIEW,
     OF_VIEWER,
+    STATES,
     SUPERLATIVES,
     Clause,
     Expression,
@@ -24,8 +26,8 @@ from schemas.language.expression import (
     Size,
 )
 from schemas.language.generator.facts import Masks, ViewFacts
-from schemas.language.generator.minimal import selector_of
-from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search
+from schemas.language.generator.parts import ExpressionPart, part_of
+from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
 from schemas.language.scene import SceneLanguage
@@ -138,7 +140,7 @@ def search_of(view: SceneView | None, number: int, scene: SceneLanguage | None =
     """Returns the search for expressions of an object with all features and English words."""
     scene, words = scene or two_rooms(), grammar("en")
     seen = None if view is None else ViewFacts(scene.facts, view)
-    return Search(scene.facts, seen, number, tuple(Family), words.nouns, words.rooms)
+    return Search(scene.parts, seen, number, tuple(Family), words)
 
 
 def changed(expression: Expression) -> Iterator[Expression]:
@@ -146,13 +148,16 @@ def changed(expression: Expression) -> Iterator[Expression]:
     for colour in ("red", "blue", "green", "brown", "gray", "black", "white"):
         if expression.colour not in (None, colour):
             yield expression.model_copy(update={"colour": colour})
+    for material in ("wood", "metal", "glass"):
+        if expression.material not in (None, material):
+            yield expression.model_copy(update={"material": material})
     for kind in ("chair", "table", "plant", "trash_can", "sofa", "seat", "container"):
         if kind != expression.kind:
             yield expression.model_copy(update={"kind": kind})
     if expression.size is not None:
         yield from (expression.model_copy(update={"size": size}) for size in Size if size is not expression.size)
     if expression.ordinal is not None:
-        other = "right" if expression.ordinal.side == "left" else "left"
+        other = _OTHER_SIDE[expression.ordinal.side]
         number = expression.ordinal.number
         yield expression.model_copy(update={"ordinal": Ordinal(number=number, side=other)})
         if number > 1:
@@ -163,10 +168,13 @@ def changed(expression: Expression) -> Iterator[Expression]:
             yield expression.model_copy(update={"clauses": clauses})
 
 
+_OTHER_SIDE = {"left": "right", "right": "left", "ahead_left": "ahead_right", "ahead_right": "ahead_left"}
 _EXCHANGED = (
     frozenset({Relation.NEXT_TO, Relation.UNDER, Relation.ON}) | FROM_VIEW,
     OF_VIEWER,
     frozenset({Relation.NEAREST_TO, Relation.FARTHEST_FROM}),
+    STATES,
+    COUNTED,
 )
 
 
@@ -174,8 +182,11 @@ def _changed_clause(clause: Clause) -> Iterator[Clause]:
     for group in _EXCHANGED:
         if clause.relation in group:
             yield from (clause.model_copy(update={"relation": other}) for other in group - {clause.relation})
+    if clause.count is not None:
+        yield from (clause.model_copy(update={"count": count}) for count in range(2, 7) if count != clause.count)
+    counted = grammar("en").plurals
     for place, landmark in enumerate(clause.landmarks):
-        for kind in ("table", "plant", "trash_can", "sofa", "lamp"):
+        for kind in ("table", "plant", "trash_can", "sofa", "lamp") if clause.count is None else counted:
             if kind != landmark.kind:
                 landmarks = (*clause.landmarks[:place], _renamed(landmark, kind), *clause.landmarks[place + 1 :])
                 yield clause.model_copy(update={"landmarks": landmarks})
@@ -191,7 +202,7 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
     Follows the generator's masks, and not the verifier.
     """
     facts = search.facts
-    masks = facts.described(expression.kind, expression.colour)
+    masks = facts.described(expression.kind, expression.colour, expression.material)
     parts: tuple[ExpressionPart, ...] = ()
     for clause in expression.clauses:
         if clause.relation in SUPERLATIVES:
@@ -200,7 +211,7 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
         if found is None:
             return True  # a definite landmark that does not exist
         masks = masks.both(found)
-        parts += (ExpressionPart(clause, found),)
+        parts += (part_of(clause, found),)
     if not masks.possible[search.number]:
         return True
     if expression.selectors:
@@ -212,17 +223,21 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
 
 def _is_wrongly_selected(expression: Expression, search: Search, masks: Masks) -> bool:
     """Returns whether the selector of an expression selects another object than the target."""
-    wanted = selector_of(expression)
+    chosen = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)
+    wanted = expression.size, expression.ordinal, chosen
     for number in np.flatnonzero(masks.sure).tolist():
         if number != search.number:
             other = dataclasses.replace(search, number=number)
-            if any(selector_of(one) == wanted for one in other._selectors(_head(expression, masks), (), masks)):
+            if any(
+                one.selector == wanted
+                for one in other._selectors(ExpressionCandidate(_head(expression, masks)), None, masks)
+            ):
                 return True
     return False
 
 
 def _head(expression: Expression, masks: Masks) -> ExpressionHead:
-    return ExpressionHead(expression.kind, expression.colour, masks, False)
+    return ExpressionHead(expression.kind, expression.colour, masks, False, expression.material)
 
 
 def masks_of(clause: Clause, search: Search) -> Masks | None:
@@ -235,11 +250,16 @@ def masks_of(clause: Clause, search: Search) -> Masks | None:
         return facts.alone[clause.relation]
     if view is not None and clause.relation in view.ego:
         return view.ego[clause.relation]
-    if clause.relation in (Relation.THIS_ROOM, Relation.IN_ROOM):
+    if clause.count is not None:
+        return facts.counted(clause.relation, clause.landmarks[0].kind, clause.count)
+    if clause.relation is Relation.THIS_ROOM:
         assert view is not None
-        return facts.in_room(view.view.room if clause.room is None else graph.unique_room(clause.room))
+        return facts.in_room(view.view.room, view.view.area)
+    if clause.relation is Relation.IN_ROOM:
+        return facts.in_typed_room(graph.unique_room(str(clause.room)))
     if clause.relation is Relation.SAME_ROOM:
-        return facts.in_room(graph.objects[int(np.flatnonzero(fitting[0].possible)[0])].room)
+        row = int(np.flatnonzero(fitting[0].possible)[0])
+        return Masks(facts.same_room.sure[row], facts.same_room.possible[row])
     if clause.relation is Relation.BETWEEN:
         return facts.between(*(int(np.flatnonzero(each.possible)[0]) for each in fitting))
     pairs = {Relation.NEXT_TO: facts.next_to, **facts.support, **(view.relative if view is not None else {})}

@@ -109,7 +109,7 @@ class NoMethods:
     """Not a policy."""
 
 
-class RefusesToBeMade(_Quiet):
+class CannotBeConstructed(_Quiet):
     """Raises an exception in its constructor."""
 
     def __init__(self) -> None:

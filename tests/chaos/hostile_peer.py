@@ -1,6 +1,6 @@
 """Hostile peer beside honest workers: sends invalid requests at a bounded rate and counts the refusals.
 
-It leaves out attacks that plain TCP permits by design: operator requests, gateway requests and false reports of
+It omits attacks that plain TCP permits by design: operator requests, gateway requests and false reports of
 collisions.
 TLS denies the requests to workers; a false report cannot be detected by the coordinator.
 """

@@ -94,16 +94,16 @@ def test_a_file_on_the_same_disk_is_linked_and_left_to_its_owner(kind: Kind) -> 
         source = kind.home / "elsewhere.zip"
         source.write_bytes(b"bundle")
         with archive.stage(5) as staged:
-            staged.take(source)
+            staged.link(source)
             assert (staged.size, staged.sha256) == (6, hashlib.sha256(b"bundle").hexdigest())
             place = archive.publish(staged, 5)
         assert place.read_bytes() == source.read_bytes() == b"bundle"
         with archive.stage(6) as dropped:
-            dropped.take(source)
+            dropped.link(source)
         assert source.read_bytes() == b"bundle"
         with archive.stage(6) as staged:
             with pytest.raises(FileNotFoundError):
-                staged.take(kind.home / "gone.zip")
+                staged.link(kind.home / "gone.zip")
             staged.write(b"grown")
             assert archive.publish(staged, 6).read_bytes() == b"grown"
         assert parts_of(kind) == []

@@ -428,8 +428,8 @@ def test_measurements_from_parts_equal_those_from_the_frame() -> None:
                 view, frame = (LazyFrame(lambda: renderer, Pose.planar(-1.0, 0.3, yaw), job, number) for _ in "12")
                 assert frame.frame is not None
                 assert view.obstacle_near == frame.obstacle_near
-                assert view.sighting[:2] == frame.sighting[:2]
-                assert view.sighting.measure_depth() == frame.sighting.measure_depth()
+                assert view.target_mask[:2] == frame.target_mask[:2]
+                assert view.target_mask.measure_depth() == frame.target_mask.measure_depth()
 
 
 def test_a_depth_and_id_frame_requires_a_scene(new_renderer: Renderer) -> None:

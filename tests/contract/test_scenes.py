@@ -13,7 +13,15 @@ from factory.scenes.rules import builtin_rules
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, read_scene
-from schemas.terms import BUILTIN_CATEGORIES, FAR_FLOOR_M, PAPER_SCENES, Tier
+from schemas.terms import (
+    BUILTIN_CATEGORIES,
+    FAR_FLOOR_M,
+    PAPER_SCENES,
+    Tier,
+    family_of,
+    layout_name,
+    layout_number,
+)
 from tests.builders.shared import locked
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
@@ -22,24 +30,30 @@ from workers.render.cull import PartBounds, visible_parts
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """The scenes of the paper and one family at seed 0; with `--scene-seeds N` all at seeds 0 to N - 1."""
+    """The scenes of the paper and two layouts; with `--scene-seeds N` layouts 0 to N - 1 of every family."""
     if "package" in metafunc.fixturenames:
         seeds = range(metafunc.config.getoption("--scene-seeds"))
-        names = BUILTIN_SCENES if len(seeds) > 1 else (*PAPER_SCENES, "home")
-        kinds = [(name, seed) for name in sorted(names) for seed in seeds]
-        metafunc.parametrize("package", kinds, ids=[f"{name}-{seed}" for name, seed in kinds], indirect=True)
+        families = sorted(BUILTIN_SCENES) if len(seeds) > 1 else ("home", "office")
+        layouts = [layout_name(family, seed) for family in families for seed in seeds]
+        metafunc.parametrize("package", [*PAPER_SCENES, *layouts], indirect=True)
 
 
 @pytest.fixture(scope="module")
 def package(request: pytest.FixtureRequest, shared: Path, cache: Path) -> Path:
-    name, seed = request.param
-    with locked(shared / f"{name}-{seed}.lock"):
+    name: str = request.param
+    seed = layout_number(name) or 0
+    with locked(shared / f"{name}.lock"):
         try:
-            return build_scene(name, seed, cache / "scenes")
+            return build_scene(family_of(name), seed, cache / "scenes", called=called(name))
         except WorldError as error:
-            if name in PAPER_SCENES or seed == 0:
+            if seed == 0:
                 raise
             pytest.skip(str(error))
+
+
+def called(name: str) -> str | None:
+    """Returns the name of a numbered layout, `None` for a scene of the paper."""
+    return None if layout_number(name) is None else name
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +62,13 @@ def scene(package: Path) -> CompiledScene:
 
 
 def test_the_package_is_at_its_expected_path_and_small(package: Path, scene: CompiledScene) -> None:
-    seed = int(scene.info.source.rpartition(" ")[2])
-    assert package == package_path(scene.info.name, seed, package.parent)
+    name, seed = scene.info.name, int(scene.info.source.rpartition(" ")[2])
+    assert package == package_path(family_of(name), seed, package.parent, called=called(name))
     assert package.stat().st_size < 40e6
 
 
 def test_every_category_of_the_paper_can_be_reached(scene: CompiledScene) -> None:
-    seen, held_out = BUILTIN_CATEGORIES[scene.info.name]
+    seen, held_out = BUILTIN_CATEGORIES[family_of(scene.info.name)]
     assert {target.category for target in scene.info.targets} >= {*seen, *held_out}
 
 
@@ -151,8 +165,8 @@ def test_targets_are_listed_in_the_order_of_their_prims(scene: CompiledScene) ->
 
 def test_a_second_build_uses_the_cache(package: Path, scene: CompiledScene) -> None:
     before = package.stat().st_mtime_ns
-    seed = int(scene.info.source.rpartition(" ")[2])
-    assert build_scene(scene.info.name, seed, package.parent) == package
+    name, seed = scene.info.name, int(scene.info.source.rpartition(" ")[2])
+    assert build_scene(family_of(name), seed, package.parent, called=called(name)) == package
     assert package.stat().st_mtime_ns == before
 
 

@@ -156,10 +156,10 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert found.wire.archived_per_s.median >= 0
     assert found.wire.coordinator_cpu_ms.low > 0.05  # must include at least the time of its COMMIT
     assert found.wire.workers_cpu_ms.low > 0.05
-    assert (found.wire.crowd.sessions, found.wire.rush.workers) == (8, 4)
-    assert found.wire.rush.claims > 0
-    # a separate process that never holds a whole bundle in memory
-    assert 30 < found.wire.rush.memory.start_mib <= found.wire.rush.memory.peak_mib
+    assert (found.wire.session_load.sessions, found.wire.delivery_load.workers) == (8, 4)
+    assert found.wire.delivery_load.claims > 0
+    # a separate process that never keeps a whole bundle in memory
+    assert 30 < found.wire.delivery_load.memory.start_mib <= found.wire.delivery_load.memory.peak_mib
     # bundles of the burst and of the previous cycles
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4
 

@@ -107,7 +107,7 @@ def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(damaged_run
 
 def _repair_input(whole: ArchivedRun, damaged_run: Path):  # type: ignore[no-untyped-def]
     return dataclasses.replace(
-        whole.repair_input(), root=damaged_run, home=damaged_run, url=f"sqlite:///{damaged_run / 'ledger.db'}"
+        whole.repair_input(), root=damaged_run, state_dir=damaged_run, url=f"sqlite:///{damaged_run / 'ledger.db'}"
     )
 
 

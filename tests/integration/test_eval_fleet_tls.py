@@ -43,7 +43,7 @@ ANY_PORT = ("tls/127.0.0.1:0",)
 
 @pytest.fixture
 def pki(tmp_path: Path) -> Path:
-    return make_authority(tmp_path / "pki", ("node",), ("boss",), gateways=("gw1",), evaluators=("desk", "other"))
+    return make_authority(tmp_path / "pki", ("node",), ("admin",), gateways=("gw1",), evaluators=("desk", "other"))
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_an_evaluator_cannot_read_the_progress_of_a_collection(hub, pki):
     assert is_answered(hub, pki)
     with pytest.raises(TransientError):
         ask_progress(hub.endpoints, "desk", files_of(pki, "desk"))
-    assert ask_progress(hub.endpoints, "boss", files_of(pki, "boss")).planned == 2000
+    assert ask_progress(hub.endpoints, "admin", files_of(pki, "admin")).planned == 2000
 
 
 def test_an_evaluator_can_neither_receive_nor_answer_messages_of_the_collection(hub, pki):

@@ -185,7 +185,7 @@ def test_a_stopped_evaluation_resumes_and_gives_the_same_numbers(
         (f"{MINE}:Absent", r"no class 'Absent'; .*policies.py has .*Raises"),
         ("tests.builders.absent:X", "no module 'tests.builders.absent'; looked in"),
         (f"{MINE}:NoMethods", "no method reset and no act"),
-        (f"{MINE}:RefusesToBeMade", r"FileNotFoundError: weights.pt \(.*policies.py:"),
+        (f"{MINE}:CannotBeConstructed", r"FileNotFoundError: weights.pt \(.*policies.py:"),
     ],
 )
 def test_a_policy_that_cannot_be_constructed_stops_the_evaluation_with_the_reason(

@@ -54,7 +54,7 @@ def test_a_validator_started_there_imports_only_product_modules(traps: Path, tmp
     bundle = tmp_path / "x.part"
     bundle.write_bytes(bundle_bytes())
     with Validator() as validator:
-        assert validator.check(bundle, job_for(), chair()).episode_id == "ep_000001"
+        assert validator.check(bundle, job_for(), (chair(),)).episode_id == "ep_000001"
 
 
 def test_a_simulation_started_there_imports_only_product_modules(traps: Path) -> None:

@@ -39,7 +39,8 @@ VERSION = version("minivla-factory")
 
 @pytest.fixture(scope="module")
 def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_authority(tmp_path_factory.mktemp("tls") / "pki", ("node", "other"), ("boss",), gateways=("gw1", "gw2"))
+    root = tmp_path_factory.mktemp("tls") / "pki"
+    return make_authority(root, ("node", "other"), ("admin",), gateways=("gw1", "gw2"))
 
 
 @pytest.fixture
@@ -83,7 +84,7 @@ def test_a_worker_behind_a_gateway_completes_a_job(hub, gateway, pki, tmp_path):
 
 
 def test_a_gateway_admits_only_workers(hub, gateway, pki):
-    for name in ("boss", "gw2"):
+    for name in ("admin", "gw2"):
         with WireWorker(gateway.endpoints, hub.run, name, files_of(pki, name)) as foreign_peer:
             assert foreign_peer.hello(VERSION) is None
             assert foreign_peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
@@ -97,7 +98,7 @@ def test_a_gateway_admits_only_workers(hub, gateway, pki):
 def test_only_gateways_can_send_gateway_requests(hub, pki):
     join = Join(version=VERSION, router="a")
     assert asks(hub, pki, "gw1", Verb.JOIN, join)
-    for name in ("node", "boss", "gw2"):
+    for name in ("node", "admin", "gw2"):
         assert asks(hub, pki, name, Verb.JOIN, join, under="gw1") == []
     assert asks(hub, pki, "node", Verb.JOIN, join) == []
 
@@ -105,7 +106,7 @@ def test_only_gateways_can_send_gateway_requests(hub, pki):
 def test_a_gateway_cannot_send_operator_requests(hub, pki):
     request = AdminRequest(action=AdminAction.CANCEL)
     assert asks(hub, pki, "gw1", Verb.ADMIN, request) == []
-    assert asks(hub, pki, "gw1", Verb.ADMIN, request, under="boss") == []
+    assert asks(hub, pki, "gw1", Verb.ADMIN, request, under="admin") == []
     assert hub.progress().jobs["cancelled"] == 0
 
 

@@ -81,7 +81,7 @@ def _said(bundle: BundleReader) -> Instruction:
 def test_an_episode_records_a_sentence_that_fits_its_target_only(stage, package, split):
     with _episode(stage, split) as bundle:
         said, meta = _said(bundle), bundle.meta
-        assert validate(bundle, meta.job, CHAIR) == []
+        assert validate(bundle, meta.job, (CHAIR,)) == []
         assert said_findings(bundle, package) == []
         assert meta.instruction == said.text
         assert meta.phrase_is_unique
@@ -106,7 +106,7 @@ def test_the_robot_stops_at_its_start_if_the_named_object_does_not_exist(stage, 
     with _episode(stage, Split.TEST_FALSE_PREMISE) as bundle:
         said, meta = _said(bundle), bundle.meta
         assert (said.kind, said.fits) == (InstructionKind.FALSE_PREMISE, 0)
-        assert validate(bundle, meta.job, CHAIR) == []
+        assert validate(bundle, meta.job, (CHAIR,)) == []
         assert said_findings(bundle, package) == []
         assert bundle.length == meta.job.task.control_hz + 1
         assert not bundle.arrays.actions_continuous.any()
@@ -117,4 +117,4 @@ def test_the_robot_stops_at_its_start_if_the_named_object_does_not_exist(stage, 
 def test_an_episode_without_the_planned_sentence_is_refused(stage):
     with _episode(stage, Split.TEST_FALSE_PREMISE) as bundle:
         bundle.meta = bundle.meta.model_copy(update={"language": None})
-        assert "the episode has no verified instruction" in validate(bundle, bundle.meta.job, CHAIR)
+        assert "the episode has no verified instruction" in validate(bundle, bundle.meta.job, (CHAIR,))

@@ -69,7 +69,7 @@ def recorded(stage: SceneRenderer, job: Job) -> BundleReader:
     outcome = run_attempt(job, stage, file, "host-1", lambda _step: None)
     assert isinstance(outcome, Success), outcome
     bundle = BundleReader(file)
-    assert validate(bundle, job, TARGET) == []
+    assert validate(bundle, job, (TARGET,)) == []
     return bundle
 
 

@@ -56,7 +56,7 @@ def generate(site: Site, folder: Path, checker: Shared, shard: RunShard | None, 
     )
     catalog = room_catalog(folder)
     with ExitStack() as stack:
-        coordinator = stack.enter_context(Coordinator(site.home, PLAN, catalog, options))
+        coordinator = stack.enter_context(Coordinator(site.state_dir, PLAN, catalog, options))
         recorder = ShardRecorder(site, shard, PLAN, catalog) if shard is not None else None
         if recorder is not None:
             recorder.record(coordinator.progress())
@@ -92,7 +92,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory, checker: Shared) -> Path:
     folder = tmp_path_factory.mktemp("run")
     for number in range(1, COUNT + 1):
         site, shard = shard_site(folder, number), RunShard(number=number, count=COUNT)
-        site.home.mkdir(parents=True)
+        site.state_dir.mkdir(parents=True)
         if number == 1:
             generate(site, folder, checker, shard, most=1)
         generate(site, folder, checker, shard)
@@ -123,11 +123,11 @@ def test_an_interrupted_join_is_completed_by_the_same_call(shards, tmp_path, che
 
 def test_a_damaged_episode_of_a_shard_is_reported_and_not_copied(tmp_path, checker):
     site, shard = shard_site(tmp_path, 1), RunShard(number=1, count=1)
-    site.home.mkdir(parents=True)
+    site.state_dir.mkdir(parents=True)
     generate(site, tmp_path, checker, shard)
-    (site.home / "episodes" / "ep_000003.zip").write_bytes(b"damaged")
-    report = join(tmp_path / "joined", tmp_path, checker, site.home)
-    assert [(one.episode, one.shard) for one in report.rejected] == [("ep_000003", str(site.home))]
+    (site.state_dir / "episodes" / "ep_000003.zip").write_bytes(b"damaged")
+    report = join(tmp_path / "joined", tmp_path, checker, site.state_dir)
+    assert [(one.episode, one.shard) for one in report.rejected] == [("ep_000003", str(site.state_dir))]
     assert (report.episodes, report.digest) == (EPISODES - 1, None)
 
 
@@ -135,7 +135,7 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
     plan, site, shard = room_plan(2, Recording.STATES, crashes=2), site_of(tmp_path / "1"), RunShard(number=1, count=1)
     catalog = room_catalog(tmp_path)
     options = CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=SETTINGS, checker=checker, shard=shard)
-    with Coordinator(site.home, plan, catalog, options) as coordinator:
+    with Coordinator(site.state_dir, plan, catalog, options) as coordinator:
         for host in ("one", "two"):
             with WireWorker(coordinator.endpoints, coordinator.run, host) as worker:
                 while (given := worker.job())[0].index != 1:
@@ -154,7 +154,7 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
     assert report.digest == read_dataset_meta(site.place).dataset_digest
     with sqlite3.connect(out / "ledger.db") as ledger:
         ((reason,),) = ledger.execute("SELECT reason FROM jobs WHERE state = 'failed'").fetchall()
-    assert "quarantined in shard 1/1 after 2 failures of workers, last crash: as asked" in reason
+    assert "quarantined in shard 1/1 after 2 worker failures; the last was crash: as asked" in reason
     assert join_shards(target, found, checker, datetime.now(UTC)) == report.model_copy(update={"gathered": 0})
 
 
@@ -197,9 +197,9 @@ def test_another_shard_or_count_in_the_directory_of_a_shard_is_refused(shards, a
 
 def test_a_shard_is_recognised_by_its_ledger_if_its_state_file_is_lost(tmp_path, checker):
     site, shard = shard_site(tmp_path, 1), RunShard(number=1, count=4)
-    site.home.mkdir(parents=True)
+    site.state_dir.mkdir(parents=True)
     generate(site, tmp_path, checker, shard)
-    (site.home / "run_shard.json").unlink()
+    (site.state_dir / "run_shard.json").unlink()
     assert choose_shard(site, None, PLAN, is_new=False) == shard
     with pytest.raises(UsageError, match="contains shard 1/4 of the run, not the requested the whole run"):
         generate(site, tmp_path, checker, None)
@@ -226,20 +226,20 @@ def test_a_shard_in_a_bucket_is_taken_over_only_if_its_state_does_not_change(
     options = CoordinatorOptions(
         listen=("tcp/127.0.0.1:0",), settings=SETTINGS, checker=checker, shard=shard, store=first.store
     )
-    killed = Coordinator(first.home, PLAN, room_catalog(tmp_path), options)
+    killed = Coordinator(first.state_dir, PLAN, room_catalog(tmp_path), options)
     recorder = ShardRecorder(first, shard, PLAN, room_catalog(tmp_path))
     progress = killed.progress()
     recorder.record(progress)
     monkeypatch.setenv("MINIVLA_STATE", str(tmp_path / "node-2"))
     second, stop = site_of(url), threading.Event()
     assert may_take_over(second, stop, patience_s=0.2, pause_s=0.1)
-    beating = threading.Timer(0.05, recorder.finish, [progress])
-    beating.start()
+    heartbeat_due = threading.Timer(0.05, recorder.finish, [progress])
+    heartbeat_due.start()
     with pytest.raises(WorldError, match="another process runs the shard"):
         may_take_over(second, stop, patience_s=60.0, pause_s=0.1)
-    beating.join()
+    heartbeat_due.join()
     with (
-        Coordinator(second.home, PLAN, room_catalog(tmp_path), replace(options, take_over=True)),
+        Coordinator(second.state_dir, PLAN, room_catalog(tmp_path), replace(options, take_over=True)),
         pytest.raises(WorldError, match="has taken over the shard"),
     ):
         ShardRecorder(first, shard, PLAN, room_catalog(tmp_path)).record(progress)

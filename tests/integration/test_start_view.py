@@ -68,11 +68,11 @@ def _episode(stage: SceneRenderer, view: StartView | None, tier: Tier = Tier.NEA
 
 @pytest.mark.parametrize("tier", [Tier.NEAR, Tier.FAR])
 def test_the_first_frame_shows_the_target_and_no_other_object_that_the_instruction_fits(stage, tier):
-    with _episode(stage, StartView(rivals=(RIVAL.instance_id,)), tier) as bundle:
+    with _episode(stage, StartView(other_referents=(RIVAL.instance_id,)), tier) as bundle:
         shown = ids_in_view(bundle.ids(0), bundle.meta.job.gains.min_mask_px)
         assert shown & referents_of(bundle.meta.job, SCENE.info) == {TARGET.instance_id}
         assert not bundle.meta.phrase_is_unique
-        assert validate(bundle, bundle.meta.job, TARGET) == []
+        assert validate(bundle, bundle.meta.job, (TARGET,)) == []
 
 
 def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(stage):
@@ -81,8 +81,10 @@ def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(st
         outcome = run_attempt(_job(attempt, None), stage, file, "host-1", lambda _: None)
         with BundleReader(file) as bundle:
             if isinstance(outcome, Success) and np.count_nonzero(bundle.ids(0) == RIVAL.instance_id) >= 32:
-                claimed = bundle.meta.job.model_copy(update={"start_view": StartView(rivals=(RIVAL.instance_id,))})
-                assert validate(bundle, bundle.meta.job, TARGET) == []
+                claimed = bundle.meta.job.model_copy(
+                    update={"start_view": StartView(other_referents=(RIVAL.instance_id,))}
+                )
+                assert validate(bundle, bundle.meta.job, (TARGET,)) == []
                 found = start_findings(
                     bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0), bundle.depth(0)
                 )
@@ -95,7 +97,7 @@ def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(st
 
 def test_an_attempt_without_such_a_start_fails_with_the_reason_spawn(stage):
     walls = tuple(range(1, 1 + len(room_walls((-4.0, -4.0), (4.0, 4.0)))))
-    outcome = run_attempt(_job(1, StartView(rivals=walls)), stage, io.BytesIO(), "host-1", lambda _: None)
+    outcome = run_attempt(_job(1, StartView(other_referents=walls)), stage, io.BytesIO(), "host-1", lambda _: None)
     assert isinstance(outcome, AttemptFailure)
     assert outcome.reason == "spawn"
     assert "whose view meets the conditions" in outcome.detail
@@ -113,13 +115,13 @@ class _PartsOnly:
     [
         StartView(),
         StartView(within_rad=0.5),
-        StartView(rivals=(RIVAL.instance_id,)),
-        StartView(alike=(RIVAL.instance_id,)),
-        StartView(alike=(RIVAL.instance_id,), least_alike=1),
-        StartView(alike=(RIVAL.instance_id,), least_alike=1, ranks=(0.2, 0.9)),
+        StartView(other_referents=(RIVAL.instance_id,)),
+        StartView(same_category=(RIVAL.instance_id,)),
+        StartView(same_category=(RIVAL.instance_id,), least_same_category=1),
+        StartView(same_category=(RIVAL.instance_id,), least_same_category=1, ranks=(0.2, 0.9)),
     ],
 )
-def test_a_start_is_judged_as_its_whole_image_is(stage, view):
+def test_a_start_meets_the_conditions_exactly_if_its_whole_image_does(stage, view):
     stage.renderer.load(SCENE, CameraConfig())
     job = _job(1, view)
     for yaw in np.linspace(-math.pi, math.pi, 24, endpoint=False).tolist():
@@ -127,13 +129,13 @@ def test_a_start_is_judged_as_its_whole_image_is(stage, view):
         bearing = math.remainder(math.atan2(1.2 - pose.y, 1.5 - pose.x) - yaw, 2 * math.pi)
         image, least = stage.renderer.render_depth_and_ids(pose), job.gains.min_mask_px
         found = start_view_findings(view, TARGET.instance_id, bearing, image.ids, image.depth, CameraConfig(), least)
-        assert is_view_clear(job, TARGET, stage.renderer, pose) == (not found)
+        assert is_view_clear(job, SCENE.info, stage.renderer, pose) == (not found)
 
 
 @pytest.mark.parametrize("yaw", [math.pi, -1.0, 0.2])
 def test_no_whole_image_is_rendered_for_the_view_of_one_object(stage, yaw):
     stage.renderer.load(SCENE, CameraConfig())
     job, pose = _job(1, StartView(within_rad=math.pi)), Pose.planar(-1.0, 0.3, yaw, z=0.0)
-    assert is_view_clear(job, TARGET, _PartsOnly(stage.renderer), pose) == is_view_clear(
-        job, TARGET, stage.renderer, pose
+    assert is_view_clear(job, SCENE.info, _PartsOnly(stage.renderer), pose) == is_view_clear(
+        job, SCENE.info, stage.renderer, pose
     )

@@ -39,13 +39,13 @@ ANY_PORT = ("tls/127.0.0.1:0",)
 
 @pytest.fixture(scope="module")
 def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_authority(tmp_path_factory.mktemp("tls") / "pki", ("node", "node-1", "other"), ("boss",))
+    return make_authority(tmp_path_factory.mktemp("tls") / "pki", ("node", "node-1", "other"), ("admin",))
 
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Another authority with the same names."""
-    return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("boss",))
+    return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("admin",))
 
 
 def opened_at(folder: Path, pki: Path, endpoint: str = ANY_PORT[0]) -> Coordinator:
@@ -221,11 +221,11 @@ def test_a_worker_certificate_is_not_accepted_as_a_coordinator_certificate(pki):
 
 
 def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_path):
-    files = files_of(pki, "boss")
-    assert ask_progress(hub.endpoints, "boss", files).planned == 2
+    files = files_of(pki, "admin")
+    assert ask_progress(hub.endpoints, "admin", files).planned == 2
     request = AdminRequest(action=AdminAction.CANCEL, indices=(1,))
-    assert administer(tmp_path / "out", request, datetime.now(UTC), name="boss", tls=files).changed == (1,)
-    with WireWorker(hub.endpoints, hub.run, "boss", files) as claiming_peer:
+    assert administer(tmp_path / "out", request, datetime.now(UTC), name="admin", tls=files).changed == (1,)
+    with WireWorker(hub.endpoints, hub.run, "admin", files) as claiming_peer:
         assert (
             claiming_peer.ask(Verb.CLAIM, Claim(sid=claiming_peer.sid, token=secrets.token_hex(16)), ClaimReply) is None
         )

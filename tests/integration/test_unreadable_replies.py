@@ -28,7 +28,7 @@ def test_unreadable_replies_are_ignored_and_do_not_fill_the_log() -> None:
         assert link.open()
         with capture_logs() as lines:
             for _ in range(200):
-                assert link.greet(Hello(sid="host.1", host="host", slots=1, version="1")) == ()
+                assert link.send_hello(Hello(sid="host.1", host="host", slots=1, version="1")) == ()
     finally:
         link.close()
         babbler.close()

@@ -132,7 +132,7 @@ def test_pages_are_readable_without_javascript(browser, client):
         page.goto(f"{client.url}/episodes?sort=num_steps")
         page.click("text=ep_000003")
         assert page.locator("img[data-kind=rgb]").is_visible()
-        page.click("text=30 steps on")
+        page.click("text=30 steps forward")
         assert page.locator("img[data-kind=rgb]").get_attribute("alt") == "colour at step 11"
         page.click("nav >> text=Farm")
         assert "Archived episodes" in page.locator("main").inner_text()

@@ -120,7 +120,7 @@ def test_crash_report_contains_exit_status_and_last_output(tmp_path):
         WorkerThread(settings_for(hub.endpoint, tmp_path, pause_s=0.1)) as worker,
     ):
         assert worker.join() == 0
-        assert hub.ended[1].detail == "exit status 3; last output: EGL: the driver is gone"
+        assert hub.ended[1].detail == "exit status 3; last output: EGL: the driver is missing"
 
 
 def test_simulation_without_progress_is_killed_and_reported_as_hung(tmp_path):

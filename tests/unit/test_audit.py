@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-AUDIT = Path(__file__).parents[1] / "judges" / "audit.py"
+AUDIT = Path(__file__).parents[1] / "install" / "audit.py"
 FLAW = {"id": "PYSEC-1", "fix_versions": ["2.0"], "aliases": [], "description": ""}
 SOUND = {"name": "a", "version": "1.0", "vulns": []}
 FLAWED = {"name": "b", "version": "1.5", "vulns": [FLAW]}

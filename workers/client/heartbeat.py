@@ -53,7 +53,7 @@ class Heartbeat:
         host = self._host
         try:
             while host.phase.left_s > 0:
-                host.phase.beating.clear()
+                host.phase.heartbeat_due.clear()
                 self.beat()
                 if host.phase.closing.is_set():
                     time.sleep(min(_HURRIED_S, host.phase.left_s))
@@ -114,7 +114,7 @@ class Heartbeat:
 
     def _check_for_other_run(self) -> None:
         host = self._host
-        runs = {reply.run for reply in host.link.greet(self._hello) if isinstance(reply, HelloReply)}
+        runs = {reply.run for reply in host.link.send_hello(self._hello) if isinstance(reply, HelloReply)}
         if runs and host.run not in runs and host.settings.run is None:
             log.warning("run_changed", was=host.run, found=sorted(runs))
             host.phase.moved.set()
@@ -129,7 +129,7 @@ class Heartbeat:
         self._checked_at = time.monotonic()
         if any(
             isinstance(reply, HelloReply) and reply.trade is RunKind.EVALUATION
-            for reply in host.link.greet(self._hello)
+            for reply in host.link.send_hello(self._hello)
         ):
             log.info("evaluation_found", was=host.run)
             host.phase.moved.set()

@@ -35,7 +35,7 @@ class Phase:
         """Set when the worker also kills its current attempts and returns their jobs."""
         self.moved = threading.Event()
         """Set when another run takes the place of this one."""
-        self.beating = threading.Event()
+        self.heartbeat_due = threading.Event()
         """Set when a heartbeat is due at once: the worker closes, or the spool is half full."""
         self.error: BaseException | None = None
         """First exception that ended the worker, or `None`."""
@@ -45,7 +45,7 @@ class Phase:
     def close(self) -> None:
         """Stops claiming; current attempts finish."""
         self.closing.set()
-        self.beating.set()
+        self.heartbeat_due.set()
 
     def finish(self) -> None:
         """Ends the worker because all jobs of the run have ended, so that its results are no longer needed."""
@@ -163,7 +163,7 @@ class Host:
 
     def wait_for_beat(self) -> None:
         """Waits until the next heartbeat is due: after a quarter of the lease time with 20 % jitter, or earlier."""
-        self.phase.beating.wait(self._jittered(self.lease_ttl_s / _BEATS_PER_LEASE))
+        self.phase.heartbeat_due.wait(self._jittered(self.lease_ttl_s / _BEATS_PER_LEASE))
 
     def _jittered(self, seconds: float) -> float:
         return seconds * self.rng.uniform(0.8, 1.2)

@@ -118,7 +118,7 @@ class Link(Closing):
         self._declare()
         return True
 
-    def greet(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
+    def send_hello(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
         """Registers this worker with all coordinators that answer, and returns their replies, one for each run."""
         found: list[HelloReply | Refusal] = []
         for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S):

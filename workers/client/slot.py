@@ -67,7 +67,7 @@ class Slot:
 
     def _run_once(self) -> None:
         if self._host.spool.is_full:
-            self._host.phase.beating.set()
+            self._host.phase.heartbeat_due.set()
             self._host.pause(0.5)
             return
         self._ensure_simulation()
@@ -246,7 +246,8 @@ class Slot:
         except WorldError as error:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         if 2 * len(host.spool) >= host.settings.spool_limit:
-            host.phase.beating.set()  # its reply names the bundles to drop; small episodes take less than a beat
+            # its reply names the bundles to drop; small episodes take less time than the pause between heartbeats
+            host.phase.heartbeat_due.set()
         log.info("bundle_spooled", episode=name, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
         host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)

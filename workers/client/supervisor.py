@@ -172,7 +172,7 @@ def _find_run(
     while not stop.is_set():
         is_open = is_open or link.open()
         if is_open:
-            terms = _choose(link.greet(hello), settings, settled)
+            terms = _choose(link.send_hello(hello), settings, settled)
             if terms is not None:
                 return terms
         if settled is not None:

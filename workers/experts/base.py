@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 from schemas.scene import Target
-from workers.experts.image_measures import Sighting
+from workers.experts.image_measures import MaskMeasures
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
@@ -13,10 +13,10 @@ from workers.planning import Waypoint
 
 
 class ExpertObservation(Protocol):
-    """Observation of an expert; all but `sighting` and `obstacle_near` is ground truth. Image properties are lazy."""
+    """Observation of an expert: `target_mask` and `obstacle_near` are measured, the rest is true. Images are lazy."""
 
     @property
-    def sighting(self) -> Sighting:
+    def target_mask(self) -> MaskMeasures:
         """Measurements of the target in the image."""
 
     @property

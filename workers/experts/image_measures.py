@@ -19,7 +19,7 @@ _BYTE_SUM_ROWS = 255
 """Largest number of rows whose true pixels can be summed in one byte."""
 
 
-class Sighting(NamedTuple):
+class MaskMeasures(NamedTuple):
     """Measurements of the target in the image."""
 
     pixels: int
@@ -33,7 +33,7 @@ class Sighting(NamedTuple):
 
 def measure_mask(
     ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int, left: int = 0
-) -> Sighting:
+) -> MaskMeasures:
     """Measures the target's mask (paper Eq. 2-3).
 
     Args:
@@ -46,11 +46,11 @@ def measure_mask(
     mask = ids == instance_id
     pixels = int(np.count_nonzero(mask))
     if pixels < min_pixels:
-        return Sighting(pixels, FRAME_SIZE_PX / 2, lambda: 0.0)
+        return MaskMeasures(pixels, FRAME_SIZE_PX / 2, lambda: 0.0)
     columns = _pixels_by_column(mask)
     # a sum of multiples of 0.5, which float64 represents exactly, so that a window gives the same bits
     column = float(np.dot(columns, np.arange(left, left + ids.shape[1]) + 0.5)) / pixels
-    return Sighting(pixels, column, lambda: float(np.median(depth[mask])))
+    return MaskMeasures(pixels, column, lambda: float(np.median(depth[mask])))
 
 
 def _pixels_by_column(mask: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -11,7 +11,7 @@ from functools import cached_property
 
 from schemas.job import Job
 from schemas.terms import EndReason
-from workers.experts.image_measures import Sighting, are_near, foreground_window, is_obstacle_near, measure_mask
+from workers.experts.image_measures import MaskMeasures, are_near, foreground_window, is_obstacle_near, measure_mask
 from workers.geometry.pose import Pose
 from workers.render import DepthAndIds, PartialRenderer, RenderedFrame, Renderer, as_partial
 
@@ -43,7 +43,7 @@ class LazyFrame:
         return self._renderer().render_depth_and_ids(self._pose)
 
     @cached_property
-    def sighting(self) -> Sighting:
+    def target_mask(self) -> MaskMeasures:
         """Measurements of the target in the image."""
         renderer, left = self._partial, 0
         if renderer is None:
@@ -94,9 +94,9 @@ class Observation:
         return self.camera.frame
 
     @property
-    def sighting(self) -> Sighting:
+    def target_mask(self) -> MaskMeasures:
         """Measurements of the target in the image."""
-        return self.camera.sighting
+        return self.camera.target_mask
 
     @property
     def obstacle_near(self) -> bool:

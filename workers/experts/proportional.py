@@ -30,7 +30,7 @@ def depth_speed(seen: ExpertObservation, gains: ExpertConfig, radius_m: float) -
     """Returns k_v * (median mask depth) if the target is visible, else k_v * d; 0 inside the circle, m/s."""
     if seen.distance_m <= radius_m:
         return 0.0
-    return gains.speed_gain * (seen.sighting.measure_depth() if _is_visible(seen, gains) else seen.distance_m)
+    return gains.speed_gain * (seen.target_mask.measure_depth() if _is_visible(seen, gains) else seen.distance_m)
 
 
 def literal_speed(seen: ExpertObservation, gains: ExpertConfig, radius_m: float) -> float:
@@ -40,7 +40,7 @@ def literal_speed(seen: ExpertObservation, gains: ExpertConfig, radius_m: float)
     of the centroid. So every episode with this law ends with a timeout (docs/design/experts.md#proportional-expert).
     """
     if _is_visible(seen, gains):
-        return gains.speed_gain * (seen.sighting.measure_depth() - radius_m)
+        return gains.speed_gain * (seen.target_mask.measure_depth() - radius_m)
     return gains.speed_gain * seen.distance_m
 
 
@@ -69,7 +69,7 @@ class ProportionalExpert:
         if speed > gains.avoidance_speed_mps and seen.obstacle_near:
             speed = gains.avoidance_speed_mps
         half = FRAME_SIZE_PX / 2
-        error = -(seen.sighting.column - half) / half if _is_visible(seen, gains) else seen.bearing_rad
+        error = -(seen.target_mask.column - half) / half if _is_visible(seen, gains) else seen.bearing_rad
         limit = self._robot.max_yaw_rate_rps
         return Twist(
             min(max(speed, 0.0), self._robot.max_speed_mps),
@@ -78,4 +78,4 @@ class ProportionalExpert:
 
 
 def _is_visible(seen: ExpertObservation, gains: ExpertConfig) -> bool:
-    return seen.sighting.pixels >= gains.min_mask_px
+    return seen.target_mask.pixels >= gains.min_mask_px

@@ -96,7 +96,7 @@ class TinyRenderer(Closing):
         """Returns the atlas of the faces of a camera.
 
         Raises:
-            UsageError: no scene was loaded, or normals are wanted.
+            UsageError: no scene was loaded, or normals are requested.
         """
         if normals:
             raise UsageError("TinyRenderer has no normals: use the renderer gl, or remove `normals` from outputs")

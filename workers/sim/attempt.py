@@ -6,7 +6,6 @@ exception.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -16,21 +15,18 @@ from typing import BinaryIO
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route, format_of
 from schemas.instruction.referents import referents_of
-from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
-from schemas.language.instruction import Instruction
-from schemas.measure import Goal, measure_track, target_in_view
+from schemas.measure import measure_track
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason, Recording
 from workers.experts import Expert, make_expert
-from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.render import Renderer, as_partial
+from workers.sim.aim import EpisodeAim, ends_in_view, find_aim, is_view_clear, start_target
 from workers.sim.appearance import show_appearance
 from workers.sim.frames import add_frames, add_sampled_digests
-from workers.sim.language import write_instruction, write_questions
+from workers.sim.language import write_questions
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.sensors import LoadedSurroundings, add_measurements
@@ -64,10 +60,9 @@ Outcome = Success | AttemptFailure
 
 @dataclass(frozen=True)
 class _Attempt:
-    """Data shared by all starts of one attempt."""
+    """Data of the start at which an attempt drives."""
 
-    job: Job
-    target: Target
+    aim: EpisodeAim
     place: LoadedScene
     stage: SceneRenderer
     out: BinaryIO
@@ -88,62 +83,32 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
         on_step: called after each step with the number of steps.
     """
     place = stage.loaded(job.scene_sha256)
-    target = place.scene.info.target(job.target_id)
-    attempt = _Attempt(job, target, place, stage, out, sid, on_step)
+    target = start_target(job, place.scene.info)
     rng = job.rng()
     stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
-    is_clear = partial(is_view_clear, job, target, stage.renderer)
+    is_clear = partial(is_view_clear, job, place.scene.info, stage.renderer)
     for draws, start in enumerate(draw_poses(job, target, place, rng, is_clear), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
-            said = write_instruction(job, place, world.pose())
-            if said is None and job.language is not None:
-                continue  # from this start, every sentence also fits other objects
-            expert = make_expert(job)
-            planned = expert.begin(world.pose(), place.grid, target)
+            aim = find_aim(job, place, stage.renderer, world.pose())
+            if aim is None:
+                continue
+            attempt = _Attempt(aim, place, stage, out, sid, on_step)
+            expert = make_expert(aim.job)
+            planned = expert.begin(world.pose(), place.grid, aim.target)
             if planned is None:
                 return AttemptFailure(
-                    FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_pose_text(start)}", 0
+                    FailReason.NO_PATH, f"no drivable path to {aim.job.target_id} from {_pose_text(start)}", 0
                 )
-            if planned and job.demonstration.target_in_view and not _shows_target(attempt, planned):
-                detail = f"the path from {_pose_text(start)} ends without {job.target_id} in view"
+            if not ends_in_view(aim.job, aim.target, place, stage.renderer, planned):
+                detail = f"the path from {_pose_text(start)} ends without {aim.job.target_id} in view"
                 return AttemptFailure(FailReason.NOT_IN_VIEW, detail, 0)
-            return _drive_and_seal(attempt, world, expert, planned, draws, said)
+            return _drive_and_seal(attempt, world, expert, planned, draws)
     is_free = job.start_view is None and job.language is None
     conditions = "" if is_free else ", whose view meets the conditions of the instruction,"
     tries = f"in tier {job.tier} in {job.spawn.physics_draws} draws"
     return AttemptFailure(FailReason.SPAWN, f"no valid start pose{conditions} for {job.target_id} {tries}", 0)
-
-
-def is_view_clear(job: Job, target: Target, renderer: Renderer, pose: Pose) -> bool:
-    """Returns whether heading and image of a pose meet the job's conditions; renders only what is needed."""
-    view, own, least = job.start_view, target.instance_id, job.gains.min_mask_px
-    if view is None:
-        return True
-    x, y, _ = target.centroid_m
-    bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
-    if view.within_rad is not None and abs(bearing_rad) > view.within_rad:
-        return False
-    parts = as_partial(renderer)
-    if parts is not None:
-        is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
-        is_wanted = is_shown or not view.shows_target
-        if not (is_wanted and ((view.rivals or view.least_alike) if is_shown else view.alike)):
-            return is_wanted
-    image = renderer.render_depth_and_ids(pose)
-    return not start_view_findings(view, own, bearing_rad, image.ids, image.depth, job.camera, least)
-
-
-def _shows_target(attempt: _Attempt, planned: tuple[Waypoint, ...]) -> bool:
-    """Returns whether the target is in view at the end of a path; if not, the drive would fail."""
-    job, target = attempt.job, attempt.target
-    goal = Goal.of(target, job.task)
-    x, y, yaw = arrival_pose(planned, goal, goal.radius_m - STOPPED_M)
-    end = Pose.planar(x, y, yaw, z=attempt.place.scene.info.floor_height_m)
-    return target_in_view(
-        attempt.stage.renderer.render_depth_and_ids(end).ids, target.instance_id, job.gains.min_mask_px
-    )
 
 
 def _pose_text(pose: Pose) -> str:
@@ -156,10 +121,10 @@ def _drive_and_seal(
     expert: Expert,
     planned: tuple[Waypoint, ...],
     draws: int,
-    said: Instruction | None,
 ) -> Outcome:
     """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
-    job, target, place, stage = attempt.job, attempt.target, attempt.place, attempt.stage
+    aim, place, stage = attempt.aim, attempt.place, attempt.stage
+    job, target = aim.job, aim.target
     start = world.pose()
     stage.timer("start")
     done = drive(job, target, world, stage.renderer, expert, attempt.on_step, stage.timer)
@@ -181,9 +146,10 @@ def _drive_and_seal(
     route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
-    if said is not None:
-        asked = write_questions(job, place, poses, said)
-        meta = meta.model_copy(update={"language": said, "phrase_is_unique": said.fits == 1, "questions": asked})
+    if aim.said is not None:
+        asked = write_questions(job, place, poses, aim.said)
+        said = {"language": aim.said, "phrase_is_unique": aim.said.fits == 1, "questions": asked}
+        meta = meta.model_copy(update={**said, "choices": aim.choices})
     if shown is not None:
         meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
     sealed = writer.finish(done.arrays, meta)

@@ -76,7 +76,7 @@ class ClosedLoop:
         self.command = slew(self.command, wanted, job.robot, 1.0 / job.task.control_hz)
         self._actions.append(self.command)
         self.contact_steps += view.is_touching
-        end = self._judge(view)
+        end = self._end_reason(view)
         if end is not None:
             self.view = replace(view, end=end)
         return end
@@ -91,11 +91,11 @@ class ClosedLoop:
         """Releases the renderer, which may load another scene; images that were rendered stay accessible."""
         self._renderer.release()
 
-    def _judge(self, view: Observation) -> EndReason | None:
+    def _end_reason(self, view: Observation) -> EndReason | None:
         """Returns the reason for the end, or `None`; renders an image only if the robot makes no progress."""
         x, y, v = view.pose.x, view.pose.y, self.command.v_mps
         blocked = view.is_touching or (self._termination.would_stall(x, y, v) and view.obstacle_near)
-        return self._termination.judge(x, y, self._distance_m(view), blocked, v)
+        return self._termination.evaluate(x, y, self._distance_m(view), blocked, v)
 
     def _distance_m(self, view: Observation) -> float:
         """Returns the distance to the goal, metres; at a false premise the distance to the start, or infinity while the

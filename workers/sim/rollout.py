@@ -67,7 +67,7 @@ def drive(
         view = loop.view
         reason = loop.decide(expert.act(view))
         is_needed = visible is not None or reason is EndReason.SUCCESS
-        is_visible = is_needed and view.sighting.pixels >= job.gains.min_mask_px
+        is_visible = is_needed and view.target_mask.pixels >= job.gains.min_mask_px
         if visible is not None:
             visible += is_visible
         reason = _missed(job.demonstration, reason, loop.contact_steps, is_visible) or reason

@@ -27,7 +27,7 @@ class Termination:
         self._forward = 0
         self._track: deque[tuple[float, float]] = deque(maxlen=task.stall_steps + 1)
 
-    def judge(
+    def evaluate(
         self, x_m: float, y_m: float, distance_m: float, is_blocked: bool, commanded_mps: float
     ) -> EndReason | None:
         """Evaluates the next frame.

@@ -1,1 +1,1 @@
-"""Database of a ledger: engines, the writing thread, prepared statements and the seal. Defines no table."""
+"""Database of a ledger: engines, the writing thread, prepared statements, digest of a closed file. Defines no table."""

@@ -18,7 +18,7 @@ from coordinator.expansion.draw import redraw
 from coordinator.ledger.database.engine import open_reader, sqlite_files
 from coordinator.ledger.opening import planned_digest, planned_of, read_info
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.states import OPEN_STATES, Event, JobState
+from coordinator.ledger.states import FORMER_EVENTS, OPEN_STATES, Event, JobState, recorded_names
 from coordinator.ledger.tables import ADDED_LATER, BUILD, IS_EPISODE, METADATA, PLANNED, info, jobs
 from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
@@ -33,12 +33,13 @@ _ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
         ("jobs", "state"): tuple(JobState),
         ("jobs", "tier"): (*Tier, BUILD),
         ("jobs", "split"): (*Split, BUILD),
-        ("events", "event"): tuple(Event),
+        ("events", "event"): (*Event, *FORMER_EVENTS),
         ("events", "state"): tuple(JobState),
         ("attempts", "outcome"): _OUTCOMES,
     }
 )
-_WORLD = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_task_failure)
+_TASK_FAILURES = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_task_failure)
+_WORKER_FAILED = ", ".join(f"'{name}'" for name in recorded_names(Event.WORKER_FAILED))
 _OPEN = ", ".join(f"'{state}'" for state in OPEN_STATES)
 _RULES: Mapping[str, str] = MappingProxyType(
     {
@@ -93,10 +94,11 @@ _HISTORY = f"""
     SELECT jobs.idx, jobs.draw, jobs.attempt, jobs.misses, jobs.crashes, jobs.not_before, jobs.changed_at,
         (SELECT max(a.attempt) FROM attempts AS a WHERE a.idx = jobs.idx AND a.settles) AS settled,
         (SELECT count(*) FROM attempts AS a
-            WHERE a.job_id = jobs.id AND a.settles AND a.outcome IN ({_WORLD})) AS missed,
+            WHERE a.job_id = jobs.id AND a.settles AND a.outcome IN ({_TASK_FAILURES})) AS task_failures,
         (SELECT e.attempt FROM events AS e WHERE e.job_id = jobs.id ORDER BY e.id DESC LIMIT 1) AS last_attempt,
         (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.RETRIED}') AS retries,
-        (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.WORKER_FAILED}') AS hurts,
+        (SELECT count(*) FROM events AS e
+            WHERE e.job_id = jobs.id AND e.event IN ({_WORKER_FAILED})) AS worker_failures,
         (SELECT f.attempt FROM jobs AS f WHERE f.idx = jobs.idx AND f.draw = jobs.draw - 1) AS former
     FROM jobs WHERE state IN ({_OPEN}) AND (misses > 0 OR attempt != 1 OR draw > 0 OR crashes != 0 OR not_before > 0
         OR EXISTS (SELECT 1 FROM events AS e WHERE e.job_id = jobs.id))
@@ -232,13 +234,18 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
             yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)
         if row.attempt > expected:
-            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, but its records at {expected}"
-        if row.misses > row.missed or (not row.retries and row.misses != row.missed % plan.budget.attempts_per_draw):
-            yield f"is damaged: episode {row.idx} has {row.misses} misses, its records {row.missed}"
-        if row.crashes > row.hurts + (plan.budget.crashes if row.retries else 0):
-            yield f"is damaged: episode {row.idx} has {row.crashes} crashes, its records {row.hurts}"
+            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, its recorded attempts give {expected}"
+        failures = row.task_failures
+        if row.misses > failures or (not row.retries and row.misses != failures % plan.budget.attempts_per_draw):
+            yield f"is damaged: episode {row.idx} counts {row.misses} task failures, but {failures} are recorded"
+        failures = row.worker_failures
+        if row.crashes > failures + (plan.budget.crashes if row.retries else 0):
+            yield f"is damaged: episode {row.idx} counts {row.crashes} worker failures, but {failures} are recorded"
         if row.not_before > row.changed_at + _LONGEST_PAUSE_S:
-            yield f"is damaged: episode {row.idx} waits until {row.not_before}, and changed at {row.changed_at}"
+            yield (
+                f"is damaged: the pause of episode {row.idx} ends at {row.not_before}, too long after its last change "
+                f"at {row.changed_at}"
+            )
 
 
 def _draw_findings(connection: Connection, plan: Plan, catalog: Catalog) -> Iterator[str]:

@@ -17,6 +17,7 @@ from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.host_memory import read_memory
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
+from coordinator.ledger.states import event_name
 from coordinator.ledger.tables import BUILD, attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts
 from schemas.protocol.messages import HostMemory
@@ -153,7 +154,7 @@ def _events(connection: Connection) -> tuple[FarmEvent, ...]:
             row.idx,
             row.scene,
             row.tier == BUILD,
-            row.event,
+            event_name(row.event),
             row.state,
             row.attempt,
             row.sid,

@@ -12,7 +12,7 @@ from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
-from coordinator.ledger.states import JobState
+from coordinator.ledger.states import JobState, event_name
 from coordinator.ledger.tables import IS_EPISODE, attempts, episodes, events, jobs
 from coordinator.ledger.tallies import job_counts
 from schemas.dataset.rows import EpisodeSummary
@@ -156,8 +156,8 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
     )
     for row in connection.execute(query):
         _require_text(row)
-        state, at = JobState(row.state), _utc(row.at)
-        yield EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at)
+        name, state, at = event_name(row.event), JobState(row.state), _utc(row.at)
+        yield EventRecord(row.draw, row.attempt, name, state, row.sid, row.detail, at)
 
 
 def read_archived(connection: Connection) -> frozenset[int]:

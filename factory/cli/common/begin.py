@@ -45,10 +45,10 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
     if begun is not None:
         require_plan(begun, plan)
     elif site.store is None:
-        with translated("look into", site.home):
+        with translated("look into", site.state_dir):
             require_outside_datasets(site)
-            _note_foreign_files(site.home)
-    with translated("look into", site.home):
+            _note_foreign_files(site.state_dir)
+    with translated("look into", site.state_dir):
         has_episodes = bool(children(site.place / EPISODES))
     return RunStart(plan, begun is None and not has_episodes)
 

@@ -1,6 +1,6 @@
 """`--gate`: measures the success rate of first attempts in each scene before a run starts. Archives nothing.
 
-The command line runs the pilot, because the coordinator never simulates; the coordinator records the result.
+The command line runs the gate, because the coordinator never simulates; the coordinator records the result.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 GateMode = Literal["auto", "enforce", "report", "skip"]
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_PILOT = 50
+_GATE_ATTEMPTS = 50
 """First attempts per scene, as in the paper."""
 _MIN_SUCCESS = 0.8
-_MIN_EPISODES_FOR_PILOT = 4 * _PILOT
-"""Least number of episodes for which `auto` runs a pilot. Below it, a pilot costs over a quarter of the run."""
+_MIN_EPISODES_FOR_GATE = 4 * _GATE_ATTEMPTS
+"""Least number of episodes for which `auto` runs the gate. Below it, the gate costs over a quarter of the run."""
 _MEANINGS = (
-    f"Pilot before a new run: {_PILOT} first attempts in each scene. enforce: exit with 1 if less than "
-    f"{100 * _MIN_SUCCESS:.0f} % succeed; report: record the result and continue; skip: no pilot"
+    f"Gate before a new run: {_GATE_ATTEMPTS} first attempts in each scene. enforce: exit with 1 if less than "
+    f"{100 * _MIN_SUCCESS:.0f} % succeed; report: record the result and continue; skip: no gate"
 )
 
 
@@ -45,7 +45,7 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     if default == "auto":
         modes.insert(0, default)
     auto = (
-        f"; auto: report for scenes with at least {_MIN_EPISODES_FOR_PILOT} episodes, otherwise skip"
+        f"; auto: report for scenes with at least {_MIN_EPISODES_FOR_GATE} episodes, otherwise skip"
         if default == "auto"
         else ""
     )
@@ -54,27 +54,27 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     )
 
 
-def pilots(plan: Plan, mode: GateMode) -> Iterator[Plan]:
-    """Yields the plan of each pilot that a mode requires; `auto` omits families, whose layouts are not built yet."""
+def gate_plans(plan: Plan, mode: GateMode) -> Iterator[Plan]:
+    """Yields the plan of each gate run that a mode requires; `auto` omits families, whose layouts are not built yet."""
     for scene in plan.scenes:
         if mode == "skip" or (
-            mode == "auto" and (scene.layouts is not None or scene.episodes < _MIN_EPISODES_FOR_PILOT)
+            mode == "auto" and (scene.layouts is not None or scene.episodes < _MIN_EPISODES_FOR_GATE)
         ):
             continue
-        yield shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
+        yield shrink(plan, scenes=(scene.name,), episodes=min(_GATE_ATTEMPTS, scene.episodes))
 
 
 def measure_gate(
     plan: Plan, catalog: Catalog, mode: GateMode, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> tuple[GateOutcome, ...] | None:
-    """Runs the pilots that the mode requires; returns their outcomes, or `None` when `stop` was set.
+    """Runs the gate in the scenes that the mode requires; returns their outcomes, or `None` when `stop` was set.
 
     Raises:
         WorldError: the mode is `enforce` and the success rate in a scene is too low, or simulations do not start.
     """
     reports: list[GateReport] = []
-    for pilot in pilots(plan, mode):
-        report = try_scene(pilot, catalog, _MIN_SUCCESS, renderer, processes, stop)
+    for part in gate_plans(plan, mode):
+        report = try_scene(part, catalog, _MIN_SUCCESS, renderer, processes, stop)
         if report is None:
             return None
         reports.append(report)
@@ -100,14 +100,14 @@ def try_scene(
     Raises:
         WorldError: simulations do not start.
     """
-    from factory.runs.gate import Pilot, evaluate_gate, run_pilot  # only now: most runs have no pilot
+    from factory.runs.gate import GateRun, evaluate_gate, run_gate  # only now: most runs have no gate
 
-    pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
+    run = GateRun.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name
     with Bars() as bar:
-        task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
-        trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
-    return None if len(trials) < len(pilot.jobs) else evaluate_gate(name, plan.expert, trials, min_success)
+        task = bar.add_task(f"gate {name}", total=len(run.jobs))
+        trials = run_gate(run, stop, lambda done: bar.update(task, completed=done))
+    return None if len(trials) < len(run.jobs) else evaluate_gate(name, plan.expert, trials, min_success)
 
 
 def _outcome(report: GateReport) -> GateOutcome:

@@ -1,1 +1,1 @@
-"""Commands for many hosts: `coordinator`, `worker`, `gateway`, `gather`, `keys`."""
+"""Commands for many hosts: `coordinator`, `worker`, `gateway`, `gather`, `submit`, `keys`."""

@@ -17,7 +17,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import choose_listening, find_hosts
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
+from factory.cli.common.gating import GateMode, gate_option, gate_plans, measure_gate
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
@@ -111,7 +111,7 @@ def start(
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: the plan of the dataset in
     --out, or demo. Exits when the run has finished: with 0, or with 1 if episodes are missing. Exits with 0 if it
-    is stopped earlier. The pilot of --gate runs on this host before the first job is assigned.
+    is stopped earlier. The gate (--gate) runs on this host before the first job is assigned.
     """
     configure_logs(verbose)
     check_run_evaluations(http, evaluations)
@@ -123,7 +123,7 @@ def start(
         rendering = prepare_rendering(states, site, rig=changes["rig"], appearance=changes["appearance"])
     plan, is_new = begin(plan_name, site, changes)
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
-    require_room(site.home, settings.reserve_bytes)
+    require_room(site.state_dir, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         gate_mode = gate_mode if is_new else "skip"
         catalog = _build(plan, site, stop, gate_mode) if rendering is None else rendering.catalog
@@ -142,7 +142,7 @@ def start(
             find_states=simulate_all if rendering is None else rendering.states,
         )
         with (
-            Coordinator(site.home, plan, catalog, options) as coordinator,
+            Coordinator(site.state_dir, plan, catalog, options) as coordinator,
             run_pages(coordinator, site, http, http_token, ledger, evaluations),
         ):
             write_target_lists(catalog, site.place)
@@ -153,7 +153,7 @@ def start(
 
 def _build(plan: Plan, site: Site, stop: threading.Event, gate_mode: GateMode) -> Catalog:
     """Returns the scenes that are needed before the run; builds missing ones until `stop` is set."""
-    before = scenes_before_run(plan, pilots(plan, gate_mode))
+    before = scenes_before_run(plan, gate_plans(plan, gate_mode))
     with building_layouts(os.cpu_count() or 1, stop) as builds:
         return open_catalog(plan, site.place, scene_cache(), print_building, builds, only=before)
 

@@ -98,7 +98,7 @@ def _join(
     require_joinable(found, plan, partial=is_partial)
     require_outside_datasets(site)
     catalog = open_catalog(plan, site.place, scene_cache(), print_building, packages=found[0][0] / SCENES)
-    target = JoinTarget(site.place, site.home, ledger_url_of(site.home, ledger), plan, catalog)
+    target = JoinTarget(site.place, site.state_dir, ledger_url_of(site.state_dir, ledger), plan, catalog)
     with one_bar("gathering shards") as tell, Validator() as checker:
         report = join_shards(target, found, checker, datetime.now(UTC), tell)
     print_result(report, as_json, _print_joined)

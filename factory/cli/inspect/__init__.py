@@ -1,1 +1,2 @@
-"""Commands that inspect datasets: `status`, `jobs`, `verify`, `repair`, `replay`, `stats`, `report`, `show`, `view`."""
+"""Commands that inspect and maintain datasets: `status`, `jobs`, `verify`, `repair`, `pack`, `replay`, `stats`,
+`report`, `show`, `serve`, `view`."""

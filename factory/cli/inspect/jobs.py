@@ -152,17 +152,17 @@ def cancel(
 @command.command("release")
 @site_argument
 @click.argument("hosts", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="Release all barred and throttled hosts.")
+@click.option("--all", "everything", is_flag=True, help="Release all barred and limited hosts.")
 @ledger_option
 @tls_option
 @json_option
 def release(
     site: Site, hosts: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
-    """Allow barred or throttled HOSTS to receive jobs again.
+    """Allow barred or limited HOSTS to receive jobs again.
 
-    HOSTS are host names as printed by `factory status`. A host is throttled, then barred, when its attempts keep
-    failing because of the host.
+    HOSTS are host names as printed by `factory status`. A host is limited to one job at a time, then barred,
+    when its attempts keep failing because of the host.
     """
     if bool(hosts) == everything:
         raise UsageError("give either HOSTS, as `factory status` prints them, or --all")
@@ -229,9 +229,9 @@ def _ask(site: Site, request: AdminRequest, ledger: str | None, tls: Path | None
 
     now = datetime.now(UTC)
     if tls is None:
-        return administer(site.home, request, now, ledger)
+        return administer(site.state_dir, request, now, ledger)
     files, name = read_credentials(tls)
-    return administer(site.home, request, now, ledger, name=name, tls=files)
+    return administer(site.state_dir, request, now, ledger, name=name, tls=files)
 
 
 def _print_reply(reply: AdminReply, action: AdminAction) -> None:

@@ -29,7 +29,7 @@ def command(site: Site, as_json: bool) -> None:
     if dataset.meta.plan.record is not Recording.STATES:
         raise UsageError(f"{site} stores frames; only datasets of `factory run --record states` are packed")
     rows = dataset.metadata.select(["index", "file_sha256"]).to_pydict()
-    with open_archive(site.home, site.store) as archive:
+    with open_archive(site.state_dir, site.store) as archive:
         packed = pack_all(archive, dict(zip(rows["index"], rows["file_sha256"], strict=True)))
         shards, files = len(archive.shards()), len(archive.unpacked())
     if as_json:

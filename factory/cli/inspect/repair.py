@@ -51,7 +51,7 @@ def command(
     configure_logs()
     plan = _plan_of(plan_name, site) if plan_name is not None else None
     with one_bar("checking files") as tell, Validator() as validator:
-        found = inspect_dataset(site.place, site.home, plan, ledger, scene_cache(), print_building)
+        found = inspect_dataset(site.place, site.state_dir, plan, ledger, scene_cache(), print_building)
         report = repair(
             found,
             validator,

@@ -56,7 +56,7 @@ def command(
     configure_logs(verbose)
     for package in ("starlette", "uvicorn", "sqlalchemy"):
         require_package(package, "`factory serve`")
-    if not (is_dataset(site.home) or (site.place / EPISODES).is_dir()):
+    if not (is_dataset(site.state_dir) or (site.place / EPISODES).is_dir()):
         raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
     from factory.eval.results.store import read_manifest
     from factory.web.start import serve  # its packages are an extra

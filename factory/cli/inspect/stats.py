@@ -110,14 +110,18 @@ def print_language(found: LanguageStatistics) -> None:
     )
     _print_shares(found.rows, {"nearest": "nearest", "central": "central", "of category": "central_of_category"})
     print_text(
-        "\nAmong the objects of the category in view, the target is the nearest;\n"
+        "\nAmong the objects of the category in view, or those that could be the target if\n"
+        "it was drawn at the start, the target is the nearest, or has the largest mask;\n"
         "chance: a random one of them is the target; others: their mean number"
     )
     body = [
-        (row.group, _interval(row.nearest_of_category), _percent(row.chance), _number(row.others_in_view, 1))
+        (
+            *(row.group, _interval(row.nearest_of_category), _interval(row.largest_of_category)),
+            *(_percent(row.chance), _number(row.others_in_view, 1)),
+        )
         for row in found.rows
     ]
-    _table(("scene", "nearest of category", "chance", "others"), body)
+    _table(("scene", "nearest", "largest", "chance", "others"), body)
     print_text(
         "\nThe instruction fits several objects in the scene, or in view at the start.\n"
         "contradictory: another object of the category is in view, but not the target"

@@ -69,7 +69,7 @@ def command(
 
 
 def _has_ledger(site: Site, ledger: str | None) -> bool:
-    return ledger is not None or (site.home / LEDGER_FILE).is_file()
+    return ledger is not None or (site.state_dir / LEDGER_FILE).is_file()
 
 
 def _source(
@@ -149,7 +149,7 @@ def _describe_host(host: HostStatus) -> Text:
     """Returns why a host receives no jobs, or one at a time, and what to do."""
     why = f"{host.strikes} failures, last: {' '.join(host.reason[:_REASON_CHARS].split())}"
     if host.barred_at is None:
-        return Text(f"host {host.host} is throttled to one job at a time, with pauses: {why}", style="yellow")
+        return Text(f"host {host.host} is limited to one job at a time, with pauses: {why}", style="yellow")
     since = f"{host.barred_at:%H:%M:%S}"
     remedy = f"repair the host, then run `factory jobs release DIR {host.host}`"
     return Text(f"host {host.host} is barred since {since}: {why}; {remedy}", style="bold red")

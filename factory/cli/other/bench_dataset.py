@@ -22,7 +22,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 
 @click.command("dataset")
-@count_option("--episodes", 20_000, "Number of episodes; each needs 16 kB of disk, and 3 kB for ledger and tables.")
+@count_option("--episodes", 20_000, "Number of episodes; each needs 16 kB of disk, ledger and tables included.")
 @count_option("--reads", 2000, "Number of random episodes to read.")
 @click.option(
     "-o",

@@ -20,7 +20,9 @@ from workers.sim.scene_renderer import SceneRenderer
 
 
 @click.command("delivery")
-@count_option("--episodes", 40, "Number of episodes of each variant; a frames episode takes 30 to 100 MB.")
+@count_option(
+    "--episodes", 40, "Number of episodes of each variant; an episode of frames takes about 0.5 MB per frame."
+)
 @count_option("--workers", 8, "Number of simulated workers.", most=64)
 @pullers_option()
 @click.option(

@@ -174,7 +174,7 @@ def show_coordinator(report: CoordinatorBench) -> None:
     ]
     title = f"{report.jobs} jobs, {report.workers} requests in flight"
     print_table(title, ("quantity", "median", "range"), rows)
-    wire, crowd, rush = report.wire, report.wire.crowd, report.wire.rush
+    wire, sessions, deliveries = report.wire, report.wire.session_load, report.wire.delivery_load
     rows = [
         ("claim + announcement over zenoh, cycles/s", wire.cycles_per_s.median, _range(wire.cycles_per_s)),
         ("small bundles archived at the same time, 1/s", wire.archived_per_s.median, _range(wire.archived_per_s)),
@@ -185,17 +185,21 @@ def show_coordinator(report: CoordinatorBench) -> None:
         ),
         ("CPU time of the workers, ms per cycle", _round(wire.workers_cpu_ms.median), _range(wire.workers_cpu_ms)),
         ("start-up until it listens, s", wire.start_s.median, _range(wire.start_s)),
-        (f"memory with {crowd.sessions} sessions, MiB", crowd.memory.end_mib, f"peak {crowd.memory.peak_mib:.0f}"),
         (
-            f"{rush.workers} workers send {rush.bundle_mb:.0f} MB each, MB/s",
-            rush.mb_per_s,
-            f"{rush.seconds:.1f} s in total",
+            f"memory with {sessions.sessions} sessions, MiB",
+            sessions.memory.end_mib,
+            f"peak {sessions.memory.peak_mib:.0f}",
         ),
-        ("peak memory during this, MiB", rush.memory.peak_mib, ""),
+        (
+            f"{deliveries.workers} workers send {deliveries.bundle_mb:.0f} MB each, MB/s",
+            deliveries.mb_per_s,
+            f"{deliveries.seconds:.1f} s in total",
+        ),
+        ("peak memory during this, MiB", deliveries.memory.peak_mib, ""),
         (
             "claim of another worker during this, p99 ms",
-            rush.claim_p99_ms,
-            f"p50 {rush.claim_p50_ms:.1f}, n {rush.claims}",
+            deliveries.claim_p99_ms,
+            f"p50 {deliveries.claim_p50_ms:.1f}, n {deliveries.claims}",
         ),
     ]
     print_table("the same coordinator in a separate process", ("quantity", "value", "details"), rows)

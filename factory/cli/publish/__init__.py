@@ -1,1 +1,1 @@
-"""Commands that convert and upload datasets: `export`, `push`."""
+"""Commands that convert, relabel and upload datasets: `export`, `relabel`, `push`."""

@@ -89,7 +89,7 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
     "--exclude",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Leave out the flagged episodes of marks.json (see `factory serve`), or the ids in a text file, one on each "
+    help="Omit the flagged episodes of marks.json (see `factory serve`), or the ids in a text file, one on each "
     "line. Default: none.",
 )
 @rig_option("Export the sensors of a rig. Default: the recorded camera.")

@@ -1,1 +1,1 @@
-"""Command `factory rig`."""
+"""Command `rig` and its subcommands."""

@@ -1,1 +1,1 @@
-"""Commands that generate datasets: `run`, `plan`, `gate`."""
+"""Commands that generate datasets: `run`, `render`, `plan`, `gate`."""

@@ -111,7 +111,7 @@ def _prepared(
     return LocalRun(
         rendering.plan,
         rendering.catalog,
-        out.home,
+        out.state_dir,
         workers or os.cpu_count() or 1,
         renderer,
         verbose,

@@ -16,7 +16,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.bars import Bars
 from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, measure_gate, pilots
+from factory.cli.common.gating import GateMode, gate_option, gate_plans, measure_gate
 from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
 from factory.cli.common.layout_bar import building_layouts
 from factory.cli.common.options import (
@@ -62,7 +62,7 @@ from workers.experts import require_expert
     type=SHARD,
     metavar="NUMBER/COUNT",
     help="Generate one of COUNT parts of the run, without a network connection to the others; `factory gather` joins "
-    "them. No pilot unless --gate requests one. Default: the shard that --out contains, or the whole run.",
+    "them. No gate unless --gate requests it. Default: the shard that --out contains, or the whole run.",
 )
 @click.option(
     "--scenes",
@@ -127,7 +127,7 @@ def command(
     all_before = shard is not None or packages is not None
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_signals())
-        before = None if all_before else scenes_before_run(plan, pilots(plan, gate_mode))
+        before = None if all_before else scenes_before_run(plan, gate_plans(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
             catalog = open_catalog(plan, site.place, scene_cache(), print_building, builds, packages, before)
         gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
@@ -138,7 +138,7 @@ def command(
         run = LocalRun(
             plan,
             catalog,
-            site.home,
+            site.state_dir,
             processes,
             renderer,
             verbose,

@@ -1,1 +1,1 @@
-"""Subcommands of `factory scene`."""
+"""Command `scene` and its subcommands."""

@@ -1,6 +1,6 @@
-"""The SCENE|PACKAGE argument: the name of a built-in or imported scene, or the file of a scene package.
+"""The SCENE|PACKAGE argument: the name of a built-in or imported scene or of a layout, or the file of a scene package.
 
-A built-in scene that is not in the cache is built.
+A built-in scene or layout that is not in the cache is built.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 from click.shell_completion import CompletionItem
@@ -19,7 +20,7 @@ from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, read_scene
 from schemas.support.suggest import did_you_mean
-from schemas.terms import BUILTIN_CATEGORIES
+from schemas.terms import BUILTIN_CATEGORIES, family_of, layout_number
 
 seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 
@@ -44,7 +45,34 @@ file_argument = click.argument("file", type=click.Path(path_type=Path), shell_co
 """FILE: a scene of any format that `factory scene import` reads."""
 
 scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=complete_scene)
-"""SCENE|PACKAGE: the name of a built-in or imported scene, or a scene package (`*.scene.zip`)."""
+"""SCENE|PACKAGE: the name of a built-in or imported scene or of a layout (`office_00007`), or a scene package
+(`*.scene.zip`)."""
+
+
+class BuiltInLayout(NamedTuple):
+    """Layout of a built-in scene: arguments of `build_scene`."""
+
+    name: str
+    seed: int
+    called: str | None
+
+
+def built_in_layout(name: str, seed: int) -> BuiltInLayout | None:
+    """Returns the layout of the name of a built-in scene or of a layout; `None` for any other name.
+
+    Args:
+        name: name such as `office` or `office_00007`, whose number is its seed.
+        seed: seed of a scene without number.
+
+    Raises:
+        UsageError: the name has a number, and `seed` is another one.
+    """
+    number = layout_number(name)
+    if number is None:
+        return BuiltInLayout(name, seed, None) if name in BUILTIN_CATEGORIES else None
+    if seed not in (0, number):
+        raise UsageError(f"{name} is the layout of seed {number}, not {seed}; leave out --seed")
+    return BuiltInLayout(family_of(name), number, name)
 
 
 def chosen_scene(scene: str, seed: int) -> CompiledScene:
@@ -53,7 +81,8 @@ def chosen_scene(scene: str, seed: int) -> CompiledScene:
 
 
 def scene_package(scene: str, seed: int) -> Path:
-    """Returns the package of a name or file; if the name was imported several times, of the last import.
+    """Returns the package of a name or file; if the name was imported several times, of the last import. The number in
+    the name of a layout is its seed.
 
     Raises:
         UsageError: the name or file does not exist, or the file is not a scene package.
@@ -75,8 +104,9 @@ def scene_package(scene: str, seed: int) -> Path:
 def _package_called(name: str, seed: int) -> Path:
     from factory.scenes.build import build_scene
 
-    if name in BUILTIN_CATEGORIES:
-        return build_scene(name, seed, scene_cache())
+    built_in = built_in_layout(name, seed)
+    if built_in is not None:
+        return build_scene(built_in.name, built_in.seed, scene_cache(), called=built_in.called)
     imported = find_imported(scene_cache())
     if name not in imported:
         raise UsageError(_unknown_scene_error(name, imported))

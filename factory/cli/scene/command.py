@@ -18,7 +18,7 @@ from factory.cli.scene import list as scene_list
 from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
 from factory.cli.scene import targets as scene_targets
-from factory.cli.scene.choice import file_argument, seed_option
+from factory.cli.scene.choice import BuiltInLayout, built_in_layout, file_argument, seed_option
 from factory.cli.scene.package import describe_package, next_steps, print_others, print_package, print_steps
 from factory.scenes.limits import MAX_FILE_MB, MAX_TRIANGLES, StageLimits, Unit, UpAxis
 from factory.support.logs import configure_logs
@@ -69,14 +69,16 @@ def build(
 ) -> None:
     """Build a built-in scene.
 
-    NAME is the name of a built-in scene; see `factory scene list`. A scene that is in the cache is not built again.
+    NAME is the name of a built-in scene, see `factory scene list`, or of a layout, such as office_00007. A scene that
+    is in the cache is not built again.
     """
     from factory.scenes.build import build_scene, load_edits
 
     configure_logs(verbose)
     book, chosen = load_edits(rules, targets, name)
-    with stderr.status(f"building {name}, seed {seed}"):
-        path = build_scene(name, seed, cache or scene_cache(), book, chosen)
+    layout = built_in_layout(name, seed) or BuiltInLayout(name, seed, None)
+    with stderr.status(f"building {layout.name}, seed {layout.seed}"):
+        path = build_scene(layout.name, layout.seed, cache or scene_cache(), book, chosen, called=layout.called)
     facts = describe_package(path)
     print_result(facts, as_json, print_package)
 

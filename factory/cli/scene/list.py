@@ -40,9 +40,9 @@ def command(place: Place | None, as_json: bool) -> None:
         return
     _print(
         "",
-        ("scene", "summary", "seen categories", "held-out categories"),
+        ("scene", "summary", "seen categories", "held-out categories", "others in many layouts"),
         built_in,
-        ("name", "summary", "seen", "held_out"),
+        ("name", "summary", "seen", "held_out", "others"),
     )
     if imported:
         click.echo("")
@@ -75,15 +75,16 @@ def _in_dataset(root: Place, part: ScenePlan, sha256: str) -> dict[str, Any]:
 
 
 def _built_in() -> list[dict[str, Any]]:
-    from factory.scenes.author import BUILTIN_SCENES
+    from factory.scenes.author import BUILTIN_SCENES, PAPER_LAYOUTS
 
     return [
         {
             "name": name,
             "origin": "built-in",
-            "summary": scene.summary,
+            "summary": scene.summary + (f"; seed 0: {PAPER_LAYOUTS[name].summary}" if name in PAPER_LAYOUTS else ""),
             "seen": ", ".join(BUILTIN_CATEGORIES[name].seen),
             "held_out": ", ".join(BUILTIN_CATEGORIES[name].held_out),
+            "others": ", ".join(scene.others),
         }
         for name, scene in BUILTIN_SCENES.items()
     ]

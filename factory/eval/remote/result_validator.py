@@ -66,7 +66,13 @@ class ResultValidator:
     def __init__(self, tasks: Mapping[int, EvalTask]) -> None:
         self._tasks = tasks
 
-    def check(self, path: Path, job: Job, target: Target | None = None, scope: Scope = Scope.ALL) -> EvalReceipt:  # noqa: ARG002
+    def check(
+        self,
+        path: Path,
+        job: Job,
+        candidates: tuple[Target, ...] = (),
+        scope: Scope = Scope.ALL,  # noqa: ARG002
+    ) -> EvalReceipt:
         """Validates a bundle and returns its receipt for the ledger.
 
         Raises:
@@ -77,7 +83,7 @@ class ResultValidator:
             size = file.tell()
             driven = read_result_bundle(file)
         task = self._tasks[job.index]
-        findings = [] if target is None else result_findings(driven.result, task, target)
+        findings = result_findings(driven.result, task, candidates[0]) if candidates else []
         if driven.note.policy != task.policy:
             findings.append(f"note of policy {driven.note.policy!r}, asked {task.policy!r}")
         if findings:

@@ -89,7 +89,7 @@ def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
     category = str(rng.choice(in_view or there))
     if spec.template_id not in TEMPLATES:
         raise UsageError(
-            f"{spec.spec_id}: {spec.template_id!r} is not a template, so its category cannot be changed; leave out the "
+            f"{spec.spec_id}: {spec.template_id!r} is not a template, so its category cannot be changed; omit the "
             "variant `wrong` (`shuffled` gives other instructions)"
         )
     return instruction(spec.template_id, category, _colour(spec, scene, category, rng))

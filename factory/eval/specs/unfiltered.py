@@ -31,8 +31,7 @@ from schemas.terms import TIER_RANGE_M, ExpertName, Split, Tier
 from workers.geometry.grid import body_centre
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
-from workers.sim.attempt import is_view_clear
-from workers.sim.language import write_instruction
+from workers.sim.aim import find_aim, is_view_clear, start_target
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import Start, draw_among
 
@@ -125,18 +124,19 @@ def _spec(
 ) -> EvalSpec:
     for _ in range(_REDRAWS):
         job = to_job(plan, catalog, planned, attempt=1)
-        target = place.scene.info.target(job.target_id)
-        for pose in _draw_poses(job, target, place, stage):
-            drawn = _described(job, pose)
+        for pose in _draw_poses(job, place, stage):
             try:
-                view = simulator.reset(drawn, place)
+                view = simulator.reset(_described(job, pose), place)
             except UnstableStart:
                 continue
-            if not is_view_clear(job, target, stage.renderer, view.pose):
+            if not is_view_clear(job, place.scene.info, stage.renderer, view.pose):
                 continue
-            said = write_instruction(job, place, view.pose)
-            if said is None and job.language is not None:
+            aim = find_aim(job, place, stage.renderer, view.pose)
+            if aim is None:
                 continue
+            drawn, target, said = _described(aim.job, pose), aim.target, aim.said
+            if aim.choices:  # the distance to the drawn target differs
+                view = simulator.reset(drawn, place)
             if said is not None:
                 drawn = drawn.model_copy(update={"instruction": said.text, "template_id": said.template_id})
             instances, pixels = place.scene.info.instances, plan.gains.min_mask_px
@@ -174,18 +174,19 @@ def _described(job: Job, pose: Start) -> EvalSpec:
     )
 
 
-def _draw_poses(job: Job, target: Target, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
+def _draw_poses(job: Job, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
     """Yields free poses on the connected floor whose view meets the conditions of the instruction, at most as many as
     an attempt tests in physics."""
     stage.renderer.load(place.scene, job.camera)
     rng = np.random.default_rng(np.random.SeedSequence((job.root_seed, _DRAW_STREAM, job.index, job.draw)))
+    target = start_target(job, place.scene.info)
     left, z = job.spawn.physics_draws, place.scene.info.floor_height_m
     for _ in range(job.spawn.grid_draws):
         x, y, yaw = _draw(job, target, place, rng)
         is_on_floor = bool(place.grid.values_at(place.scene.reachable, body_centre(x, y, yaw), 0))
         if not (is_on_floor and place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m)):
             continue
-        if is_view_clear(job, target, stage.renderer, Pose.planar(x, y, yaw, z=z)):
+        if is_view_clear(job, place.scene.info, stage.renderer, Pose.planar(x, y, yaw, z=z)):
             yield x, y, yaw
             left -= 1
             if left == 0:

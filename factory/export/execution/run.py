@@ -63,7 +63,7 @@ class ExportOrder:
     episodes: tuple[str, ...] = ()
     """Selected ids; empty for all."""
     excluded: tuple[str, ...] = ()
-    """Ids to leave out."""
+    """Ids to omit."""
     workers: int = 0
     """Number of worker processes; 0 exports in this process."""
     rig: str | Rig | None = None

@@ -35,7 +35,7 @@ def select(
         dataset: the dataset.
         splits: wanted splits; all if none are given.
         episodes: wanted ids; all if none are given.
-        excluded: ids to leave out.
+        excluded: ids to omit.
 
     Raises:
         UsageError: an id is not in the dataset, or no episode is selected.

@@ -10,11 +10,11 @@ from typing import Any, TypeVar
 
 from coordinator.tables.card_configs import Configs
 from factory.dataset.episode import Episode
-from factory.dataset.steps import has_routes
+from factory.dataset.steps import has_questions, has_routes
 from factory.export.base import Decimated, Exporter, Finish, stride_of
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.features import features_of
-from factory.export.lerobot.layout import ImageFeature, Layout, LeRobotOptions, layout_of
+from factory.export.lerobot.layout import RGB, ImageFeature, Layout, LeRobotOptions, layout_of
 from factory.export.lerobot.measure import Stats
 from factory.export.lerobot.numbering import Numbering, number_pieces
 from factory.export.lerobot.piece import LeRobotFacts, write_piece
@@ -101,6 +101,9 @@ class LeRobotExport:
     numbering: Numbering
     has_routes: bool
     """Whether the source has sub-instructions."""
+    asked_about: str | None
+    """Image feature that the questions of the source are about; `None` if it has none, or the images of a rig are
+    exported."""
 
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
@@ -141,6 +144,7 @@ class LeRobotExport:
 def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
     """Numbers the pieces of an export and returns the description of the dataset."""
     plan, options = export.dataset.meta.plan, _widened(export.options)
+    is_asked = export.dataset.rig is None and has_questions(export.dataset.root, export.dataset.meta)
     stride = stride_of(options.fps, plan.task.control_hz)
     return LeRobotExport(
         out=export.out,
@@ -151,6 +155,7 @@ def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
         fps=plan.task.control_hz // stride,
         numbering=number_pieces(export.pieces, stride),
         has_routes=has_routes(export.dataset.root),
+        asked_about=RGB if is_asked else None,
     )
 
 

@@ -1,6 +1,7 @@
-"""Column `language_persistent` of LeRobot 0.6: sub-instructions as rows of the style `subtask`. Opens no file.
+"""Language columns of LeRobot 0.6: `language_persistent` with sub-instructions, `language_events` with questions.
 
-Every frame has all rows of its episode; a row is active from its `timestamp` until that of the next one.
+Every frame has all `subtask` rows of its episode; a row is active from its `timestamp` until that of the next one. The
+`vqa` rows of a question are at one frame. Opens no file.
 """
 
 from __future__ import annotations
@@ -10,23 +11,22 @@ from typing import Any
 
 import pyarrow as pa
 
+from schemas.language.question.model import Question
 from schemas.language.route.model import SubInstruction
 
-COLUMN = "language_persistent"
+COLUMN, EVENTS = "language_persistent", "language_events"
 FEATURE: dict[str, Any] = {"dtype": "language", "shape": [1], "names": None}
 """Entry of `features` in `info.json`."""
-TYPE = pa.list_(
-    pa.struct(
-        [
-            pa.field("role", pa.string(), nullable=False),
-            *(pa.field(name, pa.string()) for name in ("content", "style")),
-            pa.field("timestamp", pa.float32(), nullable=False),
-            pa.field("camera", pa.string()),
-            pa.field("tool_calls", pa.list_(pa.string())),
-        ]
-    )
+_SAID = (
+    pa.field("role", pa.string(), nullable=False),
+    *(pa.field(name, pa.string()) for name in ("content", "style")),
 )
-"""Type of the column (lerobot/datasets/language.py)."""
+_SHOWN = (pa.field("camera", pa.string()), pa.field("tool_calls", pa.list_(pa.string())))
+TYPE = pa.list_(pa.struct([*_SAID, pa.field("timestamp", pa.float32(), nullable=False), *_SHOWN]))
+EVENTS_TYPE = pa.list_(pa.struct([*_SAID, *_SHOWN]))
+"""Types of the columns (lerobot/datasets/language.py)."""
+_UNSPACED = frozenset({"zh"})
+"""Languages without spaces between sentences."""
 
 
 def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: int) -> list[dict[str, Any]]:
@@ -47,3 +47,33 @@ def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: 
 def with_subtasks(table: pa.Table, rows: Sequence[dict[str, Any]]) -> pa.Table:
     """Returns the frames of an episode with the column of its rows."""
     return table.append_column(pa.field(COLUMN, TYPE), pa.array([list(rows)] * len(table), TYPE))
+
+
+def question_rows(questions: Sequence[Question], camera: str, stride: int, frames: int) -> list[list[dict[str, Any]]]:
+    """Returns for each exported frame the rows of the questions that are asked there.
+
+    A question is asked at the first exported frame for which its answer was computed; others are omitted.
+
+    Args:
+        questions: questions about the episode.
+        camera: feature of the images that they are about.
+        stride: stride of the exported frames.
+        frames: number of exported frames.
+    """
+    found: list[list[dict[str, Any]]] = [[] for _ in range(frames)]
+    shared = {"style": "vqa", "camera": camera, "tool_calls": None}
+    for each in questions:
+        t = -(-each.start // stride)
+        if t < frames and t * stride < each.end:
+            space = "" if each.language in _UNSPACED else " "
+            answer = each.answer if each.reason is None else f"{each.answer}{space}{each.reason}"
+            found[t] += [
+                {"role": "user", "content": each.question, **shared},
+                {"role": "assistant", "content": answer, **shared},
+            ]
+    return found
+
+
+def with_questions(table: pa.Table, rows: Sequence[Sequence[dict[str, Any]]]) -> pa.Table:
+    """Returns the frames of an episode with the column of their questions."""
+    return table.append_column(pa.field(EVENTS, EVENTS_TYPE), pa.array(list(map(list, rows)), EVENTS_TYPE))

@@ -16,7 +16,17 @@ from coordinator.tables.write import parquet_schema
 from factory.export.base import Finish
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import data_schema
-from factory.export.lerobot.language import COLUMN, FEATURE, TYPE, subtask_rows, with_subtasks
+from factory.export.lerobot.language import (
+    COLUMN,
+    EVENTS,
+    EVENTS_TYPE,
+    FEATURE,
+    TYPE,
+    question_rows,
+    subtask_rows,
+    with_questions,
+    with_subtasks,
+)
 from factory.export.lerobot.layout import ImageFeature, Layout, LeRobotOptions
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
@@ -49,7 +59,7 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
     """Exporter of format `lerobot`: joins pieces to files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
-    version = 2
+    version = 3
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
     options = LeRobotOptions
 
@@ -73,7 +83,7 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     )
     dataset.write_info(
         VERSION,
-        {COLUMN: FEATURE} if dataset.has_routes else {},
+        dict.fromkeys(_language_types(dataset), FEATURE),
         chunks_size=limits.chunk_files,
         data_files_size_in_mb=limits.data_mib,
         video_files_size_in_mb=limits.video_mib,
@@ -122,8 +132,8 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
     """Writes the data files with one row group per episode and returns the position of each episode."""
     places: Places = {}
     schema = data_schema(dataset.layout)
-    if dataset.has_routes:
-        schema = schema.append(pa.field(COLUMN, TYPE)).remove_metadata()  # readers take the features from info.json
+    for name, kind in _language_types(dataset).items():
+        schema = schema.append(pa.field(name, kind)).remove_metadata()  # readers take the features from info.json
     for number, group in enumerate(_grouped(dataset.numbering, FRAMES_FILE, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
@@ -136,13 +146,24 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
         ):
             for numbered in group:
                 table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout)
-                if dataset.has_routes:
-                    rows = subtask_rows(
-                        numbered.piece.episode.steps, dataset.fps * dataset.stride, dataset.stride, numbered.frames
-                    )
-                    table = with_subtasks(table, rows).cast(schema)
-                writer.write_table(table)
+                writer.write_table(_with_language(table, dataset, numbered).cast(schema))
     return places
+
+
+def _language_types(dataset: LeRobotExport) -> dict[str, pa.DataType]:
+    """Returns the language columns of a dataset with their types."""
+    asked = {} if dataset.asked_about is None else {EVENTS: EVENTS_TYPE}
+    return ({COLUMN: TYPE} if dataset.has_routes else {}) | asked
+
+
+def _with_language(table: pa.Table, dataset: LeRobotExport, numbered: Numbered) -> pa.Table:
+    """Returns the frames of an episode with the language columns of the dataset."""
+    episode, stride, frames = numbered.piece.episode, dataset.stride, numbered.frames
+    if dataset.has_routes:
+        table = with_subtasks(table, subtask_rows(episode.steps, dataset.fps * stride, stride, frames))
+    if dataset.asked_about is not None:
+        table = with_questions(table, question_rows(episode.questions, dataset.asked_about, stride, frames))
+    return table
 
 
 def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimits) -> Places:

@@ -21,7 +21,7 @@ _GZIP_LEVEL = 3
 MEMBERS_TEXT = """\
 | `<camera>.rgb.png` | 8 bit |
 | `<camera>.depth.npy.gz` | float32 metres, axial or radial as `rig.json` has it, 0 where nothing was hit |
-| `<camera>.ids.npy.gz` | uint16 instance ids; 0 is nothing |
+| `<camera>.ids.npy.gz` | uint16 instance ids; 0 is background |
 | `<camera>.normals.npy.gz`, `<camera>.flow.npy.gz` | float32 unit normals; flow to the camera's next image, pixels |
 | `<lidar>.ranges.npy.gz`, `<lidar>.ids.npy.gz` | float32 metres (lines, samples), 0 without a return; uint16 ids |
 | `<imu>.motion.json` | `steps`, `angular_velocity` rad/s, `specific_force` m/s2 since the last sample |

@@ -17,6 +17,7 @@ _MEASURES = {
     "central": ("target is most central", "won"),
     "central_of_category": ("target is most central\nof its category", "won"),
     "nearest_of_category": ("target is nearest\nof its category", "won"),
+    "largest_of_category": ("target is largest\nof its category", "won"),
     "several_in_scene": ("fits several objects\nin the scene", "timeout"),
     "several_in_view": ("fits several objects\nin view", "timeout"),
     "contradictory": ("contradictory", "collision"),
@@ -29,6 +30,7 @@ _TABLES = {
         "most central": "central",
         "of its category": "central_of_category",
         "nearest of its category": "nearest_of_category",
+        "largest": "largest_of_category",
     },
     "Unclear instructions by scene": {
         "several in scene": "several_in_scene",
@@ -51,8 +53,9 @@ def draw(material: ReportInput) -> Figure:
         f"Shares of {count(found.read, 'episode')} with 95 % Wilson intervals; "
         f"{count(found.instructions, 'distinct instruction')}. "
         "Blue, in the first frame: the target is the object nearest to the camera, the object with the "
-        "smallest bearing, or that of its category with the smallest bearing, so that it can be found without language "
-        "or without spatial reasoning. Yellow: category and colour of the instruction fit several objects. "
+        "smallest bearing, or that of its category with the smallest bearing, the smallest distance or the largest "
+        "mask, so that it can be found without language or without spatial reasoning. "
+        "Yellow: category and colour of the instruction fit several objects. "
         "Red: the target is not in view in the first frame but another object of its category is (contradictory), or "
         "the instruction has “in front of you” and the target is not in view or more than 30 degrees from the heading."
     )

@@ -44,7 +44,7 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
             known[placement.model.name] = _pieces(placement.model.pieces)
         _place(scene, path, known[placement.model.name], _to_world(placement))
     names = sorted({part.surface.texture for part in scene.parts} - {""})
-    images = {name: TextureRecipe(name, plan.texture_seed) for name in names}
+    images = {name: TextureRecipe(name) for name in names}
     return scene.extraction(1.0, {name: hashlib.sha256(made_from.encode()).hexdigest()}, images)
 
 
@@ -57,10 +57,10 @@ def by_material(pieces: Iterable[PropPiece]) -> dict[str, list[PropPiece]]:
 
 
 @cache
-def encode_texture(name: str, seed: int) -> bytes:
+def encode_texture(name: str) -> bytes:
     """Returns a texture as PNG."""
     buffer = io.BytesIO()
-    Image.fromarray(draw_pixels(TextureRecipe(name, seed))).save(buffer, "PNG", compress_level=1)
+    Image.fromarray(draw_pixels(TextureRecipe(name))).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()
 
 
@@ -87,9 +87,12 @@ def _pieces(pieces: Sequence[PropPiece]) -> list[Piece]:
 
 
 def _surface(material: SurfaceMaterial) -> Surface:
-    rgb = linear_rgb(material.colour)
+    rgb, is_metal = linear_rgb(material.colour), material.metallic > 0.5
     if material.texture is not None:
         tint = _WHITE if material.tint is None else linear_rgb(material.tint)
-        return Surface(colour=tint, texture=material.texture, emits=material.glow > 0)
+        return Surface(
+            colour=tint, texture=material.texture, emits=material.glow > 0, name=material.name, is_metal=is_metal
+        )
     red, green, blue = (channel * material.glow for channel in rgb)
-    return Surface(colour=rgb, emits=max(red, green, blue) > 0.05, emission=(red, green, blue))
+    emits = max(red, green, blue) > 0.05
+    return Surface(colour=rgb, emits=emits, emission=(red, green, blue), name=material.name, is_metal=is_metal)

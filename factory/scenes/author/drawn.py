@@ -16,13 +16,15 @@ from schemas.errors import InvalidBundle
 from schemas.scene import Layer, TextureFile
 from schemas.scene.textures import decode_texture, encode_texture, remember_encoded
 
+_SEED = 0
 _KEPT = 64
 _FOLDER = "drawn"
 
 
 def draw_pixels(recipe: TextureRecipe) -> Layer:
-    """Draws a texture; each has a separate generator, so that a new one does not change the others."""
-    pixels = draw_texture(recipe.name, np.random.default_rng([recipe.seed, zlib.crc32(recipe.name.encode())]))
+    """Draws a texture, the same for all layouts; each has a separate generator, so that a new one does not change the
+    others."""
+    pixels = draw_texture(recipe.name, np.random.default_rng([_SEED, zlib.crc32(recipe.name.encode())]))
     pixels.flags.writeable = False
     return pixels
 
@@ -49,7 +51,7 @@ class DrawnTextures:
 
 @lru_cache(maxsize=_KEPT)
 def _pixels(cache: Path, version: str, recipe: TextureRecipe) -> Layer:
-    note = cache / _FOLDER / f"{recipe.name}-{recipe.seed}-{version}.json"
+    note = cache / _FOLDER / f"{recipe.name}-{version}.json"
     try:
         file = TextureFile.model_validate_json(note.read_bytes())
         data = (cache / file.file).read_bytes()

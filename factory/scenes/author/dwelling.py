@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
-from factory.scenes.author.geometry import AuthoredMesh, block, lathe, open_block, quad
-from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, tinted, wood
+from factory.scenes.author.ceilings import build_ceiling
+from factory.scenes.author.geometry import AuthoredMesh, block, open_block
+from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted
 from factory.scenes.author.partition import Division, Opening
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, RoomRecord
-from factory.scenes.author.room import LAMP, LAMP_RIM, PLATE, WALL_THICKNESS_M, Trim, floor, wall
+from factory.scenes.author.room import DOOR_CLEARANCE_M, WALL_THICKNESS_M, Trim, floor, wall
 
 _SIDES = "SNWE"
 GRIP = painted("Steel", 0.35, 1.0)
-_CEILING = tinted("Plaster", "CeilingPlaster", "#eeece6", 1.0, 0.9)
 
 
 class RoomLook(NamedTuple):
@@ -30,6 +30,16 @@ class RoomLook(NamedTuple):
     """Largest number of windows in a wall."""
     curtain: int | None = None
     """Variant of the curtains, or `None` for none."""
+    window: str = "SM_WindowHome"
+    """Model of the windows."""
+    window_pitch_m: float = 2.6
+    """Least length of wall for each window, metres."""
+    trim: Trim | None = None
+    """Trim of the walls, or `None` for that of the building."""
+    ceiling: str = ""
+    """Ceiling; empty for that of the building."""
+    height: float | None = None
+    """Height of the ceiling, metres; `None` for that of the building."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +48,11 @@ class BuildingLook:
 
     Attributes:
         looks: look by kind of room.
-        trim: trim of all walls.
+        trim: trim of the walls.
         leaf: material of the door leaves.
-        ceiling: plain, beams, boards or panels.
+        ceiling: style of the ceilings, see `build_ceiling`.
         views: variants of the windows to the south and west, and to the north and east.
-        height: height of the rooms, metres.
+        height: height of the walls and of the ceilings, metres.
     """
 
     looks: Mapping[str, RoomLook]
@@ -60,23 +70,26 @@ class BuiltRoom:
     number: int
     kind: str
     area: Rectangle
-    outer: str = ""
-    """Sides on the outer wall."""
+    outside: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """Parts of the sides that are outer walls, by side: start and end between the wall faces, metres."""
     doors: dict[str, list[float]] = field(default_factory=dict)
     """Centres of the openings by side, metres."""
+    joints: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """Start and end of the openings without a wall, by side, metres."""
     neighbours: list[int] = field(default_factory=list)
 
-    def closed_sides(self) -> str:
-        """Returns the sides without an opening."""
-        return "".join(side for side in _SIDES if side not in self.doors)
+    def has_wall(self, side: str, at: float, margin: float) -> bool:
+        """Returns whether a side has a wall at a position, and `margin` metres around it."""
+        return not any(low - margin < at < high + margin for low, high in self.joints.get(side, ()))
 
 
 def build_rooms(plan: FloorPlan, division: Division, building: BuildingLook) -> list[BuiltRoom]:
     """Adds the structures of all rooms and returns the rooms."""
     rooms = _built_rooms(division)
     for room, area in zip(rooms, division.areas, strict=True):
-        floor(plan, area, building.looks[room.kind].floor)
-        _ceiling(plan, area, building)
+        look = building.looks[room.kind]
+        floor(plan, area, look.floor)
+        build_ceiling(plan, area, look.ceiling or building.ceiling, look.height or building.height)
     for piece in _wall_runs(division.areas):
         _build_wall(plan, piece, division, building)
     for opening in division.openings:
@@ -89,19 +102,27 @@ def build_rooms(plan: FloorPlan, division: Division, building: BuildingLook) -> 
 
 
 def _built_rooms(division: Division) -> list[BuiltRoom]:
-    x0, y0 = min(a.x0 for a in division.areas), min(a.y0 for a in division.areas)
-    x1, y1 = max(a.x1 for a in division.areas), max(a.y1 for a in division.areas)
-    rooms = []
-    for number, (spec, area) in enumerate(zip(division.specs, division.areas, strict=True)):
-        edges = {"S": area.y0 - y0, "N": y1 - area.y1, "W": area.x0 - x0, "E": x1 - area.x1}
-        outer = "".join(side for side in _SIDES if edges[side] < 1e-6)
-        rooms.append(BuiltRoom(number, spec.kind, area.grown(-WALL_THICKNESS_M / 2), outer))
+    rooms = [
+        BuiltRoom(number, spec.kind, area.grown(-WALL_THICKNESS_M / 2))
+        for number, (spec, area) in enumerate(zip(division.specs, division.areas, strict=True))
+    ]
+    for run in _wall_runs(division.areas):
+        inside = run.above if run.below is None else run.below
+        if inside is not None and None in (run.below, run.above):
+            side = ("SN" if run.is_along_x else "WE")[run.above is None]
+            span = (run.span[0] + WALL_THICKNESS_M / 2, run.span[1] - WALL_THICKNESS_M / 2)
+            rooms[inside].outside.setdefault(side, []).append(span)
+    for room in rooms:
+        room.outside = {side: room.outside[side] for side in _SIDES if side in room.outside}
     for opening in division.openings:
         for own, other in (opening.rooms, opening.rooms[::-1]):
             area = division.areas[own]
             ahead = abs(opening.at - (area.y1 if opening.is_along_x else area.x1)) < 1e-6
             side = ("SN" if opening.is_along_x else "WE")[ahead]
-            rooms[own].doors.setdefault(side, []).append(opening.doorway.centre)
+            centre, half = opening.doorway.centre, opening.doorway.width / 2
+            rooms[own].doors.setdefault(side, []).append(centre)
+            if opening.is_joint:
+                rooms[own].joints.setdefault(side, []).append((centre - half, centre + half))
             rooms[own].neighbours.append(other)
     return rooms
 
@@ -139,18 +160,27 @@ def _wall_runs(areas: Sequence[Rectangle]) -> Iterator[_Run]:
 
 
 def _build_wall(plan: FloorPlan, run: _Run, division: Division, building: BuildingLook) -> None:
+    """Builds a wall with its doors; between two parts of a hall only keeps the floor clear."""
+    openings = [opening for opening in division.openings if _is_in(opening, run)]
+    if any(opening.is_joint for opening in openings):
+        low, high = run.span
+        near, far = run.at - DOOR_CLEARANCE_M, run.at + DOOR_CLEARANCE_M
+        plan.keep_clear(Rectangle(low, near, high, far) if run.is_along_x else Rectangle(near, low, far, high))
+        return
     looks = [None if room is None else building.looks[division.specs[room].kind] for room in (run.below, run.above)]
     shown = next(look for look in looks if look is not None)
     faces = tuple((look or shown).paint for look in looks)
-    trims = tuple(None if look is None else building.trim for look in looks)
-    doors = [
-        opening.doorway
-        for opening in division.openings
-        if opening.is_along_x == run.is_along_x
+    trims = tuple(None if look is None else look.trim or building.trim for look in looks)
+    doors = [opening.doorway for opening in openings]
+    wall(plan, run.is_along_x, run.at, run.span, (faces[0], faces[1]), doors, building.height, (trims[0], trims[1]))
+
+
+def _is_in(opening: Opening, run: _Run) -> bool:
+    return (
+        opening.is_along_x == run.is_along_x
         and abs(opening.at - run.at) < 1e-5
         and run.span[0] < opening.doorway.centre < run.span[1]
-    ]
-    wall(plan, run.is_along_x, run.at, run.span, (faces[0], faces[1]), doors, building.height, (trims[0], trims[1]))
+    )
 
 
 def _hang_leaf(plan: FloorPlan, opening: Opening, division: Division, building: BuildingLook) -> None:
@@ -203,57 +233,19 @@ def _leaf_trim(
     yield PropPiece(GRIP, bar((a1 - 0.11, a1 - 0.02), 0.045, (1.0, 1.02)))
 
 
-def _ceiling(plan: FloorPlan, area: Rectangle, building: BuildingLook) -> None:
-    """Adds a ceiling: plain, with beams, of boards or with lit panels; and round or square lamps."""
-    top = building.height
-    slab = {"boards": tinted("Boards", "CeilingBoards", "#d9b98a", 1.2, 0.6)}.get(building.ceiling, _CEILING)
-    plan.build("SM_Ceiling", PropPiece(slab, block((area.x0, area.y0, top), (area.x1, area.y1, top + 0.05))))
-    if building.ceiling == "beams":
-        count = max(1, round(area.depth / 1.1))
-        rows = [area.y0 + (row + 0.5) * area.depth / count for row in range(count)]
-        beams = [open_block((area.x0, y - 0.07, top - 0.14), (area.x1, y + 0.07, top), "SNB") for y in rows]
-        plan.build("SM_Beam", *(PropPiece(wood("Walnut"), beam) for beam in beams))
-    pitch = 2.4 if building.ceiling == "panels" else 2.9
-    columns, rows_ = max(1, round(area.width / pitch)), max(1, round(area.depth / pitch))
-    pieces: list[PropPiece] = []
-    for column in range(columns):
-        for row in range(rows_):
-            x = area.x0 + (column + 0.5) * area.width / columns
-            y = area.y0 + (row + 0.5) * area.depth / rows_
-            pieces += _panel_lamp(x, y, top) if building.ceiling == "panels" else _round_lamp(x, y, top)
-    plan.build("SM_CeilingLight", *pieces)
-
-
-def _panel_lamp(x: float, y: float, top: float) -> list[PropPiece]:
-    z = top - 0.032
-    glass = quad([(x - 0.55, y + 0.28, z), (x + 0.55, y + 0.28, z), (x + 0.55, y - 0.28, z), (x - 0.55, y - 0.28, z)])
-    return [
-        PropPiece(LAMP_RIM, block((x - 0.6, y - 0.32, top - 0.03), (x + 0.6, y + 0.32, top))),
-        PropPiece(LAMP, glass),
-    ]
-
-
-def _round_lamp(x: float, y: float, top: float) -> list[PropPiece]:
-    """A pendant: rose, cord and a flat glass drum, whose lower face lights the room."""
-    rose = lathe([(0.05, top - 0.03), (0.06, top)], (x, y), 8)
-    cord = lathe([(0.006, top - 0.24), (0.006, top - 0.03)], (x, y), 4)
-    shade = lathe([(0.30, top - 0.34), (0.28, top - 0.24)], (x, y), 12)
-    return [PropPiece(PLATE, rose), PropPiece(LAMP_RIM, cord), PropPiece(glowing("LampGlass", "#fff4de"), shade)]
-
-
 def _hang_windows(plan: FloorPlan, room: BuiltRoom, building: BuildingLook) -> None:
     look = building.looks[room.kind]
-    for side in room.outer:
-        model = plan.props.model("SM_WindowHome", building.views[side in "NE"])
-        length = room.area.width if side in "NS" else room.area.depth
-        count = min(look.windows, int(length // 2.6))
-        for index in range(count):
-            share = (index + 0.5) / count
-            x = {"W": room.area.x0, "E": room.area.x1}.get(side, room.area.x0 + share * room.area.width)
-            y = {"S": room.area.y0, "N": room.area.y1}.get(side, room.area.y0 + share * room.area.depth)
-            plan.add(model, x, y, FACING[side])
-            if look.curtain is not None:
-                plan.add(plan.props.model("SM_Drape", look.curtain), x, y, FACING[side])
+    for side, spans in room.outside.items():
+        model = plan.props.model(look.window, building.views[side in "NE"])
+        for low, high in spans:
+            count = min(look.windows, int((high - low) // look.window_pitch_m))
+            for index in range(count):
+                along = low + (index + 0.5) / count * (high - low)
+                x = {"W": room.area.x0, "E": room.area.x1}.get(side, along)
+                y = {"S": room.area.y0, "N": room.area.y1}.get(side, along)
+                plan.add(model, x, y, FACING[side])
+                if look.curtain is not None:
+                    plan.add(plan.props.model("SM_Drape", look.curtain), x, y, FACING[side])
 
 
 def rug(plan: FloorPlan, area: Rectangle, name: str) -> None:

@@ -21,16 +21,18 @@ _VARIANTS = 32_760
 """Common multiple of the numbers of variants, so that each variant is equally probable."""
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
 """Number of variants in one building, because each has a texture."""
+_JOINT_M = 0.8
+"""Distance along a side from an opening without a wall within which nothing hangs, metres."""
 _DOOR_M = 2.0
 """Distance along a wall from the centre of an opening within which nothing hangs, metres."""
 
 
 class Furnisher:
-    """Room with its plan and its style."""
+    """Room with its plan and its style; `clutter` is the probability of each small thing, 1 for all."""
 
-    def __init__(self, plan: FloorPlan, room: BuiltRoom, palette: Palette) -> None:
+    def __init__(self, plan: FloorPlan, room: BuiltRoom, palette: Palette, clutter: float = 1.0) -> None:
         self.plan, self.room, self.area, self.palette = plan, room, room.area, palette
-        self.rng = plan.rng
+        self.rng, self.clutter = plan.rng, clutter
         self.to_hang: list[str] = []
         """Wall objects that `hang_all` mounts after all furniture is placed."""
 
@@ -70,10 +72,35 @@ class Furnisher:
                     return found
         return None
 
-    def on_top(self, name: str, variant: int | None, below: PropPlacement, height: float, along: float = 0.0) -> None:
-        """Places a small object on furniture, `along` metres from its centre."""
+    def is_wanted(self) -> bool:
+        """Returns whether a small thing is placed; draws only if the building does not have all of them."""
+        return self.clutter >= 1.0 or bool(self.rng.random() < self.clutter)
+
+    def on_top(
+        self,
+        name: str,
+        variant: int | None,
+        below: PropPlacement,
+        height: float,
+        along: float = 0.0,
+        back: float = 0.0,
+        turn: float = 0.0,
+    ) -> None:
+        """Places a small object on furniture, `along` and `back` metres from its centre, turned by `turn` radians."""
+        self._lay(self.model(name, variant), below, height, along, back, turn)
+
+    def _lay(
+        self,
+        model: PropModel,
+        below: PropPlacement,
+        height: float,
+        along: float,
+        back: float = 0.0,
+        turn: float = 0.0,
+    ) -> None:
         c, s = math.cos(below.yaw), math.sin(below.yaw)
-        self.plan.add(self.model(name, variant), below.x + c * along, below.y + s * along, below.yaw, height)
+        x, y = below.x + c * along - s * back, below.y + s * along + c * back
+        self.plan.add(model, x, y, below.yaw + turn, height)
 
     def dress(
         self, piece: PropPlacement | None, names: Sequence[str], most: int = 2, top_m: float | None = None
@@ -85,9 +112,15 @@ class Furnisher:
         low, high = (float(bound[0]) for bound in (piece.model.low, piece.model.high))
         slots = int((high - low - 0.1) / _THING_M)
         chosen = [names[k] for k in self.rng.permutation(len(names))[: min(most, slots)]]
+        used: list[tuple[float, float]] = []
         for slot, name in zip(self.rng.permutation(slots), chosen, strict=False):
             along = (low + high) / 2 + (float(slot) - (slots - 1) / 2) * _THING_M
-            self.on_top(name, None, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
+            model = self.model(name)
+            ends = along + float(model.low[0]), along + float(model.high[0])
+            is_free = low < ends[0] and ends[1] < high and all(ends[1] < a or b < ends[0] for a, b in used)
+            if is_free and self.is_wanted():
+                used.append(ends)
+                self._lay(model, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
 
     def carpet(self, centre: tuple[float, float], width: float, depth: float, design: int = 0) -> None:
         """Lays a rug if the room has enough floor; `design` is its number in the palette."""
@@ -106,23 +139,28 @@ class Furnisher:
         x, y = of.x + c * along - s * shift, of.y + s * along + c * shift
         return self.plan.place(model, x, y, of.yaw, self.area, 0.0)
 
-    def before(self, name: str, variant: int | None, of: PropPlacement, reach: float) -> PropPlacement | None:
-        """Places a seat `reach` metres before a piece, towards which it faces."""
-        x, y = of.x + reach * math.sin(of.yaw), of.y - reach * math.cos(of.yaw)
-        return self.plan.place(self.model(name, variant), x, y, of.yaw + math.pi, self.area, 0.0, True)
+    def before(
+        self, name: str, variant: int | None, of: PropPlacement, reach: float, along: float = 0.0, turn: float = 0.0
+    ) -> PropPlacement | None:
+        """Places a seat `reach` metres before a piece and `along` metres from its centre, with its front towards the
+        piece, turned by `turn` radians."""
+        c, s = math.cos(of.yaw), math.sin(of.yaw)
+        x, y = of.x + c * along + s * reach, of.y + s * along - c * reach
+        return self.plan.seat(self.model(name, variant), x, y, of.yaw + math.pi + turn, self.area, of)
 
     def corner(self, name: str, variant: int | None = None, clearance: float = 0.35) -> PropPlacement | None:
         """Places a piece in a free corner."""
-        return self.plan.in_some_corner(self.model(name, variant), self.area, clearance)
+        return self.plan.in_some_corner(self.model(name, variant), self.area, clearance, avoid=True)
 
     def small(self, names: Sequence[str], clearance: float = 0.45) -> None:
         """Places small objects along the walls where they fit."""
         for name in names:
-            self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance)
+            if self.is_wanted():
+                self.plan.against_somewhere(self.model(name), self.area, self.sides(), clearance, avoid=True)
 
     def hang(self, name: str, count: int = 1) -> None:
         """Records wall objects for `hang_all`."""
-        self.to_hang += [name] * count
+        self.to_hang += [name for _ in range(count) if self.is_wanted()]
 
     def hang_all(self) -> None:
         """Mounts the recorded wall objects on free parts of the walls, away from the openings."""
@@ -132,6 +170,7 @@ class Furnisher:
                 x, y, yaw = wall_pose(model, self.area, side, float(self.rng.uniform(0.1, 0.9)), 0.0)
                 at = x if side in "NS" else y
                 is_clear = all(abs(at - door) > _DOOR_M for door in self.room.doors.get(side, ()))
+                is_clear &= self.room.has_wall(side, at, _JOINT_M)
                 if is_clear and self.plan.hang_at(model, x, y, yaw):
                     break
 

@@ -1,4 +1,4 @@
-"""Divides a rectangle into rooms by straight cuts, and chooses doors so that every room can be entered.
+"""Divides a floor into rooms by straight cuts, and chooses doors so that every room can be entered.
 
 Pure: works on rectangles in metres and a random generator. Does not build walls and does not furnish.
 """
@@ -6,13 +6,23 @@ Pure: works on rectangles in metres and a random generator. Does not build walls
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import accumulate, combinations
 from typing import NamedTuple
 
 from numpy.random import Generator
 
+from factory.scenes.author.circulation import (
+    HALL,
+    SLENDER,
+    Arrangement,
+    Block,
+    RoomSpec,
+    Scheme,
+    no_hall,
+    row_widths,
+)
 from factory.scenes.author.placement import Rectangle
 from factory.scenes.author.room import Doorway
 from schemas.errors import WorldError
@@ -21,29 +31,22 @@ _TRIES, _OUTLINES = 600, 4
 """Divisions tried for one outline, and number of outlines of the same floor area."""
 _GIVE = (0.8, 1.25)
 """Range of the factor by which the floor of a room may differ from its spec."""
-_SLENDER = 2.1
-"""Largest ratio of the sides of a room."""
 _END_M = 0.45
 """Least distance between an opening and the end of the common wall, metres."""
 
 
-class RoomSpec(NamedTuple):
-    """Room of a building program: kind, desired floor and least side, metres."""
-
-    kind: str
-    area_m2: float
-    least_m: float
-    is_hub: bool = False
-    """Whether other rooms may be entered from it."""
-
-
 class Opening(NamedTuple):
-    """Door or passage in the common wall of two rooms."""
+    """Door or passage in the common wall of two rooms, or the joint of two parts of a hall, which has no wall."""
 
     rooms: tuple[int, int]
     is_along_x: bool
     at: float
     doorway: Doorway
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether two parts of a hall meet here without a wall."""
+        return math.isinf(self.doorway.height)
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Doors(NamedTuple):
 
 
 def divide_floor(
-    rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], doors: Doors, hall_m: float | None = None
+    rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], doors: Doors, scheme: Scheme = no_hall
 ) -> Division:
     """Divides a floor so that every room has its least side and can be entered.
 
@@ -74,9 +77,9 @@ def divide_floor(
         rng: random generator.
         floor: outer rectangle, between the centre lines of the outer walls; if no division of it is found, others
             of the same area and centre are tried.
-        specs: rooms of the building.
+        specs: rooms of the building, without halls.
         doors: widths of the openings.
-        hall_m: width of a straight hall across the floor, or `None` for none; the hall is the last room.
+        scheme: arrangement of the halls; their parts are the last rooms.
 
     Raises:
         WorldError: no division was found.
@@ -93,27 +96,50 @@ def divide_floor(
             specs[k]._replace(area_m2=specs[k].area_m2 * float(rng.uniform(*_GIVE)))
             for k in rng.permutation(len(specs))
         )
-        areas = _cut(rng, floor, order) if hall_m is None else _cut_with_hall(rng, floor, order, hall_m)
-        if areas is None:
-            continue
-        if hall_m is not None:
-            order = (*order, RoomSpec("hall", 0.0, hall_m, is_hub=True))
-        openings = _open(rng, order, areas, doors)
-        if openings is not None:
-            return Division(order, tuple(areas), tuple(openings))
+        found = _divide(rng, scheme(rng, floor, order), doors)
+        if found is not None:
+            return found
     size = f"{outline.width:.1f} x {outline.depth:.1f} m"
     raise WorldError(f"no division of {size} into {len(specs)} rooms was found; use another seed")
 
 
+def _divide(rng: Generator, arrangement: Arrangement | None, doors: Doors) -> Division | None:
+    """Returns the rooms and openings of an arrangement, or `None` if a room does not suit or stays closed."""
+    areas: list[Rectangle] = []
+    for block in () if arrangement is None else arrangement.blocks:
+        cut = _row(block) if block.rows >= 1.0 else _cut(rng, block.area, block.specs, block.rows)
+        if cut is None:
+            return None
+        areas += cut
+    if arrangement is None:
+        return None
+    halls = [RoomSpec(HALL, 0.0, min(area.width, area.depth), is_hub=True) for area in arrangement.halls]
+    specs = (*(spec for block in arrangement.blocks for spec in block.specs), *halls)
+    areas += arrangement.halls
+    openings = _open(rng, specs, areas, doors)
+    return None if openings is None else Division(specs, tuple(areas), tuple(openings))
+
+
 def _suits(area: Rectangle, spec: RoomSpec) -> bool:
     short, long = sorted((area.width, area.depth))
-    return short >= spec.least_m and long <= _SLENDER * short
+    return short >= spec.least_m and long <= SLENDER * short
 
 
-def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], strips: float = 0.0) -> list[Rectangle] | None:
+def _row(block: Block) -> list[Rectangle] | None:
+    """Cuts a block into rooms side by side along its longer side; `None` if they do not fit."""
+    area, widths = block.area, row_widths(block.area, block.specs)
+    if widths is None:
+        return None
+    ends = list(accumulate(widths))
+    if area.width >= area.depth:
+        return [area._replace(x0=area.x0 + e - w, x1=area.x0 + e) for e, w in zip(ends, widths, strict=True)]
+    return [area._replace(y0=area.y0 + e - w, y1=area.y0 + e) for e, w in zip(ends, widths, strict=True)]
+
+
+def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], rows: float) -> list[Rectangle] | None:
     """Cuts a rectangle in two until each spec has a room of about its floor that suits it; `None` if that fails.
 
-    `strips` is the probability with which cuts across x are tried first, so that the rooms form a row.
+    `rows` is the probability with which cuts across x are tried first, so that the rooms form a row.
     """
     if len(specs) == 1:
         return [floor] if _suits(floor, specs[0]) else None
@@ -121,7 +147,7 @@ def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], strips: fl
     shares = [sum(spec.area_m2 for spec in specs[:k]) / total for k in range(1, len(specs))]
     nearest = sorted(range(len(shares)), key=lambda k: abs(shares[k] - 0.5))[:3]
     ways = [(k, is_along_x) for k in nearest for is_along_x in (True, False)]
-    order = sorted(rng.permutation(len(ways)), key=lambda number: not (ways[number][1] or rng.random() > strips))
+    order = sorted(rng.permutation(len(ways)), key=lambda number: not (ways[number][1] or rng.random() > rows))
     for number in order:
         k, is_along_x = ways[number]
         if is_along_x:
@@ -130,25 +156,11 @@ def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], strips: fl
         else:
             y = floor.y0 + shares[k] * floor.depth
             parts = floor._replace(y1=y), floor._replace(y0=y)
-        first = _cut(rng, parts[0], specs[: k + 1], strips)
-        second = None if first is None else _cut(rng, parts[1], specs[k + 1 :], strips)
+        first = _cut(rng, parts[0], specs[: k + 1], rows)
+        second = None if first is None else _cut(rng, parts[1], specs[k + 1 :], rows)
         if first is not None and second is not None:
             return first + second
     return None
-
-
-def _cut_with_hall(
-    rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], hall_m: float
-) -> list[Rectangle] | None:
-    """Cuts both sides of a hall along x; the hall is the last rectangle."""
-    k = len(specs) // 2 + int(rng.integers(len(specs) % 2 + 1))
-    share = sum(spec.area_m2 for spec in specs[:k]) / sum(spec.area_m2 for spec in specs)
-    y = floor.y0 + share * (floor.depth - hall_m)
-    south = _cut(rng, floor._replace(y1=y), specs[:k], 0.85)
-    north = None if south is None else _cut(rng, floor._replace(y0=y + hall_m), specs[k:], 0.85)
-    if south is None or north is None:
-        return None
-    return [*south, *north, floor._replace(y0=y, y1=y + hall_m)]
 
 
 def _common_wall(one: Rectangle, two: Rectangle) -> tuple[bool, float, float, float] | None:
@@ -165,13 +177,19 @@ def _common_wall(one: Rectangle, two: Rectangle) -> tuple[bool, float, float, fl
 
 
 def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle], doors: Doors) -> list[Opening] | None:
-    """Returns a spanning tree of openings through hubs, with loops between hubs; `None` if a room stays closed."""
+    """Returns the joints of the hall, and a spanning tree of openings through hubs, with loops between hubs; `None` if
+    a room stays closed."""
     pairs = [(i, j) for i, j in combinations(range(len(specs)), 2) if specs[i].is_hub or specs[j].is_hub]
     order = [pairs[k] for k in rng.permutation(len(pairs))]
     order.sort(key=lambda pair: not (specs[pair[0]].is_hub and specs[pair[1]].is_hub))
     group = list(range(len(specs)))
-    found: list[Opening] = []
+    found = list(_joints(specs, areas))
+    for joint in found:
+        i, j = joint.rooms
+        group = [group[i] if g == group[j] else g for g in group]
     for i, j in order:
+        if specs[i].kind == specs[j].kind == HALL:
+            continue
         is_loop = group[i] == group[j]
         if is_loop and not (specs[i].is_hub and specs[j].is_hub and rng.random() < doors.loops):
             continue
@@ -180,6 +198,42 @@ def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle],
             found.append(opening)
             group = [group[i] if g == group[j] else g for g in group]
     return found if len(set(group)) == 1 else None
+
+
+def _joints(specs: Sequence[RoomSpec], areas: Sequence[Rectangle]) -> Iterator[Opening]:
+    """Yields the joints of adjoining parts of the hall."""
+    halls = [number for number, spec in enumerate(specs) if spec.kind == HALL]
+    for i, j in combinations(halls, 2):
+        shared = _common_wall(areas[i], areas[j])
+        if shared is not None:
+            is_along_x, at, low, high = shared
+            yield Opening((i, j), is_along_x, at, Doorway((low + high) / 2, high - low, math.inf))
+
+
+def turned(rng: Generator, division: Division) -> Division:
+    """Returns a division in one of its eight rotations and reflections, drawn at random."""
+    is_swapped, flip_x, flip_y = (bool(rng.random() < 0.5) for _ in range(3))
+
+    def point(x: float, y: float) -> tuple[float, float]:
+        x, y = (-x if flip_x else x), (-y if flip_y else y)
+        return (y, x) if is_swapped else (x, y)
+
+    def rectangle(area: Rectangle) -> Rectangle:
+        (xa, ya), (xb, yb) = point(area.x0, area.y0), point(area.x1, area.y1)
+        return Rectangle(min(xa, xb), min(ya, yb), max(xa, xb), max(ya, yb))
+
+    def opening(each: Opening) -> Opening:
+        centre, at = each.doorway.centre, each.at
+        x, y = point(*((centre, at) if each.is_along_x else (at, centre)))
+        is_along_x = each.is_along_x != is_swapped
+        along, across = (x, y) if is_along_x else (y, x)
+        return each._replace(is_along_x=is_along_x, at=across, doorway=each.doorway._replace(centre=along))
+
+    return Division(
+        division.specs,
+        tuple(rectangle(area) for area in division.areas),
+        tuple(opening(each) for each in division.openings),
+    )
 
 
 def _opening(

@@ -19,7 +19,6 @@ from factory.scenes.author.props.catalogue import PropBuilder, PropModel
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 """Wall -> yaw of a prop with its back to that wall, radians. At yaw 0 a prop faces -y, with its back to the north."""
 
-_TEXTURE_SETS = 4
 SMALL_HALF_WIDTH_M = 0.3
 SMALL_STANDOFF_M = 0.30
 """Distance of the centre of small props from a wall, metres, so that the robot can drive along the wall."""
@@ -112,12 +111,9 @@ class FloorPlan:
     taken: list[Rectangle] = field(default_factory=list)
     kept_clear: list[Rectangle] = field(default_factory=list)
     rooms: list[RoomRecord] = field(default_factory=list)
-    texture_seed: int = field(init=False)
-    """Seed of the texture pixels. Layouts share a few sets of textures, so that a process draws each only once."""
 
     def __post_init__(self) -> None:
         self.props = PropBuilder(self.seed)
-        self.texture_seed = self.seed % _TEXTURE_SETS
 
     def build(self, name: str, *pieces: PropPiece) -> None:
         """Adds a part of the building under a numbered name."""
@@ -170,6 +166,15 @@ class FloorPlan:
             return None
         return self.stand(model, x, y, yaw)
 
+    def seat(
+        self, model: PropModel, x: float, y: float, yaw: float, room: Rectangle, of: PropPlacement
+    ) -> PropPlacement | None:
+        """Places a seat that may touch the piece at which it stands, and nothing else; `None` if it does not fit."""
+        print_ = footprint(model, x, y, yaw)
+        if any(print_.overlaps(other) for other in self.taken if other != of.floor_box):
+            return None
+        return self.place(model, x, y, yaw, room, 0.0, True)
+
     def stand(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement:
         """Places a model on the floor without a test; its footprint is taken."""
         self.taken.append(footprint(model, x, y, yaw))
@@ -198,12 +203,22 @@ class FloorPlan:
         return self.place(model, x, y, yaw, None, clearance)
 
     def against_somewhere(
-        self, model: PropModel, room: Rectangle, sides: str, clearance: float = 0.1, tries: int = 12
+        self,
+        model: PropModel,
+        room: Rectangle,
+        sides: str,
+        clearance: float = 0.1,
+        tries: int = 12,
+        avoid: bool = False,
     ) -> PropPlacement | None:
-        """Calls `against` with random positions along random walls of the given sides until a placement fits."""
+        """Calls `against` with random positions along random walls of the given sides until a placement fits; `avoid`
+        also keeps it off what is on the walls, such as curtains and window sills."""
         for _ in range(tries):
             side = sides[self.pick(len(sides))]
-            found = self.against(model, room, side, float(self.rng.uniform(0.04, 0.96)), clearance)
+            along = float(self.rng.uniform(0.04, 0.96))
+            if avoid and self.meets(model, *wall_pose(model, room, side, along, 0.03), 0.0):
+                continue
+            found = self.against(model, room, side, along, clearance)
             if found:
                 return found
         return None
@@ -229,9 +244,9 @@ class FloorPlan:
         strip = Rectangle(*low, *high) if side in "NS" else Rectangle(low[1], low[0], high[1], high[0])
         return not any(strip.overlaps(other) for other in (*self.kept_clear, *self.taken))
 
-    def meets(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
-        """Returns whether the rotated box of the model, with a margin of 5 cm, intersects the box of a placed model."""
-        print_ = footprint(model, x, y, yaw).grown(0.05)
+    def meets(self, model: PropModel, x: float, y: float, yaw: float, margin: float = 0.05) -> bool:
+        """Returns whether the rotated box of the model, with a margin in metres, intersects that of a placed model."""
+        print_ = footprint(model, x, y, yaw).grown(margin)
         return any(
             other.model.low[2] + other.z < model.high[2]
             and model.low[2] < other.model.high[2] + other.z
@@ -239,17 +254,24 @@ class FloorPlan:
             for other in self.placements
         )
 
-    def in_corner(self, model: PropModel, room: Rectangle, corner: int, clearance: float = 0.1) -> PropPlacement | None:
-        """Places a model in corner 0 SW, 1 SE, 2 NW or 3 NE of a room."""
+    def in_corner(
+        self, model: PropModel, room: Rectangle, corner: int, clearance: float = 0.1, avoid: bool = False
+    ) -> PropPlacement | None:
+        """Places a model in corner 0 SW, 1 SE, 2 NW or 3 NE of a room; `avoid` as for `against_somewhere`."""
         reach = float(max(model.high[0], -model.low[0], model.high[1], -model.low[1], 0.3)) + 0.04
         x = room.x1 - reach if corner & 1 else room.x0 + reach
         y = room.y1 - reach if corner & 2 else room.y0 + reach
+        if avoid and self.meets(model, x, y, 0.0, 0.0):
+            return None
         return self.place(model, x, y, 0.0, None, clearance)
 
-    def in_some_corner(self, model: PropModel, room: Rectangle, clearance: float = 0.55) -> PropPlacement | None:
-        """Places a model in the first of the four corners, in random order, that is free."""
+    def in_some_corner(
+        self, model: PropModel, room: Rectangle, clearance: float = 0.55, avoid: bool = False
+    ) -> PropPlacement | None:
+        """Places a model in the first of the four corners, in random order, that is free; `avoid` as for
+        `against_somewhere`."""
         for corner in self.rng.permutation(4):
-            found = self.in_corner(model, room, int(corner), clearance)
+            found = self.in_corner(model, room, int(corner), clearance, avoid)
             if found:
                 return found
         return None

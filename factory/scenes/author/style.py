@@ -1,4 +1,4 @@
-"""Palettes of homes, shops and schools: floors, walls, dados, doors, ceilings, window views, rugs, furniture looks.
+"""Palettes of buildings: floors, walls, dados, doors, ceilings, window views, rugs, furniture looks.
 
 Draws a style from a random generator. Does not build anything.
 """
@@ -38,10 +38,54 @@ _WALLPAPERS = (
     "Plaster", "Plaster", "Plaster", "WallpaperStripes", "WallpaperDamask", "WallpaperTrellis", "WallpaperDots",
     "WallpaperLeaves",
 )  # fmt: skip
-PLAIN_WALLS = ("Plaster", "Plaster", "Plaster", "Bricks", "BlockWork", "Panelling")
-"""Textures of the walls of a shop or a school."""
-_WALL_TILE_M = {"Bricks": 1.2, "BlockWork": 1.6, "Panelling": 1.0}
+_PLAIN_WALLS = ("Plaster", "Plaster", "Plaster", "Bricks", "BlockWork", "Panelling")
+_WALL_TILE_M = {"Bricks": 1.2, "BlockWork": 1.6, "Panelling": 1.0, "Sheeting": 2.0}
 """Length of one repeat of a texture of walls, metres; 0.8 m for the others."""
+
+
+_SURROUNDINGS = (
+    ("ViewStreet", "WindowView", "ViewTowers", "ViewPark"),
+    ("ViewSuburb", "ViewGarden", "ViewVillage", "ViewHills", "ViewWoods"),
+    ("ViewSea", "ViewHarbour"),
+    ("ViewSnow",),
+    ("ViewDesert",),
+)
+"""Views that a building can have to different sides; each view occurs once."""
+
+
+class Finishes(NamedTuple):
+    """Textures between which the palette of a kind of building chooses."""
+
+    walls: tuple[str, ...]
+    stones: tuple[str, ...] = _STONES
+    piles: tuple[str, ...] = _PILES
+    paints: tuple[str, ...] = tuple(_PAINT_TINTS)
+    """Names of the tints of the walls."""
+    stone_tints: tuple[str, ...] = tuple(_STONE_TINTS)
+
+
+HOME = Finishes(_WALLPAPERS)
+PUBLIC = Finishes(_PLAIN_WALLS)
+"""Finishes of shops and schools."""
+OFFICE = Finishes(
+    ("Plaster", "Plaster", "Plaster", "Plaster", "Bricks", "Panelling", "WallpaperStripes", "WallpaperTrellis"),
+    ("SquareTiles", "Terrazzo", "Screed", "Hexagons", "Marble"),
+    ("CarpetTiles", "CarpetTiles", "Pile", "LoopPile"),
+)
+CLINIC = Finishes(
+    ("Plaster",),
+    ("Vinyl", "Terrazzo", "SquareTiles", "Marble"),
+    ("Vinyl", "Vinyl", "WideBoards"),
+    ("Chalk", "Linen", "Sky", "Sage", "Rose", "Butter", "Lilac", "Ocean", "Stone", "Mint", "Peach", "Ash"),
+)
+HALL = Finishes(
+    ("Sheeting", "Sheeting", "BlockWork", "Plaster", "Bricks"),
+    ("Screed",),
+    ("CarpetTiles", "LoopPile"),
+    ("Chalk", "Linen", "Sky", "Sage", "Butter", "Ocean", "Stone", "Mint", "Denim", "Ash", "Olive"),
+    ("Chalk", "Graphite", "Fog", "Sage", "Sand", "Fog"),
+)
+"""Finishes of warehouses."""
 
 
 class Palette(NamedTuple):
@@ -70,27 +114,35 @@ class Palette(NamedTuple):
     """First variant of the pictures and of the tapestry."""
 
 
-def draw_palette(rng: Generator, walls: tuple[str, ...] = _WALLPAPERS) -> Palette:
-    """Draws a style: each part of it independently of the others; `walls` are the textures of the walls."""
-    names = list(_PAINT_TINTS)
-    paints = [_paint(rng, walls, names[k]) for k in rng.permutation(len(names))[:6]]
+def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:
+    """Draws a style: each part of it independently of the others."""
+    names, stones = finishes.paints, {name: _STONE_TINTS[name] for name in finishes.stone_tints}
+    paints = [_paint(rng, finishes.walls, names[k]) for k in rng.permutation(len(names))[:6]]
     frame = int(rng.integers(2)) * len(OUTLOOKS)
     return Palette(
         boards=_pick(rng, _one(rng, _PLANKS), "Floor", _BOARD_TINTS, 1.6, 0.5),
-        stone=_pick(rng, _one(rng, _STONES), "Stone", _STONE_TINTS, 1.4, 0.35),
-        pile=_pick(rng, _one(rng, _PILES), "Pile", _PILE_TINTS, 1.5, 0.95),
+        stone=_pick(rng, _one(rng, finishes.stones), "Stone", stones, 1.4, 0.35),
+        pile=_pick(rng, _one(rng, finishes.piles), "Pile", _PILE_TINTS, 1.5, 0.95),
         paints=tuple(paints),
         tiles=_pick(rng, _one(rng, _WET_WALLS), "WallTile", {**_STONE_TINTS, "Aqua": "#9fc2c4"}, 1.0, 0.3),
         trim=_trim(rng),
         leaf=_one(rng, (painted("White", 0.45), wood("Oak"), wood("Walnut"), painted("LightGrey", 0.5))),
         ceiling=_one(rng, CEILINGS),
-        views=(frame + int(rng.integers(len(OUTLOOKS))), frame + int(rng.integers(len(OUTLOOKS)))),
+        views=_views(rng, frame),
         curtain=int(rng.integers(6)),
         wood=int(rng.integers(12)),
         cover=int(rng.integers(12)),
         rugs=tuple(list(RUGS)[k] for k in rng.permutation(len(RUGS))[:3]),
         art=int(rng.integers(84)),
     )
+
+
+def _views(rng: Generator, frame: int) -> tuple[int, int]:
+    """Draws the views to two directions, which suit each other, and returns the variants of the windows."""
+    outlook, turn = int(rng.integers(len(OUTLOOKS))), int(rng.integers(len(OUTLOOKS)))
+    near = next(group for group in _SURROUNDINGS if OUTLOOKS[outlook] in group)
+    other = near[(near.index(OUTLOOKS[outlook]) + turn) % len(near)]
+    return frame + outlook, frame + OUTLOOKS.index(other)
 
 
 def _one(rng: Generator, choices: Sequence[Choice]) -> Choice:

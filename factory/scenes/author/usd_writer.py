@@ -39,7 +39,7 @@ def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: fl
         _write_model(model, directory / "props", metres_per_unit)
     pieces = [piece for structure in plan.structures for piece in structure.pieces]
     pieces += [piece for model in models.values() for piece in model.pieces]
-    _write_textures(pieces, directory / "textures", plan.texture_seed)
+    _write_textures(pieces, directory / "textures")
     path = directory / f"{name}.usdc"
     stage = _new_stage(path, "World", metres_per_unit)
     looks = _write_looks(stage, "/World/Looks", [p for s in plan.structures for p in s.pieces], "./textures")
@@ -166,6 +166,6 @@ def _write_placement(stage: Any, placement: PropPlacement, number: int, metres_p
     prim.SetInstanceable(number % 3 == 1)
 
 
-def _write_textures(pieces: Iterable[PropPiece], directory: Path, seed: int) -> None:
+def _write_textures(pieces: Iterable[PropPiece], directory: Path) -> None:
     for name in sorted({piece.material.texture for piece in pieces if piece.material.texture}):
-        (directory / f"{name}.png").write_bytes(encode_texture(name, seed))
+        (directory / f"{name}.png").write_bytes(encode_texture(name))

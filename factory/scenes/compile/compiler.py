@@ -21,6 +21,7 @@ from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_
 from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
 from factory.scenes.compile.shade import target_colour, triangle_areas
+from factory.scenes.compile.substance import materials_of
 from factory.scenes.compile.textures import DrawFunction, TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, TextureRecipe
 from factory.scenes.light import USUAL_DETAIL, LightDetail
@@ -61,6 +62,8 @@ class _Shown:
     """Target list of the user, if given."""
     uncoloured: frozenset[str]
     """Categories whose colour is never named."""
+    has_materials: bool
+    """Whether materials are recorded."""
 
     def triangles(self) -> Floats:
         """Returns all triangles (T, 3, 3), world metres."""
@@ -90,6 +93,7 @@ def compile_stage(
     rules: RuleBook | None = None,
     chosen: TargetList | None = None,
     limits: StageLimits = USUAL_LIMITS,
+    has_materials: bool = True,
 ) -> CompiledScene:
     """Compiles a scene file.
 
@@ -100,6 +104,7 @@ def compile_stage(
         rules: category rules; the built-in table when `None`.
         chosen: target list of the user; all targets that the rules find when `None`.
         limits: limits of the import.
+        has_materials: whether to record the materials of objects.
 
     Raises:
         UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
@@ -107,7 +112,8 @@ def compile_stage(
     """
     from factory.scenes.formats import extract_scene  # OpenUSD and readers of other formats, which layouts do not need
 
-    return compile_extraction(path.name, extract_scene(path, limits), name, source, rules, chosen)
+    content = extract_scene(path, limits)
+    return compile_extraction(path.name, content, name, source, rules, chosen, has_materials=has_materials)
 
 
 def compile_extraction(
@@ -119,6 +125,7 @@ def compile_extraction(
     chosen: TargetList | None = None,
     detail: LightDetail = USUAL_DETAIL,
     required: Collection[str] = (),
+    has_materials: bool = True,
     draw: DrawFunction | None = None,
 ) -> CompiledScene:
     """Compiles an extracted stage.
@@ -132,6 +139,7 @@ def compile_extraction(
         chosen: target list of the user; all targets that the rules find when `None`.
         detail: resolution of the light map, and number of rays.
         required: categories that must have a reachable target; checked before the light is computed.
+        has_materials: whether to record the materials of objects.
         draw: function that returns the pixels of the textures of an authored scene.
 
     Raises:
@@ -142,7 +150,7 @@ def compile_extraction(
     notes = list(extraction.notes)
     parts = with_floor(_without_outliers(file, extraction, notes), extraction.floor_m)
     parts = with_ceiling(parts, extraction.ceiling_m)
-    shown = _show(file, extraction, parts, (rules, chosen), notes, draw)
+    shown = _show(file, extraction, parts, (rules, chosen), has_materials, notes, draw)
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
         solid = solid_triangles(
@@ -193,7 +201,7 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
     limit = max(_SANE_RADIUS_M, _SANE_SPREAD * float(np.median(off)))
     for part, distance in zip(parts, off, strict=True):
         if distance > limit:
-            notes.append(f"{part.path}: left out, {distance:.0f} m away from everything else")
+            notes.append(f"{part.path}: omitted, {distance:.0f} m away from everything else")
     kept = [part for part, distance in zip(parts, off, strict=True) if distance <= limit]
     return tuple(sorted(kept, key=lambda part: part.path))
 
@@ -203,13 +211,14 @@ def _show(
     extraction: Extraction,
     parts: Sequence[Part],
     wishes: tuple[RuleBook, TargetList | None],
+    has_materials: bool,
     notes: list[str],
     draw: DrawFunction | None,
 ) -> _Shown:
     visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
     clear = sum(not part.is_collider for part in parts) - len(visible)
     if clear:
-        notes.append(f"{clear} see-through parts are solid but not shown")
+        notes.append(f"{clear} transparent parts are not rendered, but the robot cannot pass them")
     if not visible:
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes
@@ -219,7 +228,8 @@ def _show(
     found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
     candidates = apply_candidate_edits(found, visible, chosen)
     owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
-    return _Shown(visible, candidates, owners, number_objects(owners), book, chosen, rules.uncoloured)
+    ids = number_objects(owners)
+    return _Shown(visible, candidates, owners, ids, book, chosen, rules.uncoloured, has_materials)
 
 
 def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:
@@ -308,8 +318,10 @@ def _bounds(triangles: Floats) -> tuple[tuple[float, float, float], tuple[float,
 
 def _instances(shown: _Shown) -> tuple[Instance, ...]:
     categories = {candidate.path: candidate.category for candidate in shown.candidates}
+    materials = materials_of(shown.parts, shown.owners) if shown.has_materials else {}
     return tuple(
-        Instance(id=number, prim_path=path, category=categories.get(path)) for path, number in shown.ids.items()
+        Instance(id=number, prim_path=path, category=categories.get(path), materials=materials.get(path, ()))
+        for path, number in shown.ids.items()
     )
 
 

@@ -1,6 +1,6 @@
 """Selects the targets of a scene from the candidates: reachable objects with stable names, colours and tiers.
 
-Pure functions. Adds a note for every candidate that is left out.
+Pure functions. Adds a note for every candidate that is omitted.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def list_targets(
         ids: instance ids by path.
         spawns: (S, 2) surveyed points, metres.
         floor_m: height of the floor, metres.
-        notes: receives a note for each candidate that is left out.
+        notes: receives a note for each candidate that is omitted.
     """
     named = _named_targets(candidates, ids, shapes)
     tiers = {success: tiers_of(terrain, [one for one, _ in named], success, spawns) for success in SuccessMeasure}
@@ -56,9 +56,9 @@ def list_targets(
     for (target, bottom_m), centroid, surface in zip(named, by_centroid, by_surface, strict=True):
         bottom = bottom_m - floor_m
         if not -1.0 < bottom < HIGHEST_BOTTOM_M:
-            notes.append(f"{target.target_id}: left out, it hangs {bottom:.2f} m over the floor ({target.prim_path})")
+            notes.append(f"{target.target_id}: omitted, it hangs {bottom:.2f} m over the floor ({target.prim_path})")
         elif not (centroid or surface):
-            notes.append(f"{target.target_id}: left out, no pose within its success region fits ({target.prim_path})")
+            notes.append(f"{target.target_id}: omitted, no pose within its success region fits ({target.prim_path})")
         else:
             targets.append(_with_tiers(target, centroid or ((), ()), surface or ((), ())))
     return tuple(targets)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +133,8 @@ def _surface(reader: _Reader, material: Any, path: str) -> tuple[Surface, bool]:
     if effect is None:
         return Surface(), False
     if material.id not in reader.surfaces:
-        reader.surfaces[material.id] = _read_surface(reader, effect, path), bool(effect.double_sided)
+        named = replace(_read_surface(reader, effect, path), name=str(material.name or material.id))
+        reader.surfaces[material.id] = named, bool(effect.double_sided)
     return reader.surfaces[material.id]
 
 

@@ -164,7 +164,7 @@ def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
         surface = found.get(name, Surface())
         if key == "newmtl":
             name = rest
-            found[name] = Surface()
+            found[name] = Surface(name=name)
         elif key == "kd":
             colour = display_colour(*_triple(rest))
             found[name] = replace(surface, colour=colour, fallback=colour)

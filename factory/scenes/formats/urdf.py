@@ -130,7 +130,7 @@ def _surface(library: Library, shape: Element, materials: dict[str, Element], pa
     rgba, texture = material.find("color"), material.find("texture")
     red, green, blue, alpha = numbers(None if rgba is None else rgba.get("rgba"), (1.0, 1.0, 1.0, 1.0))
     colour = display_colour(red, green, blue)
-    surface = Surface(colour, "", colour, opacity=alpha)
+    surface = Surface(colour, "", colour, opacity=alpha, name=str(material.get("name") or ""))
     if texture is None or not texture.get("filename"):
         return surface if rgba is not None else None
     image = library.find(str(texture.get("filename")), path.parent)

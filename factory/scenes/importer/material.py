@@ -55,14 +55,14 @@ def read_surface(material: Any, notes: list[str]) -> Surface | None:
         material: `UsdShade.Material`.
         notes: list that receives a note if no colour is found.
     """
-    shader = material.ComputeSurfaceSource()[0]
+    name, shader = material.GetPrim().GetName(), material.ComputeSurfaceSource()[0]
     if shader and shader.GetIdAttr().Get() in _SURFACES:
-        return _one_tile(material, _preview(shader, notes), notes)
+        return replace(_one_tile(material, _preview(shader, notes), notes), name=name)
     shader = material.ComputeSurfaceSource("mdl")[0]
     surface = _mdl_inputs(shader) or _mdl_text(shader) if shader else None
     if surface is None:
         notes.append(f"{material.GetPath()}: no colour found in its shaders")
-    return surface
+    return None if surface is None else replace(surface, name=name)
 
 
 def _first_input(shader: Any, *names: str) -> Any | None:
@@ -77,7 +77,7 @@ def _preview(shader: Any, notes: list[str]) -> Surface:
         surface = _textured(end, notes)
     elif end is not None:
         surface = Surface(colour=_colour(end))
-    opacity = _value(shader, "opacity")
+    opacity, metallic = _value(shader, "opacity"), _value(shader, "metallic")
     glow = _follow(shader.GetInput("emissiveColor")) if shader.GetInput("emissiveColor") else None
     is_image = isinstance(glow, UsdShade.Shader)
     emission = _BLACK if glow is None or is_image else _colour(glow)
@@ -86,6 +86,7 @@ def _preview(shader: Any, notes: list[str]) -> Surface:
         opacity=1.0 if opacity is None else _scalar(opacity),
         emits=is_image or max(emission) > 0.05,
         emission=emission,
+        is_metal=metallic is not None and _scalar(metallic) > 0.5,
     )
 
 

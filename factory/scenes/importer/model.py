@@ -36,6 +36,10 @@ class Surface:
     """Whether the material is emissive."""
     emission: Colour = (0.0, 0.0, 0.0)
     """Linear emission colour, if it is uniform."""
+    name: str = ""
+    """Name of the material, whose words may tell its substance."""
+    is_metal: bool = False
+    """Whether the material is authored as a metal."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,6 @@ class TextureRecipe(NamedTuple):
 
     name: str
     """Name of the texture."""
-    seed: int
-    """Random seed of the texture."""
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class ReadableFolder:
             return surface
         shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not climbs else texture
         notes.append(
-            f"{material}: texture {shown} lies outside of the stage's folder, shown in one colour; "
+            f"{material}: texture {shown} is outside of the stage's folder, shown in one colour; "
             "move it below the folder or allow it (--allow-outside, in a plan allow_outside = true)"
         )
         return replace(surface, texture="", colour=surface.fallback)

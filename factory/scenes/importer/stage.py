@@ -113,7 +113,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
 def _root_prims_note(stage: Any) -> str:
     """Returns the note on the imported prims of a stage without a valid defaultPrim."""
     wanted = stage.GetRootLayer().defaultPrim
-    found = f"defaultPrim {wanted!r} is not there" if wanted else "no defaultPrim authored"
+    found = f"defaultPrim {wanted!r} does not exist" if wanted else "no defaultPrim authored"
     return f"{found}; all root prims are taken: {_roots(stage)}; deactivate those that are not of the scene"
 
 
@@ -144,7 +144,7 @@ def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
         file = Path(str(layer.realPath).partition("[")[0])
         if layer.realPath and not file.resolve().is_relative_to(folder):
             yield (
-                f"{_user_of(stage, layer)}: layer {layer.GetDisplayName()} lies outside of the stage's folder; read "
+                f"{_user_of(stage, layer)}: layer {layer.GetDisplayName()} is outside of the stage's folder; read "
                 "from where it is; move it below the folder to keep the scene as it is"
             )
 

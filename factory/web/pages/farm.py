@@ -205,7 +205,7 @@ def _scenes(workspace: Workspace, farm: Farm) -> list[tuple[str, int, int]]:
 
 
 def _disk(workspace: Workspace) -> str:
-    if not workspace.site.home.is_dir():
+    if not workspace.site.state_dir.is_dir():
         return "unknown"
-    usage = shutil.disk_usage(workspace.site.home)
+    usage = shutil.disk_usage(workspace.site.state_dir)
     return f"{format_bytes(usage.free)} of {format_bytes(usage.total)} free"

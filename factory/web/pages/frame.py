@@ -23,7 +23,7 @@ _MASK_PX = 160
 
 
 async def show_frame(request: Request) -> Response:
-    """Answers with an image of a frame: `?kind=rgb`, `depth` or `ids`; `?small=1` leaves out every second pixel."""
+    """Answers with an image of a frame: `?kind=rgb`, `depth` or `ids`; `?small=1` omits every second pixel."""
     query = request.query_params
     kind = query.get("kind", "rgb")
     if kind not in KINDS:

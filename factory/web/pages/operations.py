@@ -24,7 +24,7 @@ _TEXTS = MappingProxyType(
         AdminAction.DRAIN: "Lets every worker finish its current jobs and exit. Needs a running coordinator.",
         AdminAction.PAUSE: "Leases no further job until the run is resumed. Running jobs continue.",
         AdminAction.RESUME: "Leases jobs again.",
-        AdminAction.RELEASE: "Assigns jobs to all barred and throttled hosts again.",
+        AdminAction.RELEASE: "Assigns jobs to all barred and limited hosts again.",
     }
 )
 """Effect of each operation."""

@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import Landmark, Relation
-from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.expression import AHEAD_SIDES, Landmark, Relation, ViewSide
+from schemas.language.graph import SceneGraph, SceneObject
+from schemas.language.kinds import UNKNOWN
 from schemas.language.thresholds import Band
+from schemas.language.tops import SurfaceTop
 from schemas.language.view import SceneView
 from schemas.support.numpy_types import Bools, Floats, Ints
 
@@ -72,23 +74,28 @@ class SceneFacts:
     graph: SceneGraph
 
     @cached_property
-    def _kind_masks(self) -> dict[tuple[str, str | None], Masks]:
+    def _kind_masks(self) -> dict[tuple[str, str | None, str | None], Masks]:
         return {}
 
-    def described(self, kind: str, colour: str | None) -> Masks:
-        """Returns which objects a kind or superclass fits, with a colour if one is given."""
-        key = kind, colour
+    def described(self, kind: str, colour: str | None, material: str | None = None) -> Masks:
+        """Returns which objects a kind or superclass fits, with a colour and a material if they are given."""
+        key = kind, colour, material
         if key not in self._kind_masks:
             table, objects = self.graph.kinds, self.graph.objects
             inside, alike = table.kinds_of(kind), table.borderline_of(kind)
             own = np.array([each.kind in inside for each in objects], bool)
             looks = np.array([each.looks in inside for each in objects], bool)
             sure = own & (looks | np.array([each.looks is None for each in objects], bool))
-            possible = own | looks | np.array([each.kind in alike for each in objects], bool)
+            shows = np.array([not inside.isdisjoint(each.shows) for each in objects], bool)
+            possible = own | looks | shows | np.array([each.kind in alike for each in objects], bool)
             if colour is not None:
                 same = np.array([each.colour == colour for each in objects], bool)
                 sure &= same
                 possible &= same | np.array([each.colour == UNKNOWN for each in objects], bool)
+            if material is not None:
+                sure &= np.array([each.materials[:1] == (material,) for each in objects], bool)
+                known = np.array([bool(each.materials) and UNKNOWN not in each.materials for each in objects], bool)
+                possible &= ~known | np.array([material in each.materials for each in objects], bool)
             self._kind_masks[key] = Masks(sure, possible)
         return self._kind_masks[key]
 
@@ -137,6 +144,14 @@ class SceneFacts:
         room = self.graph.room_of
         same, unknown = room[:, None] == room, (room[:, None] == 0) | (room == 0)
         return Masks((same & ~unknown) | unknown, same | unknown)
+
+    @cached_property
+    def same_room(self) -> Masks:
+        """(N, N) pairs that are surely in one room without a wide opening between them, and those that possibly are."""
+        room, area = self.graph.room_of, self.graph.area_of
+        known = (room > 0) & (area > 0)
+        sure = (room[:, None] == room) & (area[:, None] == area) & known[:, None] & known
+        return Masks(sure, (room[:, None] == room) | (room[:, None] == 0) | (room == 0))
 
     @cached_property
     def close(self) -> Masks:
@@ -199,12 +214,69 @@ class SceneFacts:
         hung = _below(gap, limit.TOUCH_M).both(_above(self._base, limit.WALL_BASE_M))
         stands = self.support[Relation.ON].possible.any(axis=0) if len(objects) else np.zeros(0, bool)
         corners = _below(corner, limit.CORNER_M)
-        return {Relation.ON_WALL: Masks(hung.sure & ~stands, hung.possible), Relation.IN_CORNER: corners}
+        return {
+            Relation.ON_WALL: Masks(hung.sure & ~stands, hung.possible),
+            Relation.IN_CORNER: corners,
+            **self._states,
+        }
 
-    def in_room(self, room: int) -> Masks:
-        """Returns which objects are in a room."""
+    @cached_property
+    def _states(self) -> dict[Relation, Masks]:
+        """(N,) objects with nothing, and with something on their flat top."""
+        objects = self.graph.objects
+        known = np.array([each.top is not None for each in objects], bool)
+        free = np.array([each.top is not None and not each.top.above for each in objects], bool)
+        laden = np.array([each.top is not None and _is_laden(each.top, each) for each in objects], bool)
+        return {Relation.EMPTY: Masks(free, ~known | ~laden), Relation.LADEN: Masks(laden, ~known | ~free)}
+
+    def counted(self, relation: Relation, kind: str, count: int) -> Masks:
+        """Returns which objects have an exact number of objects of a kind beside or on them."""
+        key = relation, kind, count
+        if key not in self._counted:
+            fitting = self.described(kind, None)
+            pairs = self._beside if relation is Relation.WITH_BESIDE else self._carried
+            sure = (pairs.sure & fitting.sure).sum(axis=1)
+            possible = (pairs.possible & fitting.possible).sum(axis=1)
+            self._counted[key] = Masks((sure == count) & (possible == count), (sure <= count) & (possible >= count))
+        return self._counted[key]
+
+    @cached_property
+    def _counted(self) -> dict[tuple[Relation, str, int], Masks]:
+        return {}
+
+    @cached_property
+    def _carried(self) -> Masks:
+        """(N, N) [object, thing]: things on the top of an object."""
+        return self.support[Relation.ON]
+
+    @cached_property
+    def _beside(self) -> Masks:
+        """(N, N) [object, thing]: things close to an object and to no other object of a kind with a top."""
+        found = _below(self.gap, limit.BESIDE_M).both(self._rooms)
+        surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
+        others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # [other, thing]
+        nearest = np.sort(others, axis=0)[:2] if len(others) > 1 else np.full((2, len(others)), np.inf)
+        second = np.where(others <= nearest[0], nearest[1], nearest[0])  # the smallest gap of a thing to another object
+        clear = second >= self.gap + limit.BESIDE_OTHER_M
+        level = self._is_level & self.distinct & ~self.support[Relation.ON].possible
+        apart = self.distinct & ~self.support[Relation.ON].sure
+        return Masks(found.sure & clear & level, found.possible & apart)
+
+    def in_room(self, room: int, area: int | None = None) -> Masks:
+        """Returns which objects are in a room; surely those of the same part of it, if a part is given."""
         found = self.graph.room_of
-        return Masks(found == room, (found == room) | (found == 0))
+        sure = found == room
+        if area is not None:
+            sure = sure & (self.graph.area_of == area) & (area > 0)
+        return Masks(sure, (found == room) | (found == 0))
+
+    def in_typed_room(self, room: int) -> Masks:
+        """Returns which objects are in a room of a type; surely those in the parts that show the type."""
+        kind = self.graph.types[room - 1]
+        shown = self.graph.areas_of_type(room, str(kind))
+        return Masks(
+            (self.graph.room_of == room) & np.isin(self.graph.area_of, list(shown)), self.in_room(room).possible
+        )
 
     def is_between(self, number: int, first: int, second: int) -> bool:
         """Returns whether an object surely is between two others; cheaper than `between`."""
@@ -231,6 +303,35 @@ class SceneFacts:
         near = length <= limit.BETWEEN_SPAN_M.good
         found = found.both(rooms)
         return Masks(found.sure & apart & near, found.possible & apart)
+
+
+def _is_laden(top: SurfaceTop, each: SceneObject) -> bool:
+    """Returns whether a thing surely rests on a top: within the bounding rectangle, and large enough to be seen."""
+    low, high = (np.array([box[side] for box in top.above]).reshape(-1, 3) for side in (0, 1))
+    middle, lift, size = (low + high)[:, :2] / 2, low[:, 2] - top.height_m, (high - low).max(axis=1, initial=0.0)
+    inside = ((middle > each.low_m[:2]) & (middle < each.high_m[:2])).all(axis=1)
+    rests = (lift >= limit.REST_M[0]) & (lift <= limit.REST_M[1])
+    return bool((inside & rests & (size >= limit.THING_M)).any())
+
+
+class _Wayside(NamedTuple):
+    """Objects along one side of the way ahead; distances (N,) in metres."""
+
+    masks: Masks
+    """Objects ahead and beside the way."""
+    middle: Floats
+    low: Floats
+    high: Floats
+    """Distances of the middle and both ends along the heading."""
+    near: Floats
+    """Distance of the near side from the axis of the heading."""
+
+    def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
+        """Returns which of some objects another one that is surely counted covers, as seen from the axis."""
+        low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
+        shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+        covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)
+        return np.asarray((covers & is_sure[:, None]).any(axis=0))
 
 
 @dataclass(frozen=True)
@@ -278,6 +379,50 @@ class ViewFacts:
         graph, eye = self.scene.graph, np.array((self.view.x, self.view.y))
         apart = np.maximum(0, np.maximum(graph.low[:, :2] - eye, eye - graph.high[:, :2]))
         return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
+
+    @cached_property
+    def _ways(self) -> dict[ViewSide, _Wayside]:
+        """Objects along both sides of the way ahead."""
+        graph, view = self.scene.graph, self.view
+        x = np.stack([side[:, 0] for side in (graph.low, graph.high, graph.high, graph.low)], axis=1) - view.x
+        y = np.stack([side[:, 1] for side in (graph.low, graph.low, graph.high, graph.high)], axis=1) - view.y
+        cos, sin = math.cos(view.yaw), math.sin(view.yaw)
+        along, left = x * cos + y * sin, y * cos - x * sin
+        middle = along.mean(axis=1)
+        room = graph.room_of
+        here = Masks((room == view.room) & (room > 0), (room == view.room) | (room == 0) | (view.room == 0))
+        here = here.both(_above(middle, limit.ROW_AHEAD_M))
+        found = {}
+        for side, sign in AHEAD_SIDES.items():
+            near, far = (sign * left).min(axis=1), (sign * left).max(axis=1)
+            aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad)
+            masks = here.both(aside).both(_below(near, limit.ROW_GAP_M))
+            found[side] = _Wayside(masks, middle, along.min(axis=1), along.max(axis=1), near)
+        return found
+
+    def row(self, among: Masks, side: ViewSide, number: int) -> list[int]:
+        """Returns the objects that are counted along one side of the way ahead, up to the first that is not certain.
+
+        Args:
+            among: objects to count.
+            side: side of the way ahead.
+            number: object that is looked for; without it, nothing is counted.
+        """
+        way = self._ways[side]
+        if not way.masks.sure[number]:
+            return []
+        found = among.both(way.masks)
+        numbers = np.flatnonzero(found.possible)
+        numbers = numbers[~way.hidden(numbers, found.sure[numbers])]
+        order = numbers[np.argsort(way.middle[numbers], kind="stable")].tolist()
+        certain: list[int] = []
+        for place, each in enumerate(order):
+            nearby = order[max(place - 1, 0) : place] + order[place + 1 : place + 2]
+            is_apart = all(abs(way.middle[each] - way.middle[other]) >= limit.ROW_STEP_M for other in nearby)
+            if not (found.sure[each] and is_apart):
+                break
+            certain.append(each)
+        return certain
 
     @cached_property
     def ego(self) -> dict[Relation, Masks]:

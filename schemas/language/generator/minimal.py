@@ -10,9 +10,9 @@ from itertools import combinations
 
 import numpy as np
 
-from schemas.language.expression import FAMILY, SUPERLATIVES, Expression, Family, Relation
-from schemas.language.generator.facts import Masks
-from schemas.language.generator.search import ExpressionHead, ExpressionPart, Search, expression_of
+from schemas.language.expression import FAMILY, Expression, Family, Relation
+from schemas.language.generator.parts import ExpressionPart, bits_of
+from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 
 _WITH_ORDINAL = frozenset({Family.ROOM})
 """Families of relations that are combined with an ordinal: others make "the second chair from the left" ambiguous."""
@@ -22,13 +22,14 @@ _MOST_PARTS = 24
 """Number of relations that are combined in pairs; more are drawn at random."""
 
 
-def _bits(masks: Masks) -> int:
-    """Returns the possible objects as the bits of an integer."""
-    return int.from_bytes(np.packbits(masks.possible, bitorder="little").tobytes(), "little")
-
-
 def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expression]:
-    """Returns definite expressions that fit the target only, and from which no part can be dropped.
+    """Returns definite expressions that fit the target only, and from which no part can be dropped; see
+    `minimal_candidates`."""
+    return [each.expression() for each in minimal_candidates(search, rng)]
+
+
+def minimal_candidates(search: Search, rng: np.random.Generator) -> list[ExpressionCandidate]:
+    """Returns candidates for definite expressions that fit the target only, and from which no part can be dropped.
 
     Args:
         search: parts of expressions for the target.
@@ -37,97 +38,92 @@ def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expres
     parts = search.parts()
     parts = [parts[number] for number in rng.permutation(len(parts))[:_MOST_PARTS].tolist()]
     own = 1 << search.number
-    bits = [_bits(part.masks) for part in parts]
-    found: list[Expression] = []
+    found: list[ExpressionCandidate] = []
     for head in search.heads():
         if head.masks.sure[search.number]:
-            bare = _bits(search.facts.described(head.kind, None)) if head.colour is not None else -1
-            found += _with_head(search, head, list(zip(parts, bits, strict=True)), own, bare)
+            bare = -1 if head.is_bare else bits_of(search.facts.described(head.kind, None).possible)
+            found += _with_head(search, head, parts, own, bare)
     return found
 
 
 def _with_head(
-    search: Search, head: ExpressionHead, parts: list[tuple[ExpressionPart, int]], own: int, bare: int
-) -> Iterator[Expression]:
+    search: Search, head: ExpressionHead, parts: list[ExpressionPart], own: int, bare: int
+) -> Iterator[ExpressionCandidate]:
     """Yields the minimal expressions with a head.
 
     Args:
         search: parts of expressions for the target.
-        head: kind and colour.
-        parts: relations, each with the objects that it possibly fits as bits.
+        head: kind, perhaps with colour or material.
+        parts: relations that surely hold for the target.
         own: bit of the target.
-        bare: objects that the kind without the colour fits, as bits; -1 for a head without colour.
+        bare: objects that the kind alone fits, as bits; -1 for a head without colour and material.
     """
-    base = _bits(head.masks)
+    base = bits_of(head.masks.possible)
     if base == own:
         if bare != own:
-            yield expression_of(head, ())
+            yield ExpressionCandidate(head)
         return
-    plain = head._replace(colour=None, masks=search.facts.described(head.kind, None))
-    without = {selector_of(one) for one in search.selectors(plain)} if bare >= 0 else set()
-    yield from (one for one in search.selectors(head) if selector_of(one) not in without and _is_readable(one))
+    plain = head._replace(colour=None, material=None, masks=search.facts.described(head.kind, None))
+    without = {one.selector for one in search.selectors(plain)} if bare >= 0 else set()
+    yield from (one for one in search.selectors(head) if one.selector not in without and _is_readable(one))
     useful = []
-    for part, bits in parts:
-        if bare >= 0 and bare & bits == own:
-            continue  # the colour can be dropped
-        if base & bits == own:
-            yield expression_of(head, (part,))
-        elif base & bits != base:
-            useful.append((part, bits))
-    for (one, first), (two, second) in combinations(useful, 2):
-        if base & first & second == own and not (bare >= 0 and bare & first & second == own):
-            yield expression_of(head, (one, two))
+    for part in parts:
+        if bare >= 0 and bare & part.bits == own:
+            continue  # colour or material can be dropped
+        if base & part.bits == own:
+            yield ExpressionCandidate(head, (part,))
+        elif base & part.bits != base:
+            useful.append(part)
+    for one, two in combinations(useful, 2):
+        both = one.bits & two.bits
+        if base & both == own and not (bare >= 0 and bare & both == own):
+            yield ExpressionCandidate(head, (one, two))
     if bare < 0:
-        for part, _ in useful[:_MOST_SELECTED]:
+        for part in useful[:_MOST_SELECTED]:
             yield from _selected(search, head, part)
 
 
-def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[Expression]:
+def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[ExpressionCandidate]:
     """Yields the expressions in which a superlative selects the target among the objects of a relation.
 
     Without the relation, the same superlative does not select the target.
     """
-    without = {selector_of(one) for one in search.selectors(head)}
+    without = {one.selector for one in search.selectors(head)}
     for one in search.selectors(head, (part,)):
-        if _is_readable(one) and selector_of(one) not in without:
+        if _is_readable(one) and one.selector not in without:
             yield one
 
 
-def _is_readable(expression: Expression) -> bool:
+def _is_readable(one: ExpressionCandidate) -> bool:
     """Returns whether a reader knows among which objects an expression counts, or looks for the farthest one."""
-    families = {FAMILY[clause.relation] for clause in expression.clauses}
-    if expression.ordinal is not None:
+    families = {FAMILY[part.clause.relation] for part in one.parts}
+    if one.ordinal is not None:
         return families <= _WITH_ORDINAL
-    is_farthest = any(clause.relation is Relation.FARTHEST_FROM for clause in expression.clauses)
+    is_farthest = one.superlative is not None and one.superlative.relation is Relation.FARTHEST_FROM
     return not is_farthest or Family.ROOM in families
 
 
-def selector_of(expression: Expression) -> object:
-    """Returns the superlative or ordinal of an expression."""
-    chosen = [clause for clause in expression.clauses if clause.relation in SUPERLATIVES]
-    return expression.size, expression.ordinal, *chosen
-
-
-def indefinite_expressions(search: Search) -> list[Expression]:
-    """Returns expressions with "a" that fit the target and other objects, without borderline cases."""
+def indefinite_candidates(search: Search) -> list[ExpressionCandidate]:
+    """Returns candidates for expressions with "a" that fit the target and other objects, without borderline cases."""
     parts = search.parts()
     found = []
     for head in search.heads():
         for chosen in ((), *((part,) for part in parts)):
             masks = head.masks.both(chosen[0].masks) if chosen else head.masks
             if masks.sure[search.number] and masks.sure.sum() > 1 and (masks.sure == masks.possible).all():
-                found.append(expression_of(head, chosen, definite=False))
+                found.append(ExpressionCandidate(head, chosen))
     return found
 
 
 def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
-    """Returns the expression with one more part that surely holds for the target: a colour or a relation."""
+    """Returns the expression with one more part that surely holds for the target: colour, material or a relation."""
     found: list[Expression] = []
     if expression.selectors:
         return found  # another part would change the objects among which it selects
     for head in search.heads():
-        if head.kind == expression.kind and head.colour is not None and expression.colour is None:
-            found.append(expression.model_copy(update={"colour": head.colour}))
+        looks = {name: value for name in ("colour", "material") if (value := getattr(head, name)) is not None}
+        if head.kind == expression.kind and looks and all(getattr(expression, name) is None for name in looks):
+            found.append(expression.model_copy(update=looks))
     if len(expression.clauses) < 2:
         named = {clause.relation for clause in expression.clauses}
         for part in search.parts():

@@ -5,47 +5,99 @@ Does not combine the parts.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import (
+    AHEAD_SIDES,
     FAMILY,
+    OF_START,
+    OF_VIEWER,
     Clause,
     Expression,
     Family,
-    Landmark,
     Ordinal,
     Relation,
     Size,
     ViewSide,
 )
-from schemas.language.generator.facts import Described, Masks, SceneFacts, ViewFacts
-from schemas.language.graph import UNKNOWN
-from schemas.support.numpy_types import Floats
-
-_NEARBY_M = 6.0
-
-
-class ExpressionPart(NamedTuple):
-    """Relation that surely holds for the target."""
-
-    clause: Clause
-    masks: Masks
+from schemas.language.generator.facts import Masks, SceneFacts, ViewFacts
+from schemas.language.generator.parts import ExpressionPart, SceneParts, is_least, part_of
+from schemas.language.grammar import Grammar
+from schemas.language.kinds import UNKNOWN
+from schemas.language.view import SceneView
 
 
 class ExpressionHead(NamedTuple):
-    """Kind, perhaps with a colour."""
+    """Kind, perhaps with a colour or a material."""
 
     kind: str
     colour: str | None
     masks: Masks
     is_super: bool
+    material: str | None = None
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether it names neither colour nor material."""
+        return self.colour is None and self.material is None
+
+
+class ExpressionCandidate(NamedTuple):
+    """Expression whose model is not made yet, because most candidates are not drawn."""
+
+    head: ExpressionHead
+    parts: tuple[ExpressionPart, ...] = ()
+    size: Size | None = None
+    ordinal: Ordinal | None = None
+    superlative: Clause | None = None
+    """Nearest to or farthest from something."""
+
+    @property
+    def selector(self) -> tuple[Size | None, Ordinal | None, Clause | None]:
+        """Superlative or ordinal."""
+        return self.size, self.ordinal, self.superlative
+
+    def families(self, kind: str) -> frozenset[Family]:
+        """Returns the features of the expression for an object of a kind."""
+        named = {
+            Family.COLOUR: self.head.colour,
+            Family.MATERIAL: self.head.material,
+            Family.SIZE: self.size,
+            Family.ORDINAL: self.ordinal,
+            Family.NEAREST: self.superlative,
+            Family.SUPERCLASS: None if self.head.kind == kind else kind,
+        }
+        found = {family for family, value in named.items() if value is not None}
+        return frozenset(found | {FAMILY[part.clause.relation] for part in self.parts})
+
+    def expression(self, definite: bool = True) -> Expression:
+        """Returns the expression."""
+        clauses = tuple(part.clause for part in self.parts)
+        return Expression(
+            kind=self.head.kind,
+            definite=definite,
+            colour=self.head.colour,
+            material=self.head.material,
+            size=self.size,
+            ordinal=self.ordinal,
+            clauses=clauses if self.superlative is None else (*clauses, self.superlative),
+        )
+
+
+_ORDINALS = MappingProxyType(
+    {(number, side): Ordinal(number=number, side=side) for number in range(1, 5) for side in ViewSide}
+)
+_NEAREST_YOU = Clause(relation=Relation.NEAREST_YOU)
+_WITHOUT_LANDMARK = MappingProxyType(
+    {relation: Clause(relation=relation) for relation in (*sorted(OF_VIEWER), Relation.THIS_ROOM)}
+)
 
 
 @dataclass(frozen=True)
@@ -53,171 +105,130 @@ class Search:
     """Parts of expressions for one target.
 
     Args:
-        facts: relations of the scene.
+        scene: parts that do not depend on the start.
         view: relations from the start; `None` if none is known.
         number: number of the target in the scene graph.
         families: features that may be used.
-        nouns: kinds that the language can name.
-        rooms: types of rooms that the language can name.
+        words: grammar of the language, which limits what can be named.
     """
 
-    facts: SceneFacts
+    scene: SceneParts
     view: ViewFacts | None
     number: int
     families: Collection[Family]
-    nouns: Collection[str]
-    rooms: Collection[str]
+    words: Grammar
+
+    @property
+    def facts(self) -> SceneFacts:
+        """Relations of the scene."""
+        return self.scene.facts
+
+    @property
+    def _has_colours(self) -> bool:
+        return Family.COLOUR in self.families
 
     def heads(self) -> list[ExpressionHead]:
-        """Returns the kinds and colours that fit the target."""
+        """Returns the kinds that fit the target: alone, with its colour, and with its material."""
         each, table = self.facts.graph.objects[self.number], self.facts.graph.kinds
         kinds = [(each.kind, False)]
         if Family.SUPERCLASS in self.families:
             kinds += [(name, True) for name in table.superclasses_of(each.kind)]
-        colours: list[str | None] = [None]
-        if Family.COLOUR in self.families and each.colour != UNKNOWN and table.of(each.kind).plain:
-            colours.append(each.colour)
+        looks: list[tuple[str | None, str | None]] = [(None, None)]
+        if self._has_colours and each.colour != UNKNOWN and table.of(each.kind).plain:
+            looks.append((each.colour, None))
+        if Family.MATERIAL in self.families and each.materials[:1] and each.materials[0] in self.words.materials:
+            looks.append((None, each.materials[0]))
         return [
-            ExpressionHead(kind, colour, self.facts.described(kind, colour), is_super)
+            ExpressionHead(kind, colour, self.facts.described(kind, colour, material), is_super, material)
             for kind, is_super in kinds
-            if kind in self.nouns
-            for colour in colours
+            if self.words.names(kind)
+            for colour, material in looks
         ]
 
     def parts(self) -> list[ExpressionPart]:
         """Returns the relations that surely hold for the target, without superlatives."""
-        found = [*self._alone(), *self._rooms()]
-        for relation, masks in self._pairs():
-            found += self._to_landmarks(relation, masks)
-        if Family.BETWEEN in self.families:
-            found += self._between()
-        return found
+        kept = self.scene.of(self.number, self.words, self._has_colours)
+        return [
+            *(part for part in kept if FAMILY[part.clause.relation] in self.families),
+            *self._of_viewer(),
+            *self._this_room(),
+            *self._as_seen(),
+        ]
 
-    def _alone(self) -> Iterator[ExpressionPart]:
-        groups = [self.facts.alone, self.view.ego if self.view is not None else {}]
-        for relation, masks in (item for group in groups for item in group.items()):
-            if FAMILY[relation] in self.families and masks.sure[self.number]:
-                yield ExpressionPart(Clause(relation=relation), masks)
+    def _of_viewer(self) -> Iterator[ExpressionPart]:
+        if self.view is not None and Family.EGO in self.families:
+            for relation, masks in self.view.ego.items():
+                if masks.sure[self.number]:
+                    yield part_of(_WITHOUT_LANDMARK[relation], masks)
 
-    def _rooms(self) -> Iterator[ExpressionPart]:
+    def _this_room(self) -> Iterator[ExpressionPart]:
         graph = self.facts.graph
         room = graph.objects[self.number].room
-        if Family.ROOM not in self.families or not room:
+        if self.view is None or not room or Family.ROOM not in self.families or len(graph.rooms) < 2:
             return
-        masks = self.facts.in_room(room)
-        if self.view is not None and self.view.view.room == room and len(graph.rooms) > 1:
-            yield ExpressionPart(Clause(relation=Relation.THIS_ROOM), masks)
-        kind = graph.types[room - 1]
-        if kind in self.rooms and graph.unique_room(str(kind)) == room:
-            yield ExpressionPart(Clause(relation=Relation.IN_ROOM, room=kind), masks)
-        if len(graph.rooms) > 1:
-            for each in self._descriptions(np.flatnonzero(masks.sure).tolist()):
-                if each.landmark.definite and each.landmark.colour is None:
-                    yield ExpressionPart(Clause(relation=Relation.SAME_ROOM, landmarks=(each.landmark,)), masks)
+        seen = self.view.view
+        if seen.room == room and seen.area:
+            masks = self.facts.in_room(room, seen.area)
+            if masks.sure[self.number]:
+                yield part_of(_WITHOUT_LANDMARK[Relation.THIS_ROOM], masks)
 
-    def _pairs(self) -> Iterator[tuple[Relation, Masks]]:
-        pairs = {Relation.NEXT_TO: self.facts.next_to, **self.facts.support}
-        if self.view is not None and Family.VIEW in self.families:
-            pairs |= self.view.relative
-        return ((relation, masks) for relation, masks in pairs.items() if FAMILY[relation] in self.families)
+    def _as_seen(self) -> Iterator[ExpressionPart]:
+        if self.view is None or Family.VIEW not in self.families:
+            return
+        for relation, masks in self.view.relative.items():
+            near = np.flatnonzero(masks.sure[:, self.number]).tolist()
+            for each in self.scene.descriptions(self.number, self.words, self._has_colours, near):
+                found = masks.of_any(each)
+                if found.sure[self.number]:
+                    yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), found)
 
-    def _descriptions(self, numbers: Sequence[int]) -> list[Described]:
-        """Returns short descriptions of objects other than those of the target's kind."""
-        graph, own = self.facts.graph, self.facts.graph.objects[self.number].kind
-        most = 2 if Family.COLOUR in self.families else 1
-        found: dict[Landmark, Described] = {}
-        for number in numbers:
-            kind = graph.objects[number].kind
-            if kind != own and kind in self.nouns:
-                found |= {each.landmark: each for each in self.facts.landmarks[number][:most]}
-        return list(found.values())
-
-    def _to_landmarks(self, relation: Relation, masks: Masks) -> Iterator[ExpressionPart]:
-        near = np.flatnonzero(masks.sure[:, self.number]).tolist()
-        for each in self._descriptions(near):
-            found = masks.of_any(each)
-            if found.sure[self.number]:
-                yield ExpressionPart(Clause(relation=relation, landmarks=(each.landmark,)), found)
-
-    def _between(self) -> Iterator[ExpressionPart]:
-        facts, room = self.facts, self.facts.graph.objects[self.number].room
-        near = np.flatnonzero(
-            (facts.gap[self.number] < limit.BETWEEN_SPAN_M.good / 1.5) & (facts.graph.room_of == room)
-        )
-        landmarks = [each for each in self._descriptions(near.tolist()) if each.landmark.definite]
-        for one, two in combinations(landmarks, 2):
-            first, second = int(one.sure[0]), int(two.sure[0])
-            if first != second and facts.is_between(self.number, first, second):
-                clause = Clause(relation=Relation.BETWEEN, landmarks=(one.landmark, two.landmark))
-                yield ExpressionPart(clause, facts.between(first, second))
-
-    def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[Expression]:
+    def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[ExpressionCandidate]:
         """Returns the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
-        key = head.kind, head.colour, tuple(part.clause for part in parts)
+        key = head.kind, head.colour, head.material, tuple(part.clause for part in parts)
         if key not in self._selected:
             among = head.masks
             for part in parts:
                 among = among.both(part.masks)
-            self._selected[key] = list(self._selectors(head, parts, among))
+            self._selected[key] = list(self._selectors(ExpressionCandidate(head, parts), key, among))
         return self._selected[key]
 
     @cached_property
-    def _selected(self) -> dict[object, list[Expression]]:
+    def _selected(self) -> dict[object, list[ExpressionCandidate]]:
         return {}
 
-    def _selectors(self, head: ExpressionHead, parts: Sequence[ExpressionPart], among: Masks) -> Iterator[Expression]:
-        base = expression_of(head, parts)
-        if not among.sure[self.number] or int(among.sure.sum()) < 2:
+    def _selectors(self, base: ExpressionCandidate, key: object, among: Masks) -> Iterator[ExpressionCandidate]:
+        if not among.sure[self.number] or int(np.count_nonzero(among.sure)) < 2:
             return
         others = np.flatnonzero(among.possible)
         others = others[others != self.number]
+        is_kept = all(part.clause.relation not in OF_START for part in base.parts)
+        found = self.scene.superlatives(
+            self.number, self.words, self._has_colours, key if is_kept else None, others.tolist()
+        )
         if Family.SIZE in self.families:
-            yield from (base.model_copy(update={"size": size}) for size in self._sizes(others.tolist()))
+            yield from (base._replace(size=size) for size in found.sizes)
         if Family.NEAREST in self.families:
-            for clause in self._nearest(others.tolist()):
-                yield base.model_copy(update={"clauses": (*base.clauses, clause)})
+            if self._is_nearest(others.tolist()):
+                yield base._replace(superlative=_NEAREST_YOU)
+            yield from (base._replace(superlative=clause) for clause in found.nearest)
         if Family.ORDINAL in self.families and self.view is not None:
-            yield from (base.model_copy(update={"ordinal": ordinal}) for ordinal in self._ordinals(among))
+            yield from (base._replace(ordinal=ordinal) for ordinal in self._ordinals(among))
 
-    def _sizes(self, others: list[int]) -> Iterator[Size]:
-        for values, ratio, most, least in (
-            (self.facts.volume, limit.VOLUME_RATIO, Size.LARGEST, Size.SMALLEST),
-            (self.facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
-        ):
-            own, rest = values[self.number], values[others]
-            if most is Size.TALLEST and not self.facts.has_same_base[self.number, others].all():
-                continue
-            if own >= ratio * rest.max():
-                yield most
-            if own * ratio <= rest.min():
-                yield least
-
-    def _nearest(self, others: list[int]) -> Iterator[Clause]:
-        facts, graph = self.facts, self.facts.graph
+    def _is_nearest(self, others: list[int]) -> bool:
         seen = self.view
-        if seen is not None and seen.view.sure[self.number] and _is_least(seen.distance, self.number, others):
-            yield Clause(relation=Relation.NEAREST_YOU)
-        room = graph.objects[self.number].room
-        for each in self._definite_nearby if room else ():
-            gaps = facts.gap[each.sure[0]]
-            rest = [number for number in others if number != each.sure[0]]
-            if rest and _is_least(gaps, self.number, rest):
-                yield Clause(relation=Relation.NEAREST_TO, landmarks=(each.landmark,))
-            if rest and _is_least(-gaps, self.number, rest):
-                yield Clause(relation=Relation.FARTHEST_FROM, landmarks=(each.landmark,))
-
-    @cached_property
-    def _definite_nearby(self) -> list[Described]:
-        """Landmarks that are unique in the scene, in the target's room."""
-        room = self.facts.graph.room_of
-        near = np.flatnonzero((room == room[self.number]) & (self.facts.gap[self.number] < _NEARBY_M))
-        return [each for each in self._descriptions(near.tolist()) if each.landmark.definite]
+        return seen is not None and bool(seen.view.sure[self.number]) and is_least(seen.distance, self.number, others)
 
     def _ordinals(self, among: Masks) -> Iterator[Ordinal]:
         assert self.view is not None
-        view = self.view.view
+        yield from self._across(among, self.view.view)
+        for side in AHEAD_SIDES:
+            row = self.view.row(among, side, self.number)[:4]
+            if self.number in row:
+                yield _ORDINALS[row.index(self.number) + 1, side]
+
+    def _across(self, among: Masks, view: SceneView) -> Iterator[Ordinal]:
         seen = np.flatnonzero(among.possible & view.possible)
-        if self.number not in seen or int((among.sure & view.sure).sum()) < 2:
+        if self.number not in seen or int(np.count_nonzero(among.sure & view.sure)) < 2:
             return
         for side, sign in ((ViewSide.LEFT, -1.0), (ViewSide.RIGHT, 1.0)):
             order = seen[np.argsort(sign * view.bearing[seen], kind="stable")]
@@ -226,18 +237,4 @@ class Search:
             is_sure = (among.sure[first] & view.sure[first]).all()
             is_apart = (np.abs(np.diff(view.bearing[around])) >= limit.BEARING_GAP_RAD).all()
             if place < 4 and is_sure and is_apart:
-                yield Ordinal(number=place + 1, side=side)
-
-
-def _is_least(values: Floats, number: int, others: list[int]) -> bool:
-    """Returns whether a value is clearly the smallest; negative values are distances of which the largest is meant."""
-    own, rest = float(values[number]), float(values[others].min())
-    if own >= 0:
-        return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)
-    return -own >= max(-rest * limit.DISTANCE_RATIO, -rest + limit.DISTANCE_GAP_M)
-
-
-def expression_of(head: ExpressionHead, parts: Sequence[ExpressionPart], definite: bool = True) -> Expression:
-    """Returns the expression of a head and relations."""
-    clauses = tuple(part.clause for part in parts)
-    return Expression(kind=head.kind, colour=head.colour, clauses=clauses, definite=definite)
+                yield _ORDINALS[place + 1, side]

@@ -18,8 +18,8 @@ from schemas.language.draw import draw_weighted
 from schemas.language.expression import Expression
 from schemas.language.file import SpokenLanguage
 from schemas.language.generator.facts import ViewFacts
-from schemas.language.graph import UNKNOWN
 from schemas.language.instruction import Instruction
+from schemas.language.kinds import UNKNOWN
 from schemas.language.question.images import FrameImages
 from schemas.language.question.model import (
     AnswerKind,

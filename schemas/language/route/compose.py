@@ -66,7 +66,7 @@ class RouteComposer:
             if len(found) == self._spec.per_episode:
                 break
             spoken = self._spoken[draw_weighted(self._spec.languages, rng)]
-            steps = RouteSearch(place, path, number, spoken.nouns.nouns, rng).steps()
+            steps = RouteSearch(place, path, number, spoken.nouns, rng).steps()
             if not steps:
                 self.rejected["no clear description"] += 1
                 break

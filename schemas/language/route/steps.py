@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,7 +15,8 @@ from schemas.language.expression import Expression, Family
 from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
-from schemas.language.graph import UNKNOWN
+from schemas.language.grammar import Grammar
+from schemas.language.kinds import UNKNOWN
 from schemas.language.route import thresholds as limit
 from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, room_changes
 from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
@@ -33,8 +34,10 @@ _BEYOND_M = 0.3
 _APART_M = 2.0
 """Smallest distance between two objects passed, metres."""
 _NEAR_M = 3.0
-_NEARER_M = (4.0, 2.5, 1.5, 0.8)
+_NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
 """Distances from the end at which a last step begins if no words fit the target from farther away, metres."""
+_CUTS_RAD = (math.radians(60), math.radians(90), math.radians(120))
+"""Headings at which a long turn is divided, against that at its start."""
 _SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
 _EVERY = 6
 
@@ -72,14 +75,14 @@ class RouteSearch:
         place: scene of the path.
         path: driven path.
         number: number of the target in the scene graph.
-        nouns: kinds that the language can name.
+        words: grammar of the language, which limits what can be named.
         rng: random generator.
     """
 
     def __init__(
-        self, place: SceneRoutes, path: DrivenPath, number: int, nouns: Collection[str], rng: np.random.Generator
+        self, place: SceneRoutes, path: DrivenPath, number: int, words: Grammar, rng: np.random.Generator
     ) -> None:
-        self._place, self._path, self._target, self._nouns, self._rng = place, path, number, nouns, rng
+        self._place, self._path, self._target, self._words, self._rng = place, path, number, words, rng
         self._graph, self._facts = place.scene.graph, place.scene.facts
         self._views: dict[int, SceneView] = {}
 
@@ -98,10 +101,10 @@ class RouteSearch:
                 turned = float(self._path.yaw[part.end - 1] - self._path.yaw[begun])
                 if abs(turned) < _SMALLEST_RAD and not own:
                     continue
-                turn = self._turn(turned, own)
-                if turn is None:
+                turns = self._turned(begun, part.end, own)
+                if not turns:
                     return []
-                found.append(SpannedStep(turn, begun, part.end))
+                found += turns
             else:
                 is_last = number == len(parts) - 1
                 run = self._run(part._replace(start=begun), own, is_last)
@@ -111,18 +114,53 @@ class RouteSearch:
             begun = found[-1].end if found else 0
         return found
 
-    def _turn(self, turned_rad: float, changes: list[RoomChange]) -> RouteStep | None:
-        """Returns the step of a turn, perhaps in a doorway; `None` if it has no clear description."""
-        side = RobotSide.LEFT if turned_rad > 0 else RobotSide.RIGHT
+    def _turned(self, start: int, end: int, changes: list[RoomChange]) -> list[SpannedStep]:
+        """Returns the steps of a turn, perhaps with a doorway; empty if it has no clear description."""
         doors = [each for each in changes if doorway_of(self._place.doorways, each, self._path.xy[each.frame])]
-        if len(doors) == 1:
-            is_corner = limit.CORNER_RAD[0] <= abs(turned_rad) < limit.CORNER_RAD[1]
-            kind = self._graph.types[doors[0].after - 1]
-            return RouteStep(kind=StepKind.CORNER, side=side, room=kind) if is_corner else None
-        size = None if doors else turn_size(turned_rad)
+        turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
+        if not doors:
+            return self._turn(start, end)
+        if len(doors) > 1:
+            return []
+        if abs(turned) >= limit.CORNER_RAD[1]:
+            return self._divided(start, end, doors[0])
+        return self._through(start, end, doors[0])
+
+    def _turn(self, start: int, end: int) -> list[SpannedStep]:
+        turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
+        size, side = turn_size(turned), RobotSide.LEFT if turned > 0 else RobotSide.RIGHT
         if size is None:
-            return None
-        return RouteStep(kind=StepKind.TURN, size=size, side=None if size is TurnSize.AROUND else side)
+            return []
+        step = RouteStep(kind=StepKind.TURN, size=size, side=None if size is TurnSize.AROUND else side)
+        return [SpannedStep(step, start, end)]
+
+    def _through(self, start: int, end: int, change: RoomChange) -> list[SpannedStep]:
+        """Returns the step of a turn through a doorway, or of a doorway with hardly any turn."""
+        turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
+        kind, side = self._graph.types[change.after - 1], RobotSide.LEFT if turned > 0 else RobotSide.RIGHT
+        if abs(turned) >= limit.CORNER_RAD[1]:
+            return []
+        if abs(turned) >= limit.CORNER_RAD[0]:
+            return [SpannedStep(RouteStep(kind=StepKind.CORNER, side=side, room=kind), start, end)]
+        doorway = doorway_of(self._place.doorways, change, self._path.xy[change.frame])
+        if doorway is None or not self._is_clear(doorway, start):
+            return []
+        return [SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), start, end)]
+
+    def _divided(self, start: int, end: int, change: RoomChange) -> list[SpannedStep]:
+        """Returns a long turn in two steps: one through the doorway, and one before or after it."""
+        left = np.abs(self._path.yaw - self._path.yaw[start])
+        after = self._frame_at(float(self._path.along[change.frame]) + _BEYOND_M + 0.2)
+        for cut in (after, *(start + int(np.searchsorted(left[start:end], share)) for share in _CUTS_RAD)):
+            if change.frame + 1 < cut < end:
+                door, turn = self._through(start, cut, change), self._turn(cut, end)
+            elif start < cut <= change.frame:
+                door, turn = self._turn(start, cut), self._through(cut, end, change)
+            else:
+                continue
+            if door and turn:
+                return [*door, *turn]
+        return []
 
     def _cut(self, part: PathPart) -> list[PathPart]:
         """Returns a last turn in two parts: until the heading of the end is reached, and the rest."""
@@ -235,7 +273,7 @@ class RouteSearch:
     def _named(self, number: int, start: int, end: int) -> Expression | None:
         """Returns the shortest description of an object that fits no other object near the step, or `None`."""
         each = self._graph.objects[number]
-        if each.kind not in self._nouns:
+        if not self._words.names(each.kind):
             return None
         has_colour = each.colour != UNKNOWN and self._graph.kinds.of(each.kind).plain
         rivals = self._rivals(start, end)
@@ -286,7 +324,8 @@ class RouteSearch:
         named = self._named(self._target, start, end)
         if named is None:
             seen = ViewFacts(self._facts, self._view(start))
-            search = Search(self._facts, seen, self._target, _LATER if start else frozenset(Family), self._nouns, ())
+            families, words = _LATER if start else frozenset(Family), self._words.model_copy(update={"rooms": {}})
+            search = Search(self._place.scene.parts, seen, self._target, families, words)
             fitting = minimal_expressions(search, self._rng)
             if not fitting:
                 return None

@@ -126,7 +126,8 @@ class RouteVerifier:
     def _entered_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> tuple[str, int, int]:
         """Returns why the robot does not enter the room of a step, the room before, and the frame of the doorway."""
         rooms = [(t, replay.room(t)) for t in range(start, end) if replay.room(t)]
-        before, after = (rooms[0][1], rooms[-1][1]) if rooms else (0, 0)
+        first = next((room for t in range(start, -1, -1) if (room := replay.room(t))), 0)  # it may start in a doorway
+        before, after = (first or rooms[0][1], rooms[-1][1]) if rooms else (0, 0)
         if before == after:
             return "the robot does not change rooms", 0, 0
         entered = next(t for t, room in rooms if room == after)

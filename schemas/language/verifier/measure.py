@@ -6,6 +6,7 @@ import cmath
 import math
 from collections.abc import Iterable
 from enum import IntEnum
+from typing import NamedTuple
 
 from schemas.language import thresholds as limit
 from schemas.language.graph import SceneGraph
@@ -35,6 +36,21 @@ def at_least(value: float, band: Band) -> Truth:
 def angle_between(angle_rad: float, turn_deg: float) -> float:
     """Returns the absolute difference of two directions, radians in [0, pi]."""
     return abs(math.remainder(angle_rad - math.radians(turn_deg), 2 * math.pi))
+
+
+class AlongBox(NamedTuple):
+    """Extent of a footprint in the frame of a heading, metres."""
+
+    low: float
+    """Smallest distance along the heading."""
+    high: float
+    """Largest distance along the heading."""
+    middle: float
+    """Distance of the middle along the heading."""
+    near: float
+    """Smallest distance to one side of the axis; negative on the other side."""
+    far: float
+    """Largest distance to this side."""
 
 
 class Footprints:
@@ -84,6 +100,14 @@ class Footprints:
         least = {number: distance - self._radii[number] for number, distance in apart.items()}
         return {number: self.range_from(point, number) if low <= clear else low for number, low in least.items()}
 
+    def seen_along(self, eye: tuple[float, float], yaw: float, number: int, sign: float) -> AlongBox:
+        """Returns the extent of a footprint along a heading, and to its left (`sign` 1) or right (-1)."""
+        turn = cmath.exp(-1j * yaw)
+        corners = [(point - complex(*eye)) * turn for point in self._outlines[number]]
+        along, aside = [each.real for each in corners], [sign * each.imag for each in corners]
+        middle = ((self._centres[number] - complex(*eye)) * turn).real
+        return AlongBox(min(along), max(along), middle, min(aside), max(aside))
+
     def direction(self, number: int, other: int, eye: tuple[float, float]) -> float:
         """Returns the direction from a landmark to an object against the line of sight to the landmark, radians.
 
@@ -112,6 +136,24 @@ class Footprints:
         rest = abs(self._objects[number].low_m[2] - self._objects[other].high_m[2])
         touching = at_most(rest, limit.TOUCH_M)
         return min(touching, at_least(self._share(number, other), limit.OVERLAP)) if touching else Truth.NO
+
+    def holds(self, number: int, thing: int) -> Truth:
+        """Returns whether an object has a thing on its top."""
+        return self.rests_on(thing, number)
+
+    def carries(self, number: int, *, something: bool) -> Truth:
+        """Returns whether an object has something on its flat top, or nothing."""
+        top, outline = self._objects[number].top, self._outlines[number]
+        if top is None:
+            return Truth.MAYBE
+        if not top.above:
+            return Truth.NO if something else Truth.YES
+        for (x0, y0, z0), (x1, y1, z1) in top.above:
+            lies = limit.REST_M[0] <= z0 - top.height_m <= limit.REST_M[1]
+            is_large = max(x1 - x0, y1 - y0, z1 - z0) >= limit.THING_M
+            if lies and is_large and _contains(outline, complex(x0 + x1, y0 + y1) / 2):
+                return Truth.YES if something else Truth.NO
+        return Truth.MAYBE
 
     def is_under(self, number: int, other: int) -> Truth:
         """Returns whether an object is below the top of a landmark and within its outline."""

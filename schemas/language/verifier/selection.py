@@ -7,8 +7,8 @@ from enum import IntEnum
 from itertools import combinations, pairwise
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import Size, ViewSide
-from schemas.language.verifier.measure import Footprints, Truth
+from schemas.language.expression import AHEAD_SIDES, Size, ViewSide
+from schemas.language.verifier.measure import AlongBox, Footprints, Truth, at_least, at_most
 from schemas.language.view import SceneView
 
 
@@ -44,6 +44,39 @@ def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneVie
     if is_apart and is_sure and several:
         return {order[place - 1]: Truth.YES}
     return dict.fromkeys(order, Truth.MAYBE)
+
+
+def counted_ahead(
+    truths: Mapping[int, Truth], place: int, side: ViewSide, view: SceneView, prints: Footprints
+) -> dict[int, Truth]:
+    """Returns the object at a place along one side of the way ahead; all that it may be if some are borderline."""
+    boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
+    found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
+    sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]
+    row = {
+        number: truth
+        for number, truth in found.items()
+        if truth is not Truth.NO and not any(_covers(other, boxes[number]) for other in sure)
+    }
+    order = sorted(row, key=lambda number: boxes[number].middle)
+    if len(order) < place:
+        return {}
+    steps = [abs(boxes[a].middle - boxes[b].middle) for a, b in pairwise(order[: place + 1])]
+    if all(step >= limit.ROW_STEP_M for step in steps) and all(row[number] is Truth.YES for number in order[:place]):
+        return {order[place - 1]: Truth.YES}
+    return dict.fromkeys(order, Truth.MAYBE)
+
+
+def _is_in_row(box: AlongBox) -> Truth:
+    """Returns whether an object is ahead and beside the way."""
+    aside = Truth.YES if box.near >= limit.ROW_ASIDE_M.good else Truth.MAYBE if box.far > limit.ROW_ASIDE_M.bad else 0
+    return min(at_least(box.middle, limit.ROW_AHEAD_M), Truth(aside), at_most(box.near, limit.ROW_GAP_M))
+
+
+def _covers(cover: AlongBox, box: AlongBox) -> bool:
+    """Returns whether an object hides most of another one from the way."""
+    shared = min(cover.high, box.high) - max(cover.low, box.low)
+    return box.near >= cover.near + limit.ROW_HIDDEN_M and shared >= limit.ROW_HIDDEN * (box.high - box.low)
 
 
 def extreme(

@@ -6,15 +6,16 @@ definitions in docs/language.md. It shares the thresholds, the graph and the wor
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import NamedTuple
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import SUPERLATIVES, Clause, Expression, Landmark, Relation
-from schemas.language.graph import UNKNOWN, SceneGraph
+from schemas.language.expression import AHEAD_SIDES, SUPERLATIVES, Clause, Expression, Landmark, Relation
+from schemas.language.graph import SceneGraph
+from schemas.language.kinds import UNKNOWN
 from schemas.language.reading import Reader, Reading
 from schemas.language.verifier.measure import Footprints, Truth, angle_between, at_least, at_most
-from schemas.language.verifier.selection import Selected, by_size, counted, extreme
+from schemas.language.verifier.selection import Selected, by_size, counted, counted_ahead, extreme
 from schemas.language.view import SceneView
 
 
@@ -51,7 +52,7 @@ class Verifier:
     def __init__(self, graph: SceneGraph) -> None:
         self.graph = graph
         self._prints = Footprints(graph)
-        self._fitting: dict[tuple[str, str | None], dict[int, Truth]] = {}
+        self._fitting: dict[tuple[str, str | None, str | None], dict[int, Truth]] = {}
 
     def check(self, sentence: str, language: Reader, view: SceneView | None, number: int) -> str:
         """Returns why a sentence does not fit the object that it should; empty if it does.
@@ -93,7 +94,7 @@ class Verifier:
             return FittingObjects(frozenset(), frozenset(), "it needs a view, and none is known")
         plain = [clause for clause in expression.clauses if clause.relation not in SUPERLATIVES]
         try:
-            truths = self._described(expression.kind, expression.colour)
+            truths = self._described(expression.kind, expression.colour, expression.material)
             for clause in plain:
                 truths = self._restricted(truths, clause, view)
             truths = self._selected(truths, expression, view)
@@ -102,10 +103,11 @@ class Verifier:
         sure = frozenset(number for number, truth in truths.items() if truth is Truth.YES)
         return FittingObjects(sure, frozenset(truths))
 
-    def _described(self, kind: str, colour: str | None) -> dict[int, Truth]:
-        """Returns the objects of a kind and colour, without those that it surely does not fit."""
-        if (kind, colour) in self._fitting:
-            return self._fitting[kind, colour]
+    def _described(self, kind: str, colour: str | None, material: str | None = None) -> dict[int, Truth]:
+        """Returns the objects of a kind, colour and material, without those that it surely does not fit."""
+        key = kind, colour, material
+        if key in self._fitting:
+            return self._fitting[key]
         table = self.graph.kinds
         found: dict[int, Truth] = {}
         inside, alike = table.kinds_of(kind), table.borderline_of(kind)
@@ -113,11 +115,15 @@ class Verifier:
             truth = Truth.YES if each.kind in inside else Truth.MAYBE if each.kind in alike else Truth.NO
             if each.looks is not None and (each.kind in inside) != (each.looks in inside):
                 truth = Truth.MAYBE
+            if truth is Truth.NO and inside & set(each.shows):
+                truth = Truth.MAYBE
             if colour is not None and each.colour != colour:
                 truth = min(truth, Truth.MAYBE if each.colour == UNKNOWN else Truth.NO)
+            if material is not None:
+                truth = min(truth, _is_made_of(each.materials, material))
             if truth is not Truth.NO:
                 found[number] = truth
-        self._fitting[kind, colour] = found
+        self._fitting[key] = found
         return found
 
     def _landmarks(self, landmark: Landmark) -> dict[int, Truth]:
@@ -139,6 +145,8 @@ class Verifier:
         """Returns whether a relation holds between an object and any of its landmarks."""
         if not landmarks:
             return self._alone(clause, number, view)
+        if clause.count is not None:
+            return self._counts(clause.relation, number, landmarks[0], clause.count)
         if clause.relation is Relation.BETWEEN:
             pairs = ((first, second) for first in landmarks[0] for second in landmarks[1])
             return max(
@@ -163,14 +171,17 @@ class Verifier:
                 return Truth.MAYBE if hung is Truth.YES and self._prints.is_supported(number) else hung
             case Relation.IN_CORNER:
                 return at_most(each.corner_gap_m, limit.CORNER_M)
+            case Relation.EMPTY | Relation.LADEN:
+                return self._prints.carries(number, something=clause.relation is Relation.LADEN)
             case Relation.IN_ROOM:
                 assert clause.room is not None
-                return self._in(number, self._unique_room(clause.room))
+                room = self._unique_room(clause.room)
+                return self._in(number, room, self.graph.areas_of_type(room, clause.room))
             case Relation.THIS_ROOM:
                 assert view is not None
-                if not view.room:
+                if not view.room or not view.area:
                     raise _Ambiguous("the room of the start is not known")
-                return self._in(number, view.room)
+                return self._in(number, view.room, {view.area})
             case _:
                 assert view is not None
                 return self._ego(clause.relation, number, view)
@@ -181,9 +192,42 @@ class Verifier:
             raise _Ambiguous(f"the scene has {len(labels)} rooms of the type {kind}")
         return labels[0] if labels else -1
 
-    def _in(self, number: int, room: int) -> Truth:
+    def _in(self, number: int, room: int, areas: Set[int]) -> Truth:
+        """Returns whether an object is in a room: surely in some parts of it, perhaps in others."""
+        each = self.graph.objects[number]
+        if each.room == room:
+            return Truth.YES if each.area in areas else Truth.MAYBE
+        return Truth.NO if each.room else Truth.MAYBE
+
+    def _in_room(self, number: int, room: int) -> Truth:
         own = self.graph.objects[number].room
-        return Truth.YES if own == room else Truth.NO if own else Truth.MAYBE
+        return Truth.MAYBE if not room or not own else Truth.YES if own == room else Truth.NO
+
+    def _counts(self, relation: Relation, number: int, things: Mapping[int, Truth], count: int) -> Truth:
+        """Returns whether exactly a number of things are beside or on an object."""
+        near = self._is_beside if relation is Relation.WITH_BESIDE else self._prints.holds
+        found = [min(truth, near(number, thing)) for thing, truth in things.items() if thing != number]
+        sure, possible = found.count(Truth.YES), len(found) - found.count(Truth.NO)
+        if sure <= count <= possible:
+            return Truth.YES if sure == possible else Truth.MAYBE
+        return Truth.NO
+
+    def _is_beside(self, number: int, thing: int) -> Truth:
+        """Returns whether a thing is close to an object, and to no other one that has a top."""
+        if self._same_room(number, thing) is Truth.NO or self._prints.rests_on(thing, number) is Truth.YES:
+            return Truth.NO
+        gap = self._prints.gap(number, thing)
+        close = at_most(gap, limit.BESIDE_M)
+        if close is not Truth.YES:
+            return close
+        others = (
+            other
+            for other, each in enumerate(self.graph.objects)
+            if other not in (number, thing) and self.graph.kinds.of(each.kind).surface
+        )
+        is_clear = all(self._prints.gap(other, thing) >= gap + limit.BESIDE_OTHER_M for other in others)
+        is_level = not self._prints.is_apart(number, thing) and self._prints.rests_on(thing, number) is Truth.NO
+        return Truth.YES if is_clear and is_level else Truth.MAYBE
 
     def _ego(self, relation: Relation, number: int, view: SceneView) -> Truth:
         bearing = float(view.bearing[number])
@@ -202,10 +246,16 @@ class Verifier:
             return Truth.MAYBE
         return Truth.YES if one == two else Truth.NO
 
+    def _is_undivided(self, number: int, other: int) -> bool:
+        """Returns whether surely no opening, however wide, is between two objects."""
+        one, two = self.graph.objects[number].area, self.graph.objects[other].area
+        return one == two != 0
+
     def _pair(self, relation: Relation, number: int, other: int, view: SceneView | None) -> Truth:
         """Returns whether a relation holds between an object and one landmark."""
         if relation is Relation.SAME_ROOM:
-            return self._same_room(number, other)
+            together = self._same_room(number, other)
+            return together if self._is_undivided(number, other) else min(together, Truth.MAYBE)
         if relation is Relation.ON:
             return self._prints.rests_on(number, other)
         if relation is Relation.UNDER:
@@ -247,7 +297,11 @@ class Verifier:
             return dict.fromkeys(truths, Truth.MAYBE)
         if expression.ordinal is not None:
             assert view is not None
-            return counted(truths, expression.ordinal.number, expression.ordinal.side, view)
+            place, side = expression.ordinal.number, expression.ordinal.side
+            if side in AHEAD_SIDES:
+                here = {number: min(truth, self._in_room(number, view.room)) for number, truth in truths.items()}
+                return counted_ahead(here, place, side, view, self._prints)
+            return counted(truths, place, side, view)
         if expression.size is not None:
             return by_size(truths, expression.size, self._prints)
         clause = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)
@@ -270,6 +324,13 @@ class Verifier:
         if way is Selected.MOST:
             return Truth.YES
         return Truth.YES if self._same_room(number, other) is not Truth.NO else Truth.MAYBE
+
+
+def _is_made_of(materials: tuple[str, ...], material: str) -> Truth:
+    """Returns whether a material covers most of an object with these known materials."""
+    if materials[:1] == (material,):
+        return Truth.YES
+    return Truth.MAYBE if not materials or UNKNOWN in materials or material in materials else Truth.NO
 
 
 def _needs_view(expression: Expression) -> bool:

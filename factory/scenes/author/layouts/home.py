@@ -10,9 +10,10 @@ import math
 
 from numpy.random import Generator
 
+from factory.scenes.author.circulation import RoomSpec, no_hall, straight_hall
 from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
 from factory.scenes.author.layouts.home_rooms import furnish_home
-from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
+from factory.scenes.author.partition import Division, Doors, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
 from factory.scenes.author.style import Palette, draw_palette
 
@@ -32,7 +33,6 @@ def lay_out_home(plan: FloorPlan) -> None:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
     palette = draw_palette(plan.rng)
-    plan.texture_seed = 0
     division = _divide(plan.rng)
     building = BuildingLook(
         _looks(palette),
@@ -68,7 +68,7 @@ def _divide(rng: Generator) -> Division:
     width = math.sqrt(area * ratio)
     outline = Rectangle(0.0, 0.0, width, area / width + (hall or 0.0))
     doors = Doors(float(rng.uniform(1.0, 1.15)), _OPEN, float(rng.uniform(0.3, 1.0)))
-    return divide_floor(rng, outline, specs, doors, hall)
+    return divide_floor(rng, outline, specs, doors, straight_hall(hall) if hall else no_hall)
 
 
 def _looks(palette: Palette) -> dict[str, RoomLook]:

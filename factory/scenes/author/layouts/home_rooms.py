@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 from factory.scenes.author.dwelling import BuiltRoom
 from factory.scenes.author.furnisher import Furnisher, complete
+from factory.scenes.author.groups import kitchen_row
 from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement
 from factory.scenes.author.style import Palette
 
@@ -37,8 +38,10 @@ _ON_BOARDS = (
 )  # fmt: skip
 _ON_TABLES = ("SM_Crockery", "SM_FruitBowl", "SM_Bouquet", "SM_Candles", "SM_Tray", "SM_Papers")
 _ON_DRESSERS = ("SM_Portrait", "SM_BookPile", "SM_Flasks", "SM_Bouquet", "SM_Candles")
-_ON_WORKTOPS = ("SM_Kettle", "SM_Crockery", "SM_Tray", "SM_FruitBowl")
-"""Small things on low cabinets, tables, chests of drawers and kitchen units."""
+"""Small things on low cabinets, tables and chests of drawers."""
+_LEAST_TOP_M2 = 0.08
+"""Least area of a part of a piece that counts as its top, square metres."""
+_UNITS = ("SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_Oven", "SM_KitchenUnit")
 
 
 def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) -> None:
@@ -169,7 +172,7 @@ def _kitchen(own: Furnisher) -> None:
     """A row of units with sink, oven, dishwasher and refrigerator; an island or a table where it fits."""
     plan, look = own.plan, own.palette.wood
     sides = own.sides()
-    main = _units(own, sides, look)
+    main = kitchen_row(own, sides, look, _UNITS, ("SM_Microwave", "SM_CoffeeMachine"))
     rest = "".join(side for side in sides if side != main)
     if main is None:
         for name in ("SM_SinkUnit", "SM_Oven", "SM_Dishwasher"):
@@ -190,31 +193,6 @@ def _kitchen(own: Furnisher) -> None:
     own.hang("SM_PictureFrame")
 
 
-def _units(own: Furnisher, sides: str, look: int) -> str | None:
-    """Places a row of kitchen units with small appliances, wall tiles and wall units; returns its side."""
-    names = ["SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_Oven", "SM_KitchenUnit"]
-    order = [names[k] for k in own.rng.permutation(len(names))]
-    short = [name for name in order if name != "SM_KitchenUnit"]
-    found = own.row(order, look, sides) or own.row(short, look, sides)
-    if found is None:
-        return None
-    side, units, start = found
-    tops = ["SM_Microwave", "SM_CoffeeMachine"]
-    for unit in units:
-        if unit.model.name.startswith(("SM_KitchenUnit", "SM_Dishwasher")):
-            if tops:
-                own.on_top(tops.pop(0), None, unit, 0.90)
-            else:
-                own.dress(unit, _ON_WORKTOPS, 1, 0.90)
-    length = sum(float(unit.model.high[0] - unit.model.low[0]) for unit in units)
-    for index in range(int(length // 0.6)):
-        middle = start + (index + 0.5) * length / (length // 0.6)
-        own.plan.add(own.model("SM_SplashTiles", look), *own.at_wall(side, middle, 0.0), FACING[side])
-        if side not in own.room.outer:
-            own.plan.add(own.model("SM_KitchenWallUnit", look), *own.at_wall(side, middle, 0.31), FACING[side])
-    return side
-
-
 def _bedroom(own: Furnisher) -> None:
     """A bed with its head at a wall and night stands, a wardrobe, a dresser, a lounge chair, a rug."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
@@ -229,7 +207,7 @@ def _bedroom(own: Furnisher) -> None:
         for turn in (-1.0, 1.0):
             stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
             if stand is not None and rng.random() < 0.7:
-                own.on_top("SM_LampSmall", look, stand, float(stand.model.high[2]), -turn * 0.05)
+                own.on_top("SM_LampSmall", look, stand, _top_of(stand), -0.08, 0.06)
         size = (2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)
         own.carpet((found.x, found.y), *size, plan.pick(9) + 2)
     if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
@@ -240,6 +218,12 @@ def _bedroom(own: Furnisher) -> None:
     own.small((("SM_Suitcase", "SM_Basket"), ("SM_Backpack", "SM_Basket"), ("SM_Mirror", "SM_Fan"))[plan.pick(3)], 0.3)
     own.hang(("SM_Tapestry", "SM_WallLedge", "SM_PictureFrame")[plan.pick(3)])
     own.hang("SM_PictureFrame", 2)
+
+
+def _top_of(piece: PropPlacement) -> float:
+    """Returns the height of a piece without the small things on it, metres."""
+    boxes = [(part.mesh.points.min(axis=0), part.mesh.points.max(axis=0)) for part in piece.model.pieces]
+    return max(float(high[2]) for low, high in boxes if (high - low)[:2].prod() > _LEAST_TOP_M2)
 
 
 def _bath(own: Furnisher) -> None:

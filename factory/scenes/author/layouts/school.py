@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 
+from factory.scenes.author.circulation import RoomSpec, straight_hall
 from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
-from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
+from factory.scenes.author.partition import Division, Doors, divide_floor
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
-from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
+from factory.scenes.author.style import PUBLIC, Palette, draw_palette
 
 _IN_HALL = {
     "SM_TrafficCone": 2, "SM_Bicycle": 1, "SM_VendingMachine": 1, "SM_Bench": 1, "SM_Locker": 2, "SM_WaterDispenser": 1,
@@ -32,8 +33,7 @@ def lay_out_school(plan: FloorPlan) -> None:
     Raises:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
-    palette = draw_palette(plan.rng, PLAIN_WALLS)
-    plan.texture_seed = 0
+    palette = draw_palette(plan.rng, PUBLIC)
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
     building = BuildingLook(
         _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.8, 3.3))
@@ -63,7 +63,7 @@ def _divide(plan: FloorPlan) -> Division:
     area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.3, 1.9))
     width = math.sqrt(area * ratio)
     doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("library", "hall")): (1.6, 2.4)}, 0.0)
-    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, hall)
+    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, straight_hall(hall))
 
 
 def _looks(palette: Palette) -> dict[str, RoomLook]:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 
+from factory.scenes.author.circulation import RoomSpec
 from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
 from factory.scenes.author.furnisher import Furnisher, complete
-from factory.scenes.author.partition import Division, Doors, RoomSpec, divide_floor
+from factory.scenes.author.partition import Division, Doors, divide_floor
 from factory.scenes.author.placement import FloorPlan, Rectangle
-from factory.scenes.author.style import PLAIN_WALLS, Palette, draw_palette
+from factory.scenes.author.style import PUBLIC, Palette, draw_palette
 
 _GOODS = {
     "grocery": ("SM_ShelfShop_C", "SM_ShelfShop_C", "SM_ProduceStand"),
@@ -40,8 +41,7 @@ def lay_out_shop(plan: FloorPlan) -> None:
     Raises:
         WorldError: no division of the floor into the drawn rooms was found; another seed has one.
     """
-    palette = draw_palette(plan.rng, PLAIN_WALLS)
-    plan.texture_seed = 0
+    palette = draw_palette(plan.rng, PUBLIC)
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
     building = BuildingLook(

@@ -30,6 +30,7 @@ from factory.scenes.author.props import (
     seating,
     shop,
     storage,
+    vehicles,
     wall,
 )
 from schemas.support.numpy_types import Floats
@@ -100,6 +101,7 @@ CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(
         "SM_Cone": CatalogueEntry(clutter.cone, 1),
         "SM_ImpactPost": CatalogueEntry(clutter.protection_post, 1),
         "SM_Workbench": CatalogueEntry(clutter.workbench, 1),
+        "SM_ForkLift": CatalogueEntry(vehicles.fork_lift, 3),
         "SM_Bed": CatalogueEntry(clinic.bed, 6),
         "SM_Nightstand": CatalogueEntry(clinic.nightstand, 2),
         "SM_DripStand": CatalogueEntry(clinic.drip_stand, 1),
@@ -143,6 +145,9 @@ CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(
         "SM_TableDining_E": CatalogueEntry(living.dining_table, 4),
         "SM_PictureFrame": CatalogueEntry(wall.framed_picture, 14),
         "SM_WindowHome": CatalogueEntry(wall.home_window, 26),
+        "SM_WindowBand": CatalogueEntry(wall.band_window, 26),
+        "SM_WindowStrip": CatalogueEntry(wall.strip_window, 26),
+        "SM_EntryDoor": CatalogueEntry(wall.entry_door, 39),
         "SM_ToyPile": CatalogueEntry(living.toy_pile, 5),
         "SM_KitchenUnit": CatalogueEntry(kitchen.base_unit, 8),
         "SM_KitchenWallUnit": CatalogueEntry(kitchen.wall_unit, 4),

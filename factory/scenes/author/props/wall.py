@@ -1,10 +1,13 @@
-"""Builders of wall-mounted props that are not targets: posters, notices, signs, screens, clocks, windows, roller doors.
+"""Builders of wall-mounted props that are not targets: posters, notices, signs, screens, clocks, windows, doors.
 
 Lengths in metres, wall plane at y = 0, front facing -y. The mesh includes the mounting height. Does not place props.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import block, cylinder, moved, quad
@@ -114,6 +117,8 @@ OUTLOOKS = (
     "ViewTowers", "ViewPark", "ViewDesert", "ViewHarbour", "ViewVillage",
 )  # fmt: skip
 """Textures of the views from windows."""
+_HORIZON = 0.42
+"""Height of the horizon in a view, as a share of its side."""
 
 
 def framed_picture(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -136,3 +141,55 @@ def home_window(variant: int, _rng: Generator) -> list[PropPiece]:
     sill = block((-half - 0.08, -0.14, low - 0.05), (half + 0.08, 0.0, low - 0.031))
     panes = quad([(-half, -0.02, low), (half, -0.02, low), (half, -0.02, high), (-half, -0.02, high)])
     return [PropPiece(view, panes), *(PropPiece(frame, bar) for bar in (*bars, sill))]
+
+
+def _outlook(variant: int, low: tuple[float, float], high: tuple[float, float]) -> PropPiece:
+    """A lit pane between two (x, z) corners with a part of a view of the same proportions, so that it is not stretched;
+    its horizon is in the lower half of the pane."""
+    name = OUTLOOKS[variant % len(OUTLOOKS)]
+    (x0, z0), (x1, z1) = low, high
+    share = min(1.0, (z1 - z0) / (x1 - x0))
+    bottom = min(_HORIZON - 0.4 * share, 1.0 - share)
+    pane = quad([(x0, -0.02, z0), (x1, -0.02, z0), (x1, -0.02, z1), (x0, -0.02, z1)])
+    corners = np.array([(0.0, bottom), (1.0, bottom), (1.0, bottom + share), (0.0, bottom + share)])
+    return PropPiece(glowing(name, "#cfe2f2", name, 0.9), replace(pane, st=corners))
+
+
+def band_window(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A window of three panes with one of the views, 2.4 m wide, with a white or a dark metal frame."""
+    frame = (WHITE, painted("Charcoal", 0.5))[variant // len(OUTLOOKS) % 2]
+    half, low, high = 1.2, 0.85, 2.25
+    bars = [block((x - 0.03, -0.06, low), (x + 0.03, 0.0, high)) for x in (-half, -half / 3, half / 3, half)]
+    bars += [block((-half - 0.03, -0.061, z - 0.03), (half + 0.03, 0.0, z + 0.03)) for z in (low, high)]
+    sill = block((-half - 0.06, -0.13, low - 0.05), (half + 0.06, 0.0, low - 0.031))
+    return [_outlook(variant, (-half, low), (half, high)), *(PropPiece(frame, bar) for bar in (*bars, sill))]
+
+
+def strip_window(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A strip of glass 3 m wide below the roof of a hall, 3.8 to 4.9 m high."""
+    frame = (STEEL, painted("Charcoal", 0.5))[variant // len(OUTLOOKS) % 2]
+    half, low, high = 1.5, 3.8, 4.9
+    bars = [block((x - 0.03, -0.06, low), (x + 0.03, 0.0, high)) for x in (-half, -half / 3, half / 3, half)]
+    bars += [block((-half - 0.03, -0.061, z - 0.03), (half + 0.03, 0.0, z + 0.03)) for z in (low, high)]
+    return [_outlook(variant, (-half, low), (half, high)), *(PropPiece(frame, bar) for bar in bars)]
+
+
+def entry_door(variant: int, _rng: Generator) -> list[PropPiece]:
+    """A closed door to the outside, 1.7 m wide: two glazed leaves with one of the views, or two steel leaves."""
+    half, top = 0.85, 2.2
+    is_steel = variant % 3 == 2
+    frame = (painted("Charcoal", 0.5), wood("Oak"), painted("Grey", 0.5))[variant % 3]
+    posts = [block((x - 0.05, -0.07, 0.0), (x + 0.05, 0.0, top)) for x in (-half, half)]
+    posts.append(block((-half - 0.05, -0.071, top), (half + 0.05, 0.0, top + 0.08)))
+    middle = block((-0.05, -0.06, 0.0), (0.05, 0.0, top))
+    foot = block((-half, -0.055, 0.0), (half, 0.0, 0.25))
+    grips = [block((x - 0.015, -0.11, 0.85), (x + 0.015, -0.085, 1.35)) for x in (-0.12, 0.12)]
+    plate = block((-half, -0.04, 0.25), (half, 0.0, top - 0.01))
+    pane = (
+        PropPiece(painted("LightGrey", 0.5), plate) if is_steel else _outlook(variant // 3, (-half, 0.25), (half, top))
+    )
+    return [
+        pane,
+        *(PropPiece(frame, mesh) for mesh in (*posts, middle, foot)),
+        *(PropPiece(STEEL, mesh) for mesh in grips),
+    ]

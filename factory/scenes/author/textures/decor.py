@@ -1,4 +1,4 @@
-"""Recipes of textures for homes, shops and schools: floors, walls, wood and cloth, near white for tints.
+"""Recipes of textures for layouts: floors, walls, wood and cloth, near white for tints.
 
 Each recipe draws a seamless sRGB image of 512 px. Does not read or write files.
 """
@@ -206,6 +206,38 @@ def _blocks(rng: Generator, rows: Floats, columns: Floats) -> Floats:
     return np.asarray(0.93 + 0.02 * clouds(rng, 0.6) + 0.01 * clouds(rng, 1.6) - 0.12 * joint)
 
 
+def _carpet_tiles(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Square carpet tiles, turned alternately."""
+    is_turned = (rows // 256 + columns // 256) % 2 > 0
+    ribs = 0.035 * np.where(is_turned, np.sin(columns * np.pi / 6), np.sin(rows * np.pi / 6))
+    tone = 0.88 + ribs + np.where(is_turned, 0.03, -0.03) + 0.03 * clouds(rng, 0.25)
+    tone[(rows % 256 < 2) | (columns % 256 < 2)] -= 0.1
+    return np.asarray(tone)
+
+
+def _vinyl(rng: Generator, rows: Floats, columns: Floats) -> Floats:  # noqa: ARG001
+    """Seamless floor of hospitals, with fine chips."""
+    tone = 0.93 + 0.012 * clouds(rng, 1.7) + 0.02 * clouds(rng, 0.6)
+    spots = rng.random(tone.shape)
+    tone[spots < 0.02] *= 0.84
+    tone[spots > 0.985] = 1.0
+    return np.asarray(tone)
+
+
+def _screed(rng: Generator, rows: Floats, columns: Floats) -> Floats:
+    """Ground concrete with clouds, tyre marks and expansion joints."""
+    tone = 0.92 + 0.022 * clouds(rng, 1.6) + 0.018 * clouds(rng, 0.5)
+    tone -= 0.06 * np.clip(clouds(rng, 2.0, stretch=9.0) - 1.3, 0, 1)
+    tone[(rows < 2) | (columns < 2)] *= 0.62
+    return np.asarray(tone)
+
+
+def _sheeting(rng: Generator, rows: Floats, columns: Floats) -> Floats:  # noqa: ARG001
+    """Trapezoidal metal sheets on the walls of a hall."""
+    wave = np.clip(np.sin(columns * np.pi / 32) * 2.5, -1, 1)
+    return np.asarray(0.93 + 0.05 * wave + 0.01 * clouds(rng, 1.9))
+
+
 DECOR: Mapping[str, Recipe] = MappingProxyType(
     {
         "Boards": _near_white(_boards),
@@ -231,6 +263,10 @@ DECOR: Mapping[str, Recipe] = MappingProxyType(
         "WallpaperLeaves": _near_white(_leaves),
         "Panelling": _near_white(_panelling),
         "BlockWork": _near_white(_blocks),
+        "CarpetTiles": _near_white(_carpet_tiles),
+        "Vinyl": _near_white(_vinyl),
+        "Screed": _near_white(_screed),
+        "Sheeting": _near_white(_sheeting),
     }
 )
 """Name -> recipe of a texture near white, for tints."""

@@ -42,6 +42,7 @@ def read_surface(document: Document, index: int | None, user: str) -> tuple[Surf
         opacity=alpha if material.get("alphaMode") == "BLEND" else 1.0,
         emits=max(glow) > 0.05,
         emission=(0.0, 0.0, 0.0) if is_image else (glow[0], glow[1], glow[2]),
+        name=str(material.get("name") or ""),
     )
     texture = base.get("diffuseTexture" if glossy else "baseColorTexture")
     if texture is not None:

@@ -155,7 +155,7 @@ def _pieces(reader: _Reader, path: str, mesh: int) -> Iterator[Piece]:
             raise ValueError("Draco compression is not supported; export the file without compression")
         mode = int(primitive.get("mode", _TRIANGLES))
         if mode < _TRIANGLES:
-            reader.counts["meshes of points or lines are left out"] += 1
+            reader.counts["meshes of points or lines are omitted"] += 1
             continue
         yield _piece(reader, path, primitive, mode)
 

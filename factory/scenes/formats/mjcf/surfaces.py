@@ -31,7 +31,7 @@ def read_surface(model: Any, files: SceneFiles, geom: int) -> Surface:
         *rgb, alpha = (float(value) for value in model.geom_rgba[geom])
         return _plain(rgb, alpha, 0.0)
     *rgb, alpha = (float(value) for value in model.mat_rgba[material])
-    surface = _plain(rgb, alpha, float(model.mat_emission[material]))
+    surface = replace(_plain(rgb, alpha, float(model.mat_emission[material])), name=model.mat(material).name)
     texture = max(int(model.mat_texid[material][int(role)]) for role in _COLOUR_ROLES)
     if texture < 0:
         return surface

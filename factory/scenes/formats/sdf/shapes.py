@@ -114,7 +114,13 @@ def _surface(library: Library, shape: Element, path: Path, name: str) -> Surface
     red, green, blue, alpha = _rgba(material.findtext("diffuse"), _script(material))
     glow = display_colour(*_rgba(material.findtext("emissive"), (0.0, 0.0, 0.0))[:3])
     colour = display_colour(red, green, blue)
-    surface = Surface(colour, "", colour, opacity=alpha * opacity, emits=max(glow) > 0.05, emission=glow)
+    surface = Surface(
+        *(colour, "", colour),
+        opacity=alpha * opacity,
+        emits=max(glow) > 0.05,
+        emission=glow,
+        name=(material.findtext("script/name") or "").strip(),
+    )
     albedo = material.findtext("pbr/metal/albedo_map") or material.findtext("pbr/specular/albedo_map")
     if albedo:
         image = library.find(albedo.strip(), path.parent)

@@ -78,7 +78,7 @@ def _read_scope(
     frames = Frames(scope)
     for child in scope:
         reader.counts[LIGHTS_NOTE] += child.tag == "light"
-        reader.counts["actors, roads or populations are left out"] += child.tag in _NOT_KEPT
+        reader.counts["actors, roads or populations are omitted"] += child.tag in _NOT_KEPT
         if child.tag not in (*_MODELS, "link"):
             continue
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from coordinator.expansion.draw import expand, to_job
+from coordinator.expansion.draw import expand, redraw, to_job
 from coordinator.expansion.file import parse_plan
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
@@ -34,6 +34,11 @@ def _plan(seen: tuple[str, ...] = ("chair",), **language: object) -> Plan:
         ({"language": {"balanced": True}}, "set `in_view` to 1 or more"),
         ({"language": {"colours": 1}}, "language.colours: no such key"),
         ({"language": {}, "instructions": {"unique": "view"}}, "instructions.unique is for templates"),
+        ({"language": {"exchangeable": True}}, "set `in_view` to 1 or more, and remove `balanced`"),
+        ({"language": {"exchangeable": True, "in_view": 1, "balanced": True}}, "and remove `balanced`"),
+        ({"language": {"exchangeable": True, "in_view": 1}}, "the expert proportional drives straight"),
+        ({"language": {"exchangeable": True, "in_view": 1}, "tiers": {"far": 1.0}}, "set tiers.far to 0"),
+        ({"language": {"exchangeable": True, "in_view": 1}, "colors": "off"}, "`colors` is for templates, remove it"),
         ({"splits": {"test_false_premise": 1.0}}, "the templates have no false premises, the table"),
     ],
 )
@@ -58,9 +63,38 @@ def test_the_start_shows_others_of_the_category_and_shares_are_drawn_once_for_ea
     plan = _plan(in_view=1, balanced=True)
     catalog = {"office": ENTRY}
     found = [to_job(plan, catalog, job, 1).start_view for job in expand(plan, catalog)]
-    assert all(view is not None and view.least_alike == 1 and len(view.alike) == 2 for view in found)
+    assert all(view is not None and view.least_same_category == 1 and len(view.same_category) == 2 for view in found)
     assert len({view.ranks for view in found if view is not None}) == len(found)
     assert summarise(plan, catalog).distractors == {2: 40}
+
+
+def test_the_target_is_drawn_at_the_start_among_the_permitted_objects_of_its_category():
+    part = {"name": "office", "episodes": 40, "seen": ("chair",)}
+    splits = {"train_id": 0.5, "test_id": 0.5}
+    plan = Plan.model_validate(
+        {
+            "name": "x",
+            "scenes": [part],
+            "splits": splits,
+            "tiers": {"near": 1.0},
+            "expert": "planner",
+            "disjoint_instances": True,
+            "language": {"exchangeable": True, "in_view": 1},
+        }
+    )
+    catalog = {"office": make_entry("office", [make_target("chair", n, n) for n in range(1, 7)])}
+    planned = expand(plan, catalog)
+    jobs = [to_job(plan, catalog, each, 1) for each in planned]
+    choices = [job.choice for job in jobs if job.choice is not None]
+    assert len(choices) == 40
+    assert len({choice.share for choice in choices}) == 40
+    by_split = {split: {job.choice.among for job in jobs if job.split == split and job.choice} for split in splits}
+    (train,), (test,) = by_split["train_id"], by_split["test_id"]
+    assert sorted(train + test) == [1, 2, 3, 4, 5, 6]
+    assert all(job.choice is not None and job.choice.around in job.choice.among for job in jobs)
+    again = to_job(plan, catalog, redraw(plan, catalog, planned[0]), 7)
+    assert again.choice is not None
+    assert again.choice.share == choices[0].share
 
 
 def test_a_block_that_no_target_can_satisfy_names_what_is_possible():

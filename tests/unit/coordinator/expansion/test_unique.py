@@ -113,7 +113,7 @@ def test_categories_listed_as_ambiguous_are_exempt_from_uniqueness():
     jobs = _jobs(_plan("scene", seen=("monitor", "plant"), ambiguous=("monitor",)))
     assert {job.target_id for job in jobs} == {"monitor_001", "monitor_002", "plant_001"}
     shown = [job.start_view for job in _jobs(_plan("view", seen=("monitor",), ambiguous=("monitor",)))]
-    assert all(view is not None and view.rivals == () and view.alike in {(5,), (6,)} for view in shown)
+    assert all(view is not None and view.other_referents == () and view.same_category in {(5,), (6,)} for view in shown)
 
 
 def test_the_nearest_plan_exempts_only_categories_that_it_names():
@@ -133,8 +133,8 @@ def test_a_job_lists_the_other_objects_that_its_instruction_fits():
     for job in _jobs(_plan("view")):
         view, target = job.start_view, ENTRY.info.target(job.target_id)
         assert view is not None
-        assert set(view.rivals) == referents_of(job, ENTRY.info) - {target.instance_id}
-        assert set(view.alike) == ({1, 2, 3} - {target.instance_id} if job.category == "chair" else set())
+        assert set(view.other_referents) == referents_of(job, ENTRY.info) - {target.instance_id}
+        assert set(view.same_category) == ({1, 2, 3} - {target.instance_id} if job.category == "chair" else set())
 
 
 @pytest.mark.parametrize("unique", ["scene", "view", "off"])
@@ -149,7 +149,7 @@ def test_jobs_without_conditions_have_the_json_of_earlier_versions():
     assert plain
     assert all(job.start_view is None and "start_view" not in job.model_dump_json() for job in plain)
     assert "instructions" not in _plan("off").model_dump_json()
-    with_view = plain[0].model_copy(update={"start_view": StartView(rivals=(3,))})
+    with_view = plain[0].model_copy(update={"start_view": StartView(other_referents=(3,))})
     assert Job.model_validate_json(with_view.model_dump_json()) == with_view
 
 

@@ -22,7 +22,7 @@ def test_quotas_running_jobs_and_failures_are_read():
     ((sid, jobs),) = found.running.items()
     assert (sid, [job.index for job in jobs]) == (held.sid, [held.idx])
     assert [interval.failures for interval in found.history] == [{"timeout": 1}]
-    assert [event.event for event in found.events] == ["claimed", "missed", "claimed"]
+    assert [event.event for event in found.events] == ["claimed", "task_failed", "claimed"]
     assert found.events[0].at == timed_ledger.now
     assert not found.paused
 

@@ -106,7 +106,7 @@ def test_a_thumbnail_is_made_once_even_when_rows_come_in(tmp_path: Path) -> None
     assert read_pictures(root / TRAIN) == old
 
 
-def test_thumbnails_left_out_at_the_deadline_are_made_by_the_next_call(tmp_path: Path) -> None:
+def test_thumbnails_not_made_by_the_deadline_are_made_by_the_next_call(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 2, with_split_tables=False)
     root = tmp_path / "data"
     with open_archive(root) as archive:

@@ -18,7 +18,7 @@ from structlog.testing import capture_logs
 from coordinator.archive.opening import open_archive
 from coordinator.protocol.pulls import Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import Nearby, nothing_nearby
+from coordinator.transfer.contract import FindLocalBundle, no_local_bundle
 from coordinator.transfer.puller import Pullers
 from coordinator.validation.scope import Scope
 from schemas.errors import TransientError
@@ -36,7 +36,7 @@ class RecordingParts:
     """A ledger and a validator that accept everything, and a worker that serves `BUNDLE`; all record their calls."""
 
     fetched: list[Chunk] = field(default_factory=list)
-    judged: list[bytes] = field(default_factory=list)
+    validated: list[bytes] = field(default_factory=list)
     scopes: list[Scope] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     barred: list[str] = field(default_factory=list)
@@ -49,7 +49,7 @@ class RecordingParts:
 
     def check(self, path: Path, _job: Any, _target: Any = None, scope: Scope = Scope.ALL) -> Any:
         data = path.read_bytes()
-        self.judged.append(data)
+        self.validated.append(data)
         self.scopes.append(scope)
         return SimpleNamespace(num_steps=1, file_sha256=hashlib.sha256(data).hexdigest())
 
@@ -73,20 +73,28 @@ class RecordingParts:
 
 
 @contextmanager
-def brought(root: Path, nearby: Nearby) -> Iterator[tuple[RecordingParts, Path]]:
+def pulled(root: Path, find_local_bundle: FindLocalBundle) -> Iterator[tuple[RecordingParts, Path]]:
     """Pulls one bundle; returns the recorded calls and its expected path."""
-    house = RecordingParts()
+    recorded = RecordingParts()
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0)
     sha256 = hashlib.sha256(BUNDLE).hexdigest()
     with open_archive(root / "data") as archive:
-        with Pullers(archive, house, house.fetch, house, settings, house.done.set, nearby=nearby) as pullers:
+        with Pullers(
+            archive,
+            recorded,
+            recorded.fetch,
+            recorded,
+            settings,
+            recorded.done.set,
+            find_local_bundle=find_local_bundle,
+        ) as pullers:
             target: Any = None
             pullers.offer(Pull(LEASE, "worker", sha256, len(BUNDLE), job_for(7), target))
-            assert house.done.wait(60)
+            assert recorded.done.wait(60)
         place = archive.path_of(7)
         assert isinstance(place, Path)
         assert list((root / "data" / ".staging").iterdir()) == []
-        yield house, place
+        yield recorded, place
 
 
 def spooled(root: Path, data: bytes) -> Path:
@@ -96,17 +104,17 @@ def spooled(root: Path, data: bytes) -> Path:
 
 
 def test_a_bundle_is_fetched_over_the_network_in_parts(tmp_path: Path) -> None:
-    with brought(tmp_path, nothing_nearby) as (house, place):
+    with pulled(tmp_path, no_local_bundle) as (recorded, place):
         assert place.read_bytes() == BUNDLE
-        assert [chunk.offset for chunk in house.fetched] == [0, 4096, 8192]
-        assert house.scopes == [Scope.ALL]
+        assert [chunk.offset for chunk in recorded.fetched] == [0, 4096, 8192]
+        assert recorded.scopes == [Scope.ALL]
 
 
 def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: Path) -> None:
     path = spooled(tmp_path, BUNDLE)
-    with brought(tmp_path, lambda lease: path if lease == LEASE else None) as (house, place):
-        assert house.fetched == []
-        assert (house.judged, house.scopes) == ([BUNDLE], [Scope.SAMPLE])
+    with pulled(tmp_path, lambda lease: path if lease == LEASE else None) as (recorded, place):
+        assert recorded.fetched == []
+        assert (recorded.validated, recorded.scopes) == ([BUNDLE], [Scope.SAMPLE])
         assert place.samefile(path)
         path.unlink()
         assert place.read_bytes() == BUNDLE
@@ -115,16 +123,16 @@ def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: P
 def test_a_bundle_that_cannot_be_linked_is_fetched(tmp_path: Path) -> None:
     for source in (tmp_path / "gone.zip", spooled(tmp_path, b"torn"), tmp_path / "gone" / "too.zip"):
         root = tmp_path / source.stem
-        with brought(root, lambda _lease, source=source: source) as (house, place):  # type: ignore[misc]
+        with pulled(root, lambda _lease, source=source: source) as (recorded, place):  # type: ignore[misc]
             assert place.read_bytes() == BUNDLE
-            assert len(house.fetched) == 3
+            assert len(recorded.fetched) == 3
 
 
 def test_a_bundle_on_the_archives_disk_must_be_the_one_announced(tmp_path: Path) -> None:
     path = spooled(tmp_path, bytes(reversed(BUNDLE)))
-    with brought(tmp_path, lambda _lease: path) as (house, place):
+    with pulled(tmp_path, lambda _lease: path) as (recorded, place):
         assert not place.exists()
-        assert "arrived" in house.refused[0]
+        assert "arrived" in recorded.refused[0]
         assert path.exists()
 
 
@@ -132,24 +140,24 @@ def test_a_bundle_in_an_unreadable_spool_is_fetched_over_the_network(tmp_path: P
     def vanished(_lease: Lease) -> Path:
         raise FileNotFoundError("dropped meanwhile")
 
-    with brought(tmp_path, vanished) as (house, place):
+    with pulled(tmp_path, vanished) as (recorded, place):
         assert place.read_bytes() == BUNDLE
-        assert len(house.fetched) == 3
+        assert len(recorded.fetched) == 3
 
 
 def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None:
-    house, count = RecordingParts(), 60
+    recorded, count = RecordingParts(), 60
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
     target: Any = None
     with (
         capture_logs() as lines,
         open_archive(tmp_path / "data") as archive,
-        Pullers(archive, house, house.fetch, house, settings, house.done.set) as pullers,
+        Pullers(archive, recorded, recorded.fetch, recorded, settings, recorded.done.set) as pullers,
     ):
         for index in range(1, count + 1):
             pullers.offer(Pull(LEASE, "host.1", "0" * 64, len(BUNDLE), job_for(index), target))
         pullers.offer(Pull(LEASE, "other.1", "0" * 64, len(BUNDLE), job_for(count + 1), target))
-        until(lambda: len(house.refused) == count + 1)
+        until(lambda: len(recorded.refused) == count + 1)
     hosts = [line["worker"] for line in lines if line["event"] == "bundle_refused"]
     assert 1 <= hosts.count("host.1") < 10
     assert hosts.count("other.1") == 1
@@ -183,55 +191,55 @@ def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
 
 @pytest.mark.parametrize("slow_hosts", [1, 2, 10])
 def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_hosts: int) -> None:
-    crowd = SlowHosts(pause_s=0.3)
+    slow = SlowHosts(pause_s=0.3)
     settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=0)
     with (
         open_archive(tmp_path / "data") as archive,
-        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+        Pullers(archive, slow, slow.fetch, slow, settings, slow.done.set) as pullers,
     ):
         for number in range(3 * slow_hosts):
             pullers.offer(pull_of(f"slow-{number % slow_hosts}.1", number + 10))
         time.sleep(0.5)
         pullers.offer(pull_of("quick.1", 7))
-        assert crowd.changed.wait(60)
-    assert crowd.owned[0] == "quick.1"
+        assert slow.changed.wait(60)
+    assert slow.owned[0] == "quick.1"
     assert list((tmp_path / "data" / ".staging").iterdir()) == []
 
 
 def test_interleaved_transfers_arrive_intact(tmp_path: Path) -> None:
-    crowd = SlowHosts(pause_s=0.1)
+    slow = SlowHosts(pause_s=0.1)
     settings = CoordinatorSettings(pullers=1, chunk_bytes=1024, reserve_bytes=0)
     with (
         open_archive(tmp_path / "data") as archive,
-        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+        Pullers(archive, slow, slow.fetch, slow, settings, slow.done.set) as pullers,
     ):
         for number in range(4):
             pullers.offer(pull_of(f"slow-{number}.1", number + 1))
         while pullers.waiting:
             time.sleep(0.05)
-    assert len(crowd.owned) == 4
-    assert crowd.judged == [BUNDLE] * 4
-    assert crowd.refused == []
+    assert len(slow.owned) == 4
+    assert slow.validated == [BUNDLE] * 4
+    assert slow.refused == []
 
 
 def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
-    crowd = SlowHosts(pause_s=0.05)
+    slow = SlowHosts(pause_s=0.05)
     settings = CoordinatorSettings(
         pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
     )
     with (
         open_archive(tmp_path / "data") as archive,
-        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+        Pullers(archive, slow, slow.fetch, slow, settings, slow.done.set) as pullers,
     ):
         pullers.offer(pull_of("slow-1.1", 1))
-        assert crowd.done.wait(60)
-    assert crowd.owned == []
-    assert "too slow" in crowd.refused[0]
+        assert slow.done.wait(60)
+    assert slow.owned == []
+    assert "too slow" in slow.refused[0]
 
 
 @pytest.mark.parametrize("size", [0, 1])
 def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
-    house, asked = RecordingParts(), threading.Event()
+    recorded, asked = RecordingParts(), threading.Event()
 
     def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
         if chunk.offset >= size * 1024:
@@ -245,45 +253,45 @@ def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_pat
     pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
     with (
         open_archive(tmp_path / "data") as archive,
-        Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
+        Pullers(archive, recorded, fetch, recorded, settings, recorded.done.set) as pullers,
     ):
         for _ in range(600):  # as heartbeats do
             pullers.offer(pull)
-            if house.done.wait(0.05):
+            if recorded.done.wait(0.05):
                 break
     assert asked.is_set()
-    assert len(house.refused) == 1
-    assert f"not served: {size * 1024} of {len(BUNDLE)} bytes" in house.refused[0]
+    assert len(recorded.refused) == 1
+    assert f"not served: {size * 1024} of {len(BUNDLE)} bytes" in recorded.refused[0]
 
 
 def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> None:
-    house, failures = RecordingParts(), iter(range(3))
+    recorded, failures = RecordingParts(), iter(range(3))
 
     def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
         if next(failures, None) is not None:
             raise TransientError("no answer in time")
-        return house.fetch(sid, lease, chunk)
+        return recorded.fetch(sid, lease, chunk)
 
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0, slow_start_s=0.0)
     pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
     with (
         open_archive(tmp_path / "data") as archive,
-        Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
+        Pullers(archive, recorded, fetch, recorded, settings, recorded.done.set) as pullers,
     ):
         for _ in range(600):
             pullers.offer(pull)
-            if house.done.wait(0.05):
+            if recorded.done.wait(0.05):
                 break
-    assert house.refused == []
-    assert house.judged == [BUNDLE]
+    assert recorded.refused == []
+    assert recorded.validated == [BUNDLE]
 
 
 def test_space_is_reserved_for_bundles_in_transfer(tmp_path: Path) -> None:
-    crowd = SlowHosts(pause_s=0.1)
+    slow = SlowHosts(pause_s=0.1)
     with open_archive(tmp_path / "data") as archive:
         free = archive.free_bytes()
         settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=max(0, free - (1 << 30)))
-        with Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers:
+        with Pullers(archive, slow, slow.fetch, slow, settings, slow.done.set) as pullers:
             for number in (1, 2):
                 pullers.offer(replace(pull_of(f"slow-{number}.1", number), size=(1 << 30) - (200 << 20)))
             while pullers.waiting == 2:

@@ -39,7 +39,7 @@ SHORT_BY_SURFACE = short_task().model_copy(update={"success": SuccessMeasure.SUR
 
 
 def findings_of(parts: BundleParts, job: Job | None = None) -> str:
-    return "\n".join(validate(BundleReader(io.BytesIO(parts.write())), job, chair()))
+    return "\n".join(validate(BundleReader(io.BytesIO(parts.write())), job, (chair(),)))
 
 
 def with_pose(parts: BundleParts, row: slice | int, column: int, value: float, add: bool = False) -> BundleParts:
@@ -112,7 +112,7 @@ ROLLOUT = {
     "tier": (lambda p: p.with_job(tier=Tier.MID), "spawn distance 1.600 m is outside tier mid"),
     "no success": (lambda p: p.with_rollout(end_reason=EndReason.TIMEOUT), "only successes are archived"),
     "far away": (lambda p: with_pose(p, slice(None), 0, -0.05, add=True), "no success: 1.6275 m from the target"),
-    "still rolling": (lambda p: with_pose(p, -1, 0, 0.001, add=True), "no success: 0.0600 m/s in the hold"),
+    "still rolling": (lambda p: with_pose(p, -1, 0, 0.001, add=True), "no success: 0.0600 m/s during the last 2 steps"),
     "token": (lambda p: p.with_arrays(actions_tokens=np.zeros((12, 2), np.int16)), "is not the nearest grid point"),
 }
 MOTION = {
@@ -140,9 +140,12 @@ FRAMES = {
     "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 of 12"),
 }
 START = {
-    "a second object that the instruction fits": (StartView(rivals=(WALL_ID,)), "start: objects [2] are in view"),
+    "a second object that the instruction fits": (
+        StartView(other_referents=(WALL_ID,)),
+        "start: objects [2] are in view",
+    ),
     "a target beside the heading": (StartView(within_rad=0.0), ""),
-    "no other object of the category": (StartView(alike=(WALL_ID,)), ""),
+    "no other object of the category": (StartView(same_category=(WALL_ID,)), ""),
 }
 
 
@@ -154,7 +157,7 @@ def test_first_frame_is_checked_against_the_conditions_of_the_job(view: StartVie
 
 
 def test_start_without_the_target_in_view_is_refused() -> None:
-    job = job_for(start_view=StartView(alike=(WALL_ID,), within_rad=math.radians(30)))
+    job = job_for(start_view=StartView(same_category=(WALL_ID,), within_rad=math.radians(30)))
     found = findings_of(with_image(parts_for(job), 0, 2, slice(280, 360), FLOOR_ID), job)
     assert "start: the target is not in view\nstart: objects [2] of the target's category are in view" in found
 
@@ -170,12 +173,12 @@ def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> Non
 
 
 def test_worker_that_drops_the_conditions_is_refused() -> None:
-    leased = job_for(start_view=StartView(rivals=(WALL_ID,)))
+    leased = job_for(start_view=StartView(other_referents=(WALL_ID,)))
     assert "job.start_view: the bundle has None" in findings_of(parts_for(), leased)
 
 
 def by_surface(parts: BundleParts, task: TaskConfig = SHORT_BY_SURFACE, **demonstration: object) -> BundleParts:
-    """The smallest bundle with a footprint that ends 0.2 m before the centroid, judged by the distance to it."""
+    """The smallest bundle with a footprint that ends 0.2 m before the centroid, validated by the distance to it."""
     wanted = DemonstrationConfig.model_validate(demonstration)
     job = {"task": task, "demonstration": wanted, "tier": Tier.FAR}
     return parts.with_meta(target_footprint_m=FOOTPRINT_M).with_job(**job).measured().with_rollout(target_in_view=True)
@@ -205,9 +208,9 @@ SURFACE = {
 def test_an_episode_by_surface_distance_has_no_findings_although_its_centroid_is_far() -> None:
     parts = by_surface(parts_for(), max_contact_steps=0, target_in_view=True)
     target = chair().model_copy(update={"footprint_m": FOOTPRINT_M})
-    assert validate(BundleReader(io.BytesIO(parts.write())), None, target) == []
+    assert validate(BundleReader(io.BytesIO(parts.write())), None, (target,)) == []
     assert any(
-        "target_footprint_m" in line for line in validate(BundleReader(io.BytesIO(parts.write())), None, chair())
+        "target_footprint_m" in line for line in validate(BundleReader(io.BytesIO(parts.write())), None, (chair(),))
     )
 
 
@@ -289,14 +292,14 @@ def edited(parts: BundleParts, edit: Callable[[dict[str, Any]], object]) -> byte
 
 def test_smallest_states_recording_has_no_findings_and_no_frames() -> None:
     data = states().write()
-    assert validate(BundleReader(io.BytesIO(data)), job_for(record=Recording.STATES), chair()) == []
+    assert validate(BundleReader(io.BytesIO(data)), job_for(record=Recording.STATES), (chair(),)) == []
     assert not BundleReader(io.BytesIO(data)).has_frames
     assert len(data) < 10_000
 
 
 @pytest.mark.parametrize(("made", "text"), STATES.values(), ids=STATES)
 def test_contradiction_of_a_states_recording_is_found(made: Callable[[], bytes], text: str) -> None:
-    found = validate(BundleReader(io.BytesIO(made())), None, chair())
+    found = validate(BundleReader(io.BytesIO(made())), None, (chair(),))
     assert any(text in finding for finding in found)
 
 

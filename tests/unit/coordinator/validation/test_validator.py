@@ -42,7 +42,7 @@ def validator() -> Iterator[Validator]:
 
 
 def test_valid_bundle_gives_the_row_of_the_episode(validator: Validator, bundle: Path) -> None:
-    row = validator.check(bundle, job_for(), chair())
+    row = validator.check(bundle, job_for(), (chair(),))
     assert (row.episode_id, row.num_steps, row.file_bytes) == ("ep_000001", 12, bundle.stat().st_size)
 
 
@@ -50,7 +50,7 @@ def test_a_states_recording_is_validated_in_the_sandbox(validator: Validator, tm
     job = job_for(record=Recording.STATES)
     path = tmp_path / "x.part"
     path.write_bytes(parts_for(job).write())
-    assert validator.check(path, job, chair()).num_steps == 12
+    assert validator.check(path, job, (chair(),)).num_steps == 12
 
 
 def test_all_violations_cross_the_pipe(validator: Validator, tmp_path: Path) -> None:

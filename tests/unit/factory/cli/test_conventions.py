@@ -96,6 +96,12 @@ def test_the_command_table_has_the_summary_of_each_command() -> None:
     }
 
 
+def test_the_docstring_of_each_package_names_its_commands() -> None:
+    for name, verb in VERBS.items():
+        package = importlib.import_module(f"factory.cli.{verb.module.rpartition('.')[0]}")
+        assert f"`{name}`" in (package.__doc__ or ""), package.__name__
+
+
 @pytest.mark.parametrize(("path", "command"), [found for found in commands() if isinstance(found[1], click.Group)])
 def test_every_command_is_listed_with_its_whole_summary_on_one_line(path: str, command: click.Group) -> None:
     lines = [line.split(maxsplit=1) for line in shown(command, path).splitlines() if line.startswith("  ")]

@@ -1,8 +1,16 @@
-"""Tests the language column of LeRobot exports."""
+"""Tests the language columns of LeRobot exports."""
 
 import pyarrow as pa
 
-from factory.export.lerobot.language import COLUMN, subtask_rows, with_subtasks
+from factory.export.lerobot.language import (
+    COLUMN,
+    EVENTS,
+    question_rows,
+    subtask_rows,
+    with_questions,
+    with_subtasks,
+)
+from schemas.language.question.model import AnswerKind, Question, QuestionKind, QuestionMeaning
 from schemas.language.route.model import RouteStep, SubInstruction
 
 
@@ -18,3 +26,39 @@ def test_every_frame_has_all_subtasks_which_begin_at_exported_frames():
     found = with_subtasks(pa.table({"index": [0, 1, 2, 3]}), rows)[COLUMN].to_pylist()
     assert found == [rows] * 4
     assert {row["style"] for row in rows} == {"subtask"}
+
+
+def question(start: int, end: int, reason: str | None, language: str = "en") -> Question:
+    meaning = QuestionMeaning(kind=QuestionKind.NEXT, answer=AnswerKind.STOP)
+    return Question(
+        question=f"Q{start}?",
+        answer="A.",
+        reason=reason,
+        language=language,
+        template_id="en_next_001",
+        held_out=False,
+        start=start,
+        end=end,
+        meaning=meaning,
+    )
+
+
+def test_a_question_is_asked_at_the_first_exported_frame_of_its_answer_and_omitted_without_one():
+    asked = [
+        question(0, 1, "R."),
+        question(16, 40, None),
+        question(31, 32, "R."),
+        question(58, 60, "R."),
+        question(30, 31, "R.", "zh"),
+    ]
+    rows = question_rows(asked, "observation.images.front", stride=15, frames=4)
+    assert [[(row["role"], row["content"]) for row in frame] for frame in rows] == [
+        [("user", "Q0?"), ("assistant", "A. R.")],
+        [],
+        [("user", "Q16?"), ("assistant", "A."), ("user", "Q30?"), ("assistant", "A.R.")],
+        [],
+    ]
+    found = with_questions(pa.table({"index": [0, 1, 2, 3]}), rows)[EVENTS].to_pylist()
+    assert found == rows
+    said = [row for frame in found for row in frame]
+    assert {(row["style"], row["camera"]) for row in said} == {("vqa", "observation.images.front")}

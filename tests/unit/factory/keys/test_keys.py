@@ -23,7 +23,7 @@ NOW = datetime.now(UTC)
 
 @pytest.fixture
 def pki(tmp_path: Path) -> Path:
-    return make_authority(tmp_path / "pki", ("node-1",), ("boss",))
+    return make_authority(tmp_path / "pki", ("node-1",), ("admin",))
 
 
 def read(path: Path) -> x509.Certificate:
@@ -33,7 +33,7 @@ def read(path: Path) -> x509.Certificate:
 def test_secrets_are_readable_only_by_their_owner(pki):
     keys = sorted(pki.rglob("*.key"))
     assert [path.relative_to(pki).as_posix() for path in keys] == [
-        "boss/host.key",
+        "admin/host.key",
         "ca.key",
         "hub/host.key",
         "node-1/host.key",
@@ -82,12 +82,12 @@ def test_openssl_accepts_the_key_with_its_certificate(pki):
 def test_every_coordinator_folder_gets_the_host_list(pki):
     admit(pki, "hub-2", Role.COORDINATOR, (), 1, NOW)
     admit(pki, "node-2", Role.WORKER, (), 1, NOW)
-    wanted = {"boss": Role.OPERATOR, "node-1": Role.WORKER, "node-2": Role.WORKER}
+    wanted = {"admin": Role.OPERATOR, "node-1": Role.WORKER, "node-2": Role.WORKER}
     assert Guard(pki / "hub").admitted() == Guard(pki / "hub-2").admitted() == wanted
     assert revoke(pki, "node-1") == (pki / "hub" / "hosts.txt", pki / "hub-2" / "hosts.txt")
     assert "node-1" not in Guard(pki / "hub").admitted()
     assert [(keys.name, keys.role, keys.admitted) for keys in list_hosts(pki)] == [
-        ("boss", "operator", True),
+        ("admin", "operator", True),
         ("hub", "coordinator", True),
         ("hub-2", "coordinator", True),
         ("node-1", "worker", False),
@@ -128,7 +128,7 @@ def test_without_an_authority_nothing_is_issued(tmp_path):
 
 
 def test_unknown_hosts_cannot_be_revoked(pki):
-    with pytest.raises(UsageError, match="admitted hosts: boss, node-1"):
+    with pytest.raises(UsageError, match="admitted hosts: admin, node-1"):
         revoke(pki, "nobody")
 
 
@@ -143,7 +143,7 @@ def test_an_incomplete_folder_is_refused_with_the_missing_files(pki):
     with pytest.raises(UsageError, match=r"lacks ca\.pem"):
         read_credentials(pki / "node-1")
     with pytest.raises(UsageError, match="--role coordinator"):
-        Guard(pki / "boss")
+        Guard(pki / "admin")
 
 
 def test_the_host_list_is_read_back_as_written():

@@ -1,4 +1,4 @@
-"""Tests paraphrases by a loopback endpoint: usable patterns are kept, and everything else is left out and counted."""
+"""Tests paraphrases by a loopback endpoint: usable patterns are kept, and everything else is counted and not added."""
 
 import json
 import threading
@@ -66,7 +66,7 @@ def test_usable_patterns_are_kept_written_and_read_back(tmp_path, monkeypatch):
         again = with_paraphrases(SPEC, Endpoint(url, "small"), tmp_path / "cache.json")
     assert spec.paraphrases == {"en": {"terse": ("Advance until you get to {np}.",)}}
     assert again[0] == spec
-    assert len(seen) == ASKED, "cached answers are not asked for again"
+    assert len(seen) == ASKED, "cached answers are not requested again"
     assert {(each["path"], each["model"]) for each in seen} == {("/v1/chat/completions", "small")}
     assert {each["Authorization"] for each in seen} == {f"Bearer {KEY}"}
     assert KEY not in (tmp_path / "cache.json").read_text() + report.model_dump_json() + spec.model_dump_json()

@@ -123,6 +123,12 @@ def test_another_language_file_or_foreign_directory_is_refused(source, relabelle
     assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
 
 
+def test_the_draw_of_targets_is_refused_for_recorded_episodes(source, tmp_path):
+    with pytest.raises(InvalidLanguage, match="exchangeable: a plan draws the start before the target"):
+        relabel(source, tmp_path / "out", LanguageSpec(exchangeable=True, in_view=1))
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_language_file_that_no_target_can_satisfy_names_what_is_possible(source, tmp_path):
     only_support = LanguageSpec(features={str(each): 0.0 for each in Family if each is not Family.SUPPORT})
     with pytest.raises(

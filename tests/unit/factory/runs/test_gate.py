@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.runs.gate import Pilot, Trial, evaluate_gate, run_pilot
+from factory.runs.gate import GateRun, Trial, evaluate_gate, run_gate
 from schemas.errors import WorldError
 from schemas.terms import FailReason, Tier
 from tests.builders.bundle import job_for
@@ -25,53 +25,53 @@ DIES_AT_WORK = (
 )
 
 
-def pilot_of(count: int, command: tuple[str, ...] = QUICK, processes: int = 2) -> Pilot:
-    return Pilot(
+def gate_run_of(count: int, command: tuple[str, ...] = QUICK, processes: int = 2) -> GateRun:
+    return GateRun(
         tuple(job_for(index) for index in range(1, count + 1)), defaultdict(lambda: Path("unused")), command, processes
     )
 
 
-def try_all(pilot: Pilot) -> list[Trial]:
-    return run_pilot(pilot, threading.Event(), lambda _done: None)
+def try_all(gate_run: GateRun) -> list[Trial]:
+    return run_gate(gate_run, threading.Event(), lambda _done: None)
 
 
-def test_pilot_is_the_first_attempt_at_every_episode_of_the_plan() -> None:
-    pilot = Pilot.of(room_plan(5), room_catalog(), (), 1)
-    assert [job.index for job in pilot.jobs] == [1, 2, 3, 4, 5]
-    assert {(job.draw, job.attempt) for job in pilot.jobs} == {(0, 1)}
+def test_a_gate_run_is_the_first_attempt_at_every_episode_of_the_plan() -> None:
+    gate_run = GateRun.of(room_plan(5), room_catalog(), (), 1)
+    assert [job.index for job in gate_run.jobs] == [1, 2, 3, 4, 5]
+    assert {(job.draw, job.attempt) for job in gate_run.jobs} == {(0, 1)}
 
 
 @pytest.mark.parametrize("processes", [1, 3])
 def test_every_job_is_tried_once_and_the_outcome_does_not_depend_on_processes(processes: int) -> None:
     told: list[int] = []
-    trials = run_pilot(pilot_of(8, processes=processes), threading.Event(), told.append)
+    trials = run_gate(gate_run_of(8, processes=processes), threading.Event(), told.append)
     assert told == list(range(1, 9))
     assert sorted(trial.job.index for trial in trials) == list(range(1, 9))
     outcome = {trial.job.index: trial.reason for trial in trials}
-    assert outcome == {trial.job.index: trial.reason for trial in try_all(pilot_of(8, processes=2))}
+    assert outcome == {trial.job.index: trial.reason for trial in try_all(gate_run_of(8, processes=2))}
     assert set(outcome.values()) == {None, FailReason.COLLISION}
 
 
 def test_no_bundle_remains_after_the_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    try_all(pilot_of(3))
+    try_all(gate_run_of(3))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_crash_is_a_failed_attempt_and_the_others_continue() -> None:
-    trials = try_all(pilot_of(2, DIES_AT_WORK, processes=1))
+    trials = try_all(gate_run_of(2, DIES_AT_WORK, processes=1))
     assert [trial.reason for trial in trials] == [FailReason.CRASH] * 2
     assert "broken" in trials[0].detail
 
 
 def test_simulations_that_do_not_start_are_an_error_with_their_last_output() -> None:
     with pytest.raises(WorldError, match=r"did not start after 3 tries.*no renderer"):
-        try_all(pilot_of(2, NOISY_DEATH, processes=1))
+        try_all(gate_run_of(2, NOISY_DEATH, processes=1))
 
 
-def test_a_stopped_pilot_returns_its_finished_trials() -> None:
+def test_a_stopped_gate_run_returns_its_finished_trials() -> None:
     stop = threading.Event()
-    trials = run_pilot(pilot_of(20, processes=1), stop, lambda done: stop.set() if done == 2 else None)
+    trials = run_gate(gate_run_of(20, processes=1), stop, lambda done: stop.set() if done == 2 else None)
     assert len(trials) == 2
 
 
@@ -97,5 +97,5 @@ def test_the_gate_passes_at_the_required_share(min_success: float, passed: bool)
     assert evaluate_gate("office", "proportional", trials, min_success).passed is passed
 
 
-def test_a_pilot_without_trials_does_not_pass() -> None:
+def test_a_gate_run_without_trials_does_not_pass() -> None:
     assert not evaluate_gate("office", "proportional", [], 0.0).passed

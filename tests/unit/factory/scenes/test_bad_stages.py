@@ -43,7 +43,7 @@ def test_a_stage_without_a_default_prim_is_read_completely_and_noted(tmp_path: P
 def test_a_missing_default_prim_is_noted_by_name(tmp_path: Path) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX)
     path.write_text(path.read_text().replace('defaultPrim = "World"', 'defaultPrim = "Hall"'))
-    assert noted(extract_stage(path), "'Hall' is not there", "/World", "deactivate")
+    assert noted(extract_stage(path), "'Hall' does not exist", "/World", "deactivate")
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "1e-12", "1e9"])

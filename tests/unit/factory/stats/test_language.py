@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -82,12 +83,12 @@ def test_an_object_with_too_few_pixels_or_without_a_category_is_not_in_view() ->
 
 
 def test_baselines_choose_by_distance_by_bearing_and_by_bearing_within_the_category() -> None:
-    near, middle = SeenObject(PLANT, 1.0, 0.5), SeenObject(CHAIR, 2.0, -0.1)
+    near, middle = SeenObject(PLANT, 1.0, 0.5, 50), SeenObject(CHAIR, 2.0, -0.1, 50)
     row = all_of(
         [
-            view((SeenObject(7, 0.5, 0.0), near, middle)),  # the nearest and the most central
-            view((SeenObject(7, 3.0, 0.2), near, middle)),  # none
-            view((SeenObject(7, 3.0, 0.2), SeenObject(PLANT, 1.0, 0.0))),  # the only one of its category
+            view((SeenObject(7, 0.5, 0.0, 50), near, middle)),  # the nearest and the most central
+            view((SeenObject(7, 3.0, 0.2, 50), near, middle)),  # none
+            view((SeenObject(7, 3.0, 0.2, 50), SeenObject(PLANT, 1.0, 0.0, 50))),  # the only one of its category
             view(()),  # nothing in view
         ]
     )
@@ -95,14 +96,28 @@ def test_baselines_choose_by_distance_by_bearing_and_by_bearing_within_the_categ
     assert (row.nearest.low, row.nearest.high) == (pytest.approx(0.0456, abs=1e-4), pytest.approx(0.6994, abs=1e-4))
 
 
+def test_the_largest_object_of_the_category_is_found_and_only_possible_targets_count() -> None:
+    small, large, near = SeenObject(7, 3.0, 0.0, 50), SeenObject(8, 4.0, 0.1, 90), SeenObject(12, 1.0, 0.2, 900)
+    seen = (small, large, near)
+    of_category = replace(view(seen), of_category=frozenset({7, 8, 12}))
+    drawn = replace(of_category, choices=frozenset({7, 8}))
+    plain, row = all_of([of_category]), all_of([drawn])
+    assert (plain.chance, row.chance) == (pytest.approx(1 / 3), pytest.approx(1 / 2))
+    assert (plain.others_in_view, row.others_in_view) == (2.0, 1.0)
+    assert (counted(plain.nearest_of_category), counted(row.nearest_of_category)) == ((0, 1), (1, 1))
+    assert counted(row.largest_of_category) == (0, 1)
+    larger = replace(drawn, seen=(replace(small, pixels=91), large, near))
+    assert counted(all_of([larger]).largest_of_category) == (1, 1)
+
+
 def test_an_instruction_is_ambiguous_in_the_scene_and_in_view() -> None:
-    both = (SeenObject(7, 1.0, 0.0), SeenObject(8, 2.0, 0.1))
+    both = (SeenObject(7, 1.0, 0.0, 50), SeenObject(8, 2.0, 0.1, 50))
     row = all_of([view(both, {7}), view(both, {7, 8}), view(both[:1], {7, 8}), view(both[1:], {7, 8, 12})])
     assert (counted(row.several_in_scene), counted(row.several_in_view)) == ((3, 4), (1, 4))
 
 
 def test_a_start_is_contradictory_if_another_of_the_category_is_in_view_and_the_target_is_not() -> None:
-    target, chair, plant = (SeenObject(number, 1.0, 0.0) for number in (7, 8, 9))
+    target, chair, plant = (SeenObject(number, 1.0, 0.0, 50) for number in (7, 8, 9))
     row = all_of([view((target, chair)), view((chair,)), view((plant,)), view(())])
     assert counted(row.contradictory) == (1, 4)
 
@@ -111,7 +126,7 @@ def test_a_start_is_contradictory_if_another_of_the_category_is_in_view_and_the_
 def test_a_target_in_front_is_in_view_and_within_30_degrees_of_the_heading(
     degrees: float, is_seen: bool, wrong: int
 ) -> None:
-    seen = (SeenObject(7, 1.0, 0.0),) if is_seen else ()
+    seen = (SeenObject(7, 1.0, 0.0, 50),) if is_seen else ()
     row = all_of([view(seen, template_id="train_11", spawn_yaw_rad=math.radians(degrees)), view(())])
     assert counted(row.not_in_front) == (wrong, 1)
 

@@ -212,7 +212,7 @@ def test_row_that_breaks_its_model_is_found(data: Path) -> None:
 
 
 def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Path) -> None:
-    """Consistent changes of episode and tables still violate the laws of motion."""
+    """Consistent changes of episode and tables still violate the kinematic limits."""
     before = Dataset(data)
     with open_archive(data) as archive:
         first = before[0]

@@ -17,7 +17,7 @@ def load(tmp_path: Path, text: str | bytes) -> LanguageSpec:
 def test_an_empty_file_has_the_defaults(tmp_path):
     spec = load(tmp_path, "")
     assert spec.languages == {"en": 1.0}
-    assert len(spec.families) == 12
+    assert len(spec.families) == 15
 
 
 def test_a_list_of_languages_gives_equal_shares(tmp_path):

@@ -29,7 +29,7 @@ def shorter(expression: Expression) -> list[Expression]:
     """Returns the expression without each of its parts in turn."""
     found = [
         expression.model_copy(update={name: None})
-        for name in ("colour", "size", "ordinal")
+        for name in ("colour", "material", "size", "ordinal")
         if getattr(expression, name)
     ]
     clauses = expression.clauses

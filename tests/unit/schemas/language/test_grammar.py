@@ -3,7 +3,7 @@
 import pytest
 
 from schemas.errors import UsageError
-from schemas.language.expression import ARITY, Clause, Expression, Landmark, Ordinal, Relation
+from schemas.language.expression import ARITY, COUNTED, Clause, Expression, Landmark, Ordinal, Relation
 from schemas.language.grammar import LANGUAGES, REGISTERS, grammar
 from schemas.language.kinds import kinds
 from schemas.language.reading import reader
@@ -37,6 +37,9 @@ def test_every_language_has_words_for_everything_that_an_expression_can_name(cod
     assert source.colours.keys() == set(COLOUR_NAMES)
     assert source.relations.keys() == set(Relation)
     assert source.rooms.keys() == table.rooms.keys()
+    assert source.materials.keys() == grammar("en").materials.keys()
+    assert source.plurals.keys() == grammar("en").plurals.keys()
+    assert source.numbers.keys() == {str(number) for number in range(2, 7)}
 
 
 EXPRESSIONS = (
@@ -44,17 +47,24 @@ EXPRESSIONS = (
     Expression(kind="trash_can", definite=False, clauses=(near("table", definite=False, colour="brown"),)),
     Expression(kind="table", ordinal=Ordinal(number=3, side="right")),
     Expression(kind="sofa", colour="blue", ordinal=Ordinal(number=1, side="left")),
+    Expression(kind="rack", ordinal=Ordinal(number=1, side="ahead_left")),
+    Expression(kind="shelf", ordinal=Ordinal(number=4, side="ahead_right")),
     Expression(kind="plant", size="tallest", clauses=(Clause(relation="this_room"),)),
+    Expression(kind="table", material="wood", clauses=(near("plant"),)),
+    Expression(kind="shelf", definite=False, colour="gray", material="metal"),
     *(
         Expression(
             kind="fire_extinguisher",
             clauses=(
                 Clause(
                     relation=relation,
-                    landmarks=(Landmark(kind="plant", colour="green"), Landmark(kind="shelf", definite=False))[
+                    landmarks=(Landmark(kind="chair", definite=False),)
+                    if relation in COUNTED
+                    else (Landmark(kind="plant", colour="green"), Landmark(kind="shelf", definite=False))[
                         : ARITY[relation]
                     ],
                     room="kitchen" if relation is Relation.IN_ROOM else None,
+                    count=3 if relation in COUNTED else None,
                 ),
             ),
         )
@@ -70,7 +80,9 @@ def test_every_sentence_is_read_with_the_meaning_that_it_was_written_for(code):
         expression = EXPRESSIONS[number % len(EXPRESSIONS)]
         if pattern.case == "bare" and not expression.definite:
             continue  # an expression without article is read as a definite one
-        choice = dict.fromkeys(("kind", "landmark", "relation", "size", "side", "colour", "article"), number)
+        choice = dict.fromkeys(
+            ("kind", "landmark", "relation", "size", "side", "colour", "article", "material"), number
+        )
         text = source.sentence(pattern, expression, choice)
         assert {each.expression for each in own.read(text)} == {expression}, text
 

@@ -9,6 +9,7 @@ import pytest
 from schemas.language.file import LanguageSpec
 from schemas.language.grammar import LANGUAGES, grammar
 from schemas.language.route.compose import RouteComposer
+from schemas.language.route.doorways import room_changes
 from schemas.language.route.model import DrivenPath, RouteStep, RouteText, StepKind
 from schemas.language.route.reading import route_reader
 from schemas.language.route.segment import divide_path
@@ -54,7 +55,7 @@ def test_a_doorway_is_found_between_two_rooms_and_nowhere_else():
 
 def test_a_route_names_the_doorway_the_turn_and_the_target_in_their_order():
     poses = driven(*TO_SOFA)
-    found = RouteSearch(place(), DrivenPath(poses), number_at(3.5, 2.5), grammar("en").nouns, np.random.default_rng(0))
+    found = RouteSearch(place(), DrivenPath(poses), number_at(3.5, 2.5), grammar("en"), np.random.default_rng(0))
     steps = found.steps()
     kinds = [each.step.kind for each in steps if each.step.kind in (StepKind.DOOR, StepKind.TURN, StepKind.STOP)]
     assert kinds == [StepKind.DOOR, StepKind.TURN, StepKind.STOP]
@@ -76,6 +77,20 @@ def test_the_spans_of_a_verified_route_cover_the_path(code, corners, target):
         assert [each.start for each in route.steps] == edges[:-1]
         assert edges[-1] == len(poses)
         assert fault(route, poses, target) == ""
+
+
+def test_a_turn_around_in_a_doorway_is_told_in_two_steps():
+    poses = driven((-2.0, -0.3), (0.8, -0.3), (0.8, -0.9), (0.3, -0.9))
+    path = DrivenPath(poses)
+    search = RouteSearch(place(), path, number_at(1.2, -2.8), grammar("en"), np.random.default_rng(0))
+    turned = np.abs(path.yaw - path.yaw[0])
+    start, end = int(np.argmax(poses[:, 0] > -0.6)), int(np.argmax(turned > math.radians(175)))
+    (change,) = room_changes(two_rooms().graph, path)
+    steps = search._turned(start, end, [change])
+    assert [each.step.kind for each in steps] == [StepKind.DOOR, StepKind.TURN]
+    assert [steps[0].start, steps[-1].end] == [start, end]
+    assert steps[0].end == steps[1].start
+    assert steps[-1].step.size == "around"
 
 
 @pytest.mark.parametrize(

@@ -15,17 +15,17 @@ from schemas.terms import ExpertName
 from tests.builders.catalog import make_catalog
 from tests.builders.scene import box_room
 from workers.experts import Expert, make_expert
-from workers.experts.image_measures import Sighting
+from workers.experts.image_measures import MaskMeasures
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 
-UNSEEN = Sighting(0, 320.0, lambda: 0.0)
+UNSEEN = MaskMeasures(0, 320.0, lambda: 0.0)
 
 
 class Seen(NamedTuple):
     """A view with precomputed values."""
 
-    sighting: Sighting
+    target_mask: MaskMeasures
     bearing_rad: float
     distance_m: float
     obstacle_near: bool
@@ -38,8 +38,8 @@ def make_job(expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
     return to_job(plan, catalog, expand(plan, catalog)[0], 1)
 
 
-def seen(distance=3.0, bearing=0.0, sighting=UNSEEN, near=False) -> Seen:
-    return Seen(sighting, bearing, distance, near, Pose.planar(2.5 - distance, 1.3, 0.0))
+def seen(distance=3.0, bearing=0.0, target_mask=UNSEEN, near=False) -> Seen:
+    return Seen(target_mask, bearing, distance, near, Pose.planar(2.5 - distance, 1.3, 0.0))
 
 
 def test_speed_is_proportional_to_the_centroid_distance_and_clamped():
@@ -55,8 +55,8 @@ def test_the_commanded_speed_is_zero_inside_the_success_circle():
 
 def test_yaw_follows_the_mask_when_visible_and_the_bearing_when_not():
     expert = make_expert(make_job())
-    right = Sighting(100, 480.0, lambda: 3.0)
-    assert expert.act(seen(bearing=1.0, sighting=right)).w_rps == pytest.approx(-0.7)
+    right = MaskMeasures(100, 480.0, lambda: 3.0)
+    assert expert.act(seen(bearing=1.0, target_mask=right)).w_rps == pytest.approx(-0.7)
     assert expert.act(seen(bearing=0.5)).w_rps == pytest.approx(0.7)
     assert expert.act(seen(bearing=math.pi)).w_rps == 1.5
 
@@ -67,13 +67,13 @@ def test_speed_is_capped_but_not_zero_near_an_obstacle():
 
 def test_the_literal_law_stops_when_the_surface_is_one_radius_away():
     expert = make_expert(make_job(ExpertName.PAPER_LITERAL))
-    assert expert.act(seen(distance=1.3, sighting=Sighting(500, 320.0, lambda: 1.0))).v_mps == 0.0
-    assert expert.act(seen(distance=3.3, sighting=Sighting(500, 320.0, lambda: 2.0))).v_mps == pytest.approx(0.7)
+    assert expert.act(seen(distance=1.3, target_mask=MaskMeasures(500, 320.0, lambda: 1.0))).v_mps == 0.0
+    assert expert.act(seen(distance=3.3, target_mask=MaskMeasures(500, 320.0, lambda: 2.0))).v_mps == pytest.approx(0.7)
 
 
 def test_the_depth_law_uses_the_mask_depth_while_visible():
     expert = make_expert(make_job(ExpertName.DEPTH))
-    assert expert.act(seen(distance=1.3, sighting=Sighting(500, 320.0, lambda: 1.0))).v_mps == pytest.approx(0.7)
+    assert expert.act(seen(distance=1.3, target_mask=MaskMeasures(500, 320.0, lambda: 1.0))).v_mps == pytest.approx(0.7)
     assert expert.act(seen(distance=1.3)).v_mps == pytest.approx(0.91)
 
 

@@ -15,20 +15,20 @@ def test_a_mask_gives_its_size_mean_column_and_median_depth():
     ids[100:110, 200:220] = 7
     depth = DEPTH.copy()
     depth[100:110, 200:219] = 2.0
-    sighting = measure_mask(ids, depth, 7, 32)
-    assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (200, 210.0, 2.0)
+    target_mask = measure_mask(ids, depth, 7, 32)
+    assert (target_mask.pixels, target_mask.column, target_mask.measure_depth()) == (200, 210.0, 2.0)
 
 
 def test_a_mask_that_fills_the_image_is_counted_whole():
-    sighting = measure_mask(np.full((640, 640), 7, np.uint16), DEPTH, 7, 32)
-    assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (640 * 640, 320.0, 3.0)
+    target_mask = measure_mask(np.full((640, 640), 7, np.uint16), DEPTH, 7, 32)
+    assert (target_mask.pixels, target_mask.column, target_mask.measure_depth()) == (640 * 640, 320.0, 3.0)
 
 
 def test_a_mask_below_the_threshold_counts_as_unseen_at_the_centre():
     ids = np.zeros((640, 640), np.uint16)
     ids[0, :31] = 7
-    sighting = measure_mask(ids, DEPTH, 7, 32)
-    assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (31, 320.0, 0.0)
+    target_mask = measure_mask(ids, DEPTH, 7, 32)
+    assert (target_mask.pixels, target_mask.column, target_mask.measure_depth()) == (31, 320.0, 0.0)
 
 
 def test_the_percentile_by_counting_agrees_with_numpy():

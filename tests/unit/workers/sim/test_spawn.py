@@ -275,7 +275,9 @@ def test_a_draw_ends_when_too_many_starts_are_rejected() -> None:
     assert 256 <= len(rejected) < 256 + 32
 
 
-@pytest.mark.parametrize(("view", "limit_deg"), [(StartView(within_rad=0.5), 28.65), (StartView(rivals=(99,)), 45.0)])
+@pytest.mark.parametrize(
+    ("view", "limit_deg"), [(StartView(within_rad=0.5), 28.65), (StartView(other_referents=(99,)), 45.0)]
+)
 def test_far_starts_that_must_show_the_target_head_towards_it(view: StartView, limit_deg: float) -> None:
     place = lane_room(8.5)
     for attempt in range(1, 30):

@@ -34,9 +34,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_missing_module_is_reported_with_the_search_path(folder: Path) -> None:
     said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
-    for judge in (require_available, load_class):
+    for check in (require_available, load_class):
         with pytest.raises(UsageError, match=said) as caught:
-            judge("nowhere_pilot:Policy")
+            check("nowhere_pilot:Policy")
         assert "frozen" not in str(caught.value)
 
 

@@ -116,7 +116,7 @@ def bundle_of(result: EpisodeResult, note: PolicyNote = NOTE) -> bytes:
     return out.getvalue()
 
 
-def judged(tmp_path: Path, data: bytes) -> Any:
+def checked_result(tmp_path: Path, data: bytes) -> Any:
     path = tmp_path / "1.1.zip"
     path.write_bytes(data)
     return ResultValidator({1: TASK}).check(path, job_for(1), TARGET)
@@ -124,7 +124,7 @@ def judged(tmp_path: Path, data: bytes) -> Any:
 
 def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path) -> None:
     data = bundle_of(arrived())
-    receipt = judged(tmp_path, data)
+    receipt = checked_result(tmp_path, data)
     assert (receipt.index, receipt.num_steps, receipt.file_bytes) == (1, STEPS, len(data))
     assert (
         receipt.content_digest == result_digest(arrived(act_ms=9.0, seconds=9.0)) != result_digest(arrived(detail="x"))
@@ -134,14 +134,14 @@ def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path
 
 def test_invalid_bundles_and_bundles_of_other_tasks_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidBundle, match="not a readable zip"):
-        judged(tmp_path, b"rubbish")
+        checked_result(tmp_path, b"rubbish")
     with pytest.raises(InvalidBundle, match=r"spl is 0\.5"):
-        judged(tmp_path, bundle_of(arrived(spl=0.5)))
+        checked_result(tmp_path, bundle_of(arrived(spl=0.5)))
     with pytest.raises(InvalidBundle, match="note of policy 'expert'"):
-        judged(tmp_path, bundle_of(arrived(), NOTE.model_copy(update={"policy": "expert"})))
+        checked_result(tmp_path, bundle_of(arrived(), NOTE.model_copy(update={"policy": "expert"})))
     for name, text in (("driven.json", b"{}"), ("driven.json", b"x" * (5 << 20)), ("other.json", b"{}")):
         out = io.BytesIO()
         with ContainerWriter(out) as container:
             container.add(name, text)
         with pytest.raises(InvalidBundle):
-            judged(tmp_path, out.getvalue())
+            checked_result(tmp_path, out.getvalue())

@@ -1,0 +1,86 @@
+"""Validates transferred bundles: completely, or by their claims if the worker has validated them, with spot checks.
+
+A worker cannot predict which of its bundles are spot checks: the draw depends on a secret of this process and on the
+announced digest. The module does not transfer, publish or refuse bundles.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from coordinator.meters import Meter, Meters
+from coordinator.protocol.pulls import BuildJob, Pull
+from coordinator.transfer.contract import BundleValidator
+from coordinator.validation.scope import Scope
+from schemas.dataset.rows import BundleReceipt
+from schemas.errors import InvalidBundle
+from schemas.protocol.keys import host_of
+
+
+class ValidatedBundle(NamedTuple):
+    """Result of the validation of a bundle without violations."""
+
+    receipt: BundleReceipt
+    """Row of the episode."""
+    is_checked: bool
+    """Whether the frames were validated here; `False` if only the worker has validated them."""
+
+
+class SpotCheckedValidation:
+    """Thread-safe validation of bundles, complete or with spot checks.
+
+    A host's first bundle is always validated completely. After an invalid bundle, all bundles of the host are.
+
+    Args:
+        checker: validator of bundles.
+        meters: counters of the coordinator.
+        share: share of the bundles validated by their worker that is validated here, 0 to 1; `None`: all bundles.
+        secret: key of the draw; by default new random bytes.
+    """
+
+    def __init__(self, checker: BundleValidator, meters: Meters, share: float | None, secret: bytes = b"") -> None:
+        self._checker, self._meters, self._share = checker, meters, share
+        self._secret = secret or secrets.token_bytes(32)
+        self._is_trusted: dict[str, bool] = {}
+        """Mapping of host to the result of its complete validations; hosts without one are missing."""
+
+    def validate(self, pull: Pull, path: Path, *, is_local: bool) -> ValidatedBundle:
+        """Validates a bundle.
+
+        Args:
+            pull: announced bundle.
+            path: path of the transferred file.
+            is_local: whether a worker of this user wrote the file on this machine.
+
+        Raises:
+            InvalidBundle: the bundle has violations.
+            TransientError: the bundle cannot be validated now.
+        """
+        if isinstance(pull.job, BuildJob):
+            raise TypeError(f"{pull.name} is the package of a layout")
+        scope = Scope.SAMPLE if is_local else self._scope(pull)
+        host, begun = host_of(pull.sid), time.monotonic()
+        try:
+            receipt = self._checker.check(path, pull.job, pull.candidates, scope)
+        except InvalidBundle:
+            self._is_trusted[host] = False
+            raise
+        finally:
+            self._meters.add(Meter.VALIDATIONS)
+            self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
+        if pull.is_validated and scope is Scope.ALL:
+            self._is_trusted.setdefault(host, True)
+        return ValidatedBundle(receipt, scope is not Scope.CLAIM)
+
+    def _scope(self, pull: Pull) -> Scope:
+        trusts = self._share is not None and pull.is_validated and self._is_trusted.get(host_of(pull.sid), False)
+        return Scope.CLAIM if trusts and not self._is_drawn(pull) else Scope.ALL
+
+    def _is_drawn(self, pull: Pull) -> bool:
+        text = f"{pull.lease.job_id} {pull.lease.fence} {pull.sha256}"
+        drawn = int.from_bytes(hmac.digest(self._secret, text.encode(), "sha256")[:8], "big")
+        return drawn < (self._share or 0.0) * 2**64

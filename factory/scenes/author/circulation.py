@@ -1,0 +1,275 @@
+"""Arranges halls on a floor, and the blocks of rooms between them: no hall, a straight hall, a T, an L or a ring.
+
+Pure: works on rectangles in metres and a random generator. Does not cut blocks into rooms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from numpy.random import Generator
+
+from factory.scenes.author.placement import Rectangle
+
+HALL = "hall"
+"""Kind of the rooms that are parts of a hall."""
+_ROWS = 0.85
+SLENDER = 2.1
+"""Largest ratio of the sides of a room."""
+_SPARE = (1.0, 1.3)
+"""Range of the factor of the floor of a building, because rooms in rows of other depths need more."""
+_RATIO = (0.75, 1.33)
+"""Range of the factor of the ratio of the sides of a building."""
+_MOST_GROWTH = 1.8
+"""Largest factor by which a room in a row is larger than desired."""
+_MOST_CHANGE = 0.6
+"""Largest share of what the widths of the rooms of a row can change by."""
+_STEPS = 24
+"""Number of bisections of the scale of a floor."""
+
+
+class RoomSpec(NamedTuple):
+    """Room of a building program: kind, desired floor and least side, metres."""
+
+    kind: str
+    area_m2: float
+    least_m: float
+    is_hub: bool = False
+    """Whether other rooms may be entered from it."""
+
+
+Specs = tuple[RoomSpec, ...]
+
+
+class Block(NamedTuple):
+    """Rectangle that is cut into rooms."""
+
+    area: Rectangle
+    specs: Specs
+    rows: float = 0.0
+    """Probability with which cuts across x, which form a row of rooms, are tried first; 1 for one row along the longer
+    side, whose rooms adapt their floor to its depth."""
+
+
+class Arrangement(NamedTuple):
+    """Blocks of rooms, and the parts of the hall between them."""
+
+    blocks: tuple[Block, ...]
+    halls: tuple[Rectangle, ...] = ()
+
+
+class _Areas(NamedTuple):
+    """Areas of the blocks and of the parts of the hall."""
+
+    blocks: tuple[Rectangle, ...]
+    halls: tuple[Rectangle, ...]
+
+
+Scheme = Callable[[Generator, Rectangle, Specs], Arrangement | None]
+"""Arranges the rooms of a program on a floor, or returns `None` if they do not suit it."""
+_Shape = Callable[[float, float], _Areas]
+"""Returns the areas for a width and a depth of the floor, metres."""
+
+
+def no_hall(_rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement:
+    """Arranges all rooms in one block."""
+    return Arrangement((Block(floor, specs),))
+
+
+def spine_hall(hall_m: float) -> Scheme:
+    """Returns a scheme with a hall along x from wall to wall, and one row of rooms on each side."""
+
+    def draw(rng: Generator) -> _Shape:
+        split = float(rng.uniform(0.33, 0.67))
+
+        def areas(width: float, depth: float) -> _Areas:
+            y = split * (depth - hall_m)
+            return _Areas(
+                (Rectangle(0, 0, width, y), Rectangle(0, y + hall_m, width, depth)),
+                (Rectangle(0, y, width, y + hall_m),),
+            )
+
+        return areas
+
+    return _scaled(draw)
+
+
+def straight_hall(hall_m: float) -> Scheme:
+    """Returns a scheme with a hall of a width, metres, along x from wall to wall, and a row of rooms on each side."""
+
+    def arrange(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement:
+        k = len(specs) // 2 + int(rng.integers(len(specs) % 2 + 1))
+        share = sum(spec.area_m2 for spec in specs[:k]) / sum(spec.area_m2 for spec in specs)
+        y = floor.y0 + share * (floor.depth - hall_m)
+        south, north = floor._replace(y1=y), floor._replace(y0=y + hall_m)
+        blocks = (Block(south, specs[:k], _ROWS), Block(north, specs[k:], _ROWS))
+        return Arrangement(blocks, (floor._replace(y0=y, y1=y + hall_m),))
+
+    return arrange
+
+
+def t_hall(hall_m: float) -> Scheme:
+    """Returns a scheme with a hall along x from wall to wall, and a branch along y to the north."""
+
+    def draw(rng: Generator) -> _Shape:
+        split, branch = float(rng.uniform(0.35, 0.55)), float(rng.uniform(0.3, 0.7))
+
+        def areas(width: float, depth: float) -> _Areas:
+            y, x = split * (depth - hall_m), branch * (width - hall_m)
+            top = y + hall_m
+            return _Areas(
+                (Rectangle(0, 0, width, y), Rectangle(0, top, x, depth), Rectangle(x + hall_m, top, width, depth)),
+                (Rectangle(0, y, width, top), Rectangle(x, top, x + hall_m, depth)),
+            )
+
+        return areas
+
+    return _scaled(draw)
+
+
+def l_hall(hall_m: float) -> Scheme:
+    """Returns a scheme with an L-shaped hall in an L-shaped building, with rooms on both sides of the hall."""
+
+    def draw(rng: Generator) -> _Shape:
+        south, north = float(rng.uniform(0.24, 0.34)), float(rng.uniform(0.24, 0.34))
+        west, east = float(rng.uniform(0.20, 0.30)), float(rng.uniform(0.20, 0.30))
+
+        def areas(width: float, depth: float) -> _Areas:
+            y, x = south * (depth - hall_m), west * (width - hall_m)
+            top, right = y + hall_m, x + hall_m
+            wing_y, wing_x = top + north * (depth - hall_m), right + east * (width - hall_m)
+            return _Areas(
+                (
+                    Rectangle(0, 0, width, y),
+                    Rectangle(wing_x, top, width, wing_y),
+                    Rectangle(0, top, x, depth),
+                    Rectangle(right, top, wing_x, depth),
+                ),
+                (Rectangle(0, y, width, top), Rectangle(x, top, right, depth)),
+            )
+
+        return areas
+
+    return _scaled(draw)
+
+
+def ring_hall(hall_m: float) -> Scheme:
+    """Returns a scheme with a hall around a core of rooms; rooms are to the south and north of the ring, and in most
+    buildings also to its west or east."""
+
+    def draw(rng: Generator) -> _Shape:
+        south, north = float(rng.uniform(0.28, 0.36)), float(rng.uniform(0.28, 0.36))
+        west, east = (float(rng.uniform(0.18, 0.25)) if rng.random() < 0.5 else 0.0 for _ in range(2))
+
+        def areas(width: float, depth: float) -> _Areas:
+            free_x, free_y = width - 2 * hall_m, depth - 2 * hall_m
+            x0, x1, y0, y1 = west * free_x, width - east * free_x, south * free_y, depth - north * free_y
+            core = Rectangle(x0, y0, x1, y1).grown(-hall_m)
+            sides = [Rectangle(0, y0, x0, y1), Rectangle(x1, y0, width, y1)]
+            return _Areas(
+                (
+                    Rectangle(0, 0, width, y0),
+                    Rectangle(0, y1, width, depth),
+                    core,
+                    *(side for side in sides if side.width > 0),
+                ),
+                (
+                    Rectangle(x0, y0, x1, core.y0),
+                    Rectangle(x0, core.y1, x1, y1),
+                    Rectangle(x0, core.y0, core.x0, core.y1),
+                    Rectangle(core.x1, core.y0, x1, core.y1),
+                ),
+            )
+
+        return areas
+
+    return _scaled(draw)
+
+
+def _scaled(draw: Callable[[Generator], _Shape]) -> Scheme:
+    """Returns a scheme that draws a shape, scales it so that its blocks have the floor of the rooms, and deals the
+    rooms to the blocks. The floor gives the ratio of the sides and the lower corner."""
+
+    def arrange(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement | None:
+        shape, total = draw(rng), sum(spec.area_m2 for spec in specs) * float(rng.uniform(*_SPARE))
+        ratio = math.sqrt(floor.width / floor.depth * float(rng.uniform(*_RATIO)))
+        low, high = 0.0, 4 * math.sqrt(total)
+        for _ in range(_STEPS):
+            side = (low + high) / 2
+            found = shape(side * ratio, side / ratio)
+            low, high = (side, high) if _floor_of(found.blocks) < total else (low, side)
+        dealt = _deal(rng, specs, found.blocks)
+        if dealt is None:
+            return None
+        blocks = (Block(_moved(area, floor), own, 1.0) for area, own in zip(found.blocks, dealt, strict=True))
+        return Arrangement(tuple(blocks), tuple(_moved(area, floor) for area in found.halls))
+
+    return arrange
+
+
+def row_widths(area: Rectangle, specs: Specs) -> list[float] | None:
+    """Returns the widths of rooms in one row along the longer side of a block, metres; `None` if they do not fit.
+
+    A room has its desired floor where its least side and its proportions permit; what remains is given to all rooms, or
+    taken from all, in proportion to what they can change.
+    """
+    depth, length = sorted((area.width, area.depth))
+    low = [_least_width(spec, depth) for spec in specs]
+    if not specs or not all(_suits(spec, depth) for spec in specs):
+        return None
+    wanted = [_width(spec, depth) for spec in specs]
+    spare = length - sum(wanted)
+    most = [min(SLENDER * depth, _MOST_GROWTH * spec.area_m2 / depth) for spec in specs]
+    ends = [max(end, width) for end, width in zip(most, wanted, strict=True)] if spare > 0 else low
+    room = sum(end - width for end, width in zip(ends, wanted, strict=True))
+    if abs(spare) > abs(room) * _MOST_CHANGE:
+        return None
+    return [width + (end - width) * spare / room if room else width for end, width in zip(ends, wanted, strict=True)]
+
+
+def _suits(spec: RoomSpec, depth: float) -> bool:
+    """Returns whether a row of a depth can have a room without making it much larger than desired."""
+    return spec.least_m <= depth and _least_width(spec, depth) * depth <= _MOST_GROWTH * spec.area_m2
+
+
+def _least_width(spec: RoomSpec, depth: float) -> float:
+    return max(spec.least_m, depth / SLENDER)
+
+
+def _width(spec: RoomSpec, depth: float) -> float:
+    """Returns the width of a room with the desired floor in a row of a depth, as its proportions permit, metres."""
+    return min(max(spec.area_m2 / depth, _least_width(spec, depth)), max(SLENDER * depth, spec.least_m))
+
+
+def _floor_of(areas: Sequence[Rectangle]) -> float:
+    """Returns the sum of the areas; 0 if one of them has no extent, because the floor is smaller than its halls."""
+    if any(area.width <= 0 or area.depth <= 0 for area in areas):
+        return 0.0
+    return sum(area.width * area.depth for area in areas)
+
+
+def _moved(area: Rectangle, floor: Rectangle) -> Rectangle:
+    return Rectangle(area.x0 + floor.x0, area.y0 + floor.y0, area.x1 + floor.x0, area.y1 + floor.y0)
+
+
+def _deal(rng: Generator, specs: Specs, areas: Sequence[Rectangle]) -> list[Specs] | None:
+    """Deals the rooms to rows in the blocks, each to one in which its floor changes little; `None` if that fails."""
+    depths = [min(area.width, area.depth) for area in areas]
+    spare = [max(area.width, area.depth) for area in areas]
+    dealt: list[list[RoomSpec]] = [[] for _ in areas]
+    for spec in sorted(specs, key=lambda spec: -spec.area_m2):
+        best, least = -1, math.inf
+        for block, depth in enumerate(depths):
+            width = _width(spec, depth)
+            if _suits(spec, depth) and width / 2 < spare[block]:
+                change = abs(math.log(width * depth / spec.area_m2)) + float(rng.uniform(0.0, 0.6))
+                best, least = (block, change) if change < least else (best, least)
+        if best < 0:
+            return None
+        dealt[best].append(spec)
+        spare[best] -= _width(spec, depths[best])
+    rows = [tuple(own[k] for k in rng.permutation(len(own))) for own in dealt]
+    fit = all(row_widths(area, row) is not None for area, row in zip(areas, rows, strict=True))
+    return rows if fit else None

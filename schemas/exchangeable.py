@@ -1,0 +1,72 @@
+"""Finds the objects that could be the target of an episode from its start; the image does not show which one is.
+
+The worker draws the target from them, validation and statistics find them again. Pure functions; they read no file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.instruction.referents import ids_in_view
+from schemas.job import Job
+from schemas.measure import Goal
+from schemas.scene import SceneInfo, Target
+from schemas.terms import TIER_RANGE_M
+
+
+def candidates_of(job: Job, info: SceneInfo) -> tuple[Target, ...]:
+    """Returns the targets that an episode may have, the planned one first: one, or those of its draw at the start."""
+    planned = info.target(job.target_id)
+    if job.choice is None:
+        return (planned,)
+    among = set(job.choice.among)
+    return (planned, *(each for each in info.targets if each.instance_id in among and each != planned))
+
+
+def exchangeable_targets(
+    job: Job, candidates: Sequence[Target], start: tuple[float, float, float], ids: NDArray[np.uint16]
+) -> tuple[Target, ...]:
+    """Returns the candidates that could be the target of an episode from its start, in the order of their ids.
+
+    Such an object is in view, its distance and direction are those of the tier, and no point is close enough to it and
+    to another one of them for a success.
+
+    Args:
+        job: job of the episode, in the near or mid tier.
+        candidates: see `candidates_of`.
+        start: x, y in metres and yaw in radians of base_link at rest.
+        ids: (S, S) instance ids of the image at the start.
+    """
+    shown = ids_in_view(ids, job.gains.min_mask_px)
+    near = [each for each in startable_targets(job, candidates, start) if each.instance_id in shown]
+    found = [each for each, apart in zip(near, _count_apart(job, near), strict=True) if apart == len(near) - 1]
+    return tuple(sorted(found, key=lambda each: each.instance_id))
+
+
+def may_exchange(job: Job, candidates: Sequence[Target], start: tuple[float, float, float], least: int) -> bool:
+    """Returns whether at least `least` candidates could be exchangeable, depending on which of them are in view."""
+    near = startable_targets(job, candidates, start)
+    return sum(apart >= least - 1 for apart in _count_apart(job, near)) >= least
+
+
+def _count_apart(job: Job, targets: Sequence[Target]) -> list[int]:
+    """Returns for each target the number of others whose success region has no point in common with its own."""
+    goals = [Goal.of(each, job.task) for each in targets]
+    return [sum(own is not other and own.is_disjoint(other) for other in goals) for own in goals]
+
+
+def startable_targets(job: Job, candidates: Sequence[Target], start: tuple[float, float, float]) -> list[Target]:
+    """Returns the candidates whose distance and direction from a start are those of the job's tier, near or mid."""
+    x, y, yaw = start
+    low, high = TIER_RANGE_M[job.tier]
+    found = []
+    for each in candidates:
+        bearing = math.atan2(each.centroid_m[1] - y, each.centroid_m[0] - x)
+        is_ahead = abs(math.remainder(bearing - yaw, 2 * math.pi)) <= job.spawn.heading_noise_rad
+        if is_ahead and low <= Goal.of(each, job.task).distance(x, y) <= high:
+            found.append(each)
+    return found

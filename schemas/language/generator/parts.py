@@ -1,0 +1,208 @@
+"""Parts of expressions that do not depend on the start: computed once for each target of a scene, and kept.
+
+Does not combine the parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from schemas.language import thresholds as limit
+from schemas.language.expression import COUNTED, Clause, Landmark, Relation, Size
+from schemas.language.generator.facts import Described, Masks, SceneFacts
+from schemas.language.grammar import Grammar
+from schemas.support.numpy_types import Bools, Floats
+
+_NEARBY_M = 6.0
+_COUNTS = range(2, 7)
+"""Numbers of objects that are named."""
+
+
+class ExpressionPart(NamedTuple):
+    """Relation that surely holds for the target."""
+
+    clause: Clause
+    masks: Masks
+    bits: int
+    """Objects for which it possibly holds, as the bits of an integer."""
+
+
+class Superlatives(NamedTuple):
+    """Superlatives that surely select the target among some objects."""
+
+    sizes: tuple[Size, ...]
+    nearest: tuple[Clause, ...]
+    """Nearest to and farthest from a landmark."""
+
+
+def part_of(clause: Clause, masks: Masks) -> ExpressionPart:
+    """Returns a part of an expression."""
+    return ExpressionPart(clause, masks, bits_of(masks.possible))
+
+
+def bits_of(possible: Bools) -> int:
+    """Returns a mask as the bits of an integer."""
+    return int.from_bytes(np.packbits(possible, bitorder="little").tobytes(), "little")
+
+
+class SceneParts:
+    """Parts of expressions for the objects of one scene.
+
+    Args:
+        facts: relations of the scene.
+    """
+
+    def __init__(self, facts: SceneFacts) -> None:
+        self.facts = facts
+        self._parts: dict[tuple[int, frozenset[str], bool], tuple[ExpressionPart, ...]] = {}
+        self._selected: dict[tuple[int, frozenset[str], bool, object], Superlatives] = {}
+
+    def of(self, number: int, words: Grammar, has_colours: bool) -> tuple[ExpressionPart, ...]:
+        """Returns the relations without superlatives that surely hold for an object.
+
+        Args:
+            number: number of the object in the scene graph.
+            words: grammar of the language, which limits what can be named.
+            has_colours: whether landmarks are named by their colour, too.
+        """
+        key = number, words.kinds, has_colours
+        if key not in self._parts:
+            self._parts[key] = tuple(_StaticParts(self.facts, number, words, has_colours).all())
+        return self._parts[key]
+
+    def superlatives(
+        self, number: int, words: Grammar, has_colours: bool, among: object, others: Sequence[int]
+    ) -> Superlatives:
+        """Returns the superlatives that select an object among others.
+
+        Args:
+            number: number of the object in the scene graph.
+            words: grammar of the language.
+            has_colours: whether landmarks are named by their colour, too.
+            among: hashable description of the others, which does not depend on the start; `None` if there is none.
+            others: numbers of the others, at least one.
+        """
+        parts = _StaticParts(self.facts, number, words, has_colours)
+        if among is None:
+            return parts.superlatives(others)
+        key = number, words.kinds, has_colours, among
+        if key not in self._selected:
+            self._selected[key] = parts.superlatives(others)
+        return self._selected[key]
+
+    def descriptions(self, number: int, words: Grammar, has_colours: bool, near: Collection[int]) -> list[Described]:
+        """Returns short descriptions of objects near an object, of other kinds than its kind."""
+        return _StaticParts(self.facts, number, words, has_colours).descriptions(near)
+
+
+class _StaticParts:
+    """Computes the parts for one target."""
+
+    def __init__(self, facts: SceneFacts, number: int, words: Grammar, has_colours: bool) -> None:
+        self._facts, self._number, self._words = facts, number, words
+        self._most = 2 if has_colours else 1
+
+    def all(self) -> Iterator[ExpressionPart]:
+        facts = self._facts
+        for relation, masks in facts.alone.items():
+            if masks.sure[self._number]:
+                yield part_of(Clause(relation=relation), masks)
+        yield from self._rooms()
+        yield from self._counts()
+        for relation, masks in {Relation.NEXT_TO: facts.next_to, **facts.support}.items():
+            near = np.flatnonzero(masks.sure[:, self._number]).tolist()
+            for each in self.descriptions(near):
+                found = masks.of_any(each)
+                if found.sure[self._number]:
+                    yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), found)
+        yield from self._between()
+
+    def _rooms(self) -> Iterator[ExpressionPart]:
+        graph, facts = self._facts.graph, self._facts
+        room = graph.objects[self._number].room
+        if not room:
+            return
+        kind = graph.types[room - 1]
+        if kind in self._words.rooms and graph.unique_room(str(kind)) == room:
+            masks = facts.in_typed_room(room)
+            if masks.sure[self._number]:
+                yield part_of(Clause(relation=Relation.IN_ROOM, room=kind), masks)
+        if len(graph.rooms) > 1:
+            pairs = facts.same_room
+            for each in self.descriptions(np.flatnonzero(pairs.sure[self._number]).tolist()):
+                if each.landmark.definite and each.landmark.colour is None:
+                    clause = Clause(relation=Relation.SAME_ROOM, landmarks=(each.landmark,))
+                    yield part_of(clause, pairs.of_any(each))
+
+    def _counts(self) -> Iterator[ExpressionPart]:
+        if not self._facts.graph.kinds.of(self._facts.graph.objects[self._number].kind).surface:
+            return
+        for relation in sorted(COUNTED):
+            for kind in self._words.plurals:
+                for count in _COUNTS:
+                    masks = self._facts.counted(relation, kind, count)
+                    if masks.sure[self._number]:
+                        landmark = Landmark(kind=kind, definite=False)
+                        yield part_of(Clause(relation=relation, landmarks=(landmark,), count=count), masks)
+
+    def descriptions(self, numbers: Collection[int]) -> list[Described]:
+        graph, own = self._facts.graph, self._facts.graph.objects[self._number].kind
+        found: dict[Landmark, Described] = {}
+        for number in numbers:
+            kind = graph.objects[number].kind
+            if kind != own and self._words.names(kind):
+                found |= {each.landmark: each for each in self._facts.landmarks[number][: self._most]}
+        return list(found.values())
+
+    def _between(self) -> Iterator[ExpressionPart]:
+        facts, room = self._facts, self._facts.graph.objects[self._number].room
+        near = (facts.gap[self._number] < limit.BETWEEN_SPAN_M.good / 1.5) & (facts.graph.room_of == room)
+        landmarks = [each for each in self.descriptions(np.flatnonzero(near).tolist()) if each.landmark.definite]
+        for one, two in combinations(landmarks, 2):
+            first, second = int(one.sure[0]), int(two.sure[0])
+            if first != second and facts.is_between(self._number, first, second):
+                clause = Clause(relation=Relation.BETWEEN, landmarks=(one.landmark, two.landmark))
+                yield part_of(clause, facts.between(first, second))
+
+    def superlatives(self, others: Sequence[int]) -> Superlatives:
+        return Superlatives(tuple(self._sizes(others)), tuple(self._nearest(others)))
+
+    def _sizes(self, others: Sequence[int]) -> Iterator[Size]:
+        for values, ratio, most, least in (
+            (self._facts.volume, limit.VOLUME_RATIO, Size.LARGEST, Size.SMALLEST),
+            (self._facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
+        ):
+            own, rest = values[self._number], values[others]
+            if most is Size.TALLEST and not self._facts.has_same_base[self._number, others].all():
+                continue
+            if own >= ratio * rest.max():
+                yield most
+            if own * ratio <= rest.min():
+                yield least
+
+    def _nearest(self, others: Sequence[int]) -> Iterator[Clause]:
+        facts, room_of = self._facts, self._facts.graph.room_of
+        if not room_of[self._number]:
+            return
+        near = np.flatnonzero((room_of == room_of[self._number]) & (facts.gap[self._number] < _NEARBY_M))
+        for each in self.descriptions(near.tolist()):
+            if not each.landmark.definite:
+                continue
+            gaps = facts.gap[each.sure[0]]
+            rest = [number for number in others if number != each.sure[0]]
+            if rest and is_least(gaps, self._number, rest):
+                yield Clause(relation=Relation.NEAREST_TO, landmarks=(each.landmark,))
+            if rest and is_least(-gaps, self._number, rest):
+                yield Clause(relation=Relation.FARTHEST_FROM, landmarks=(each.landmark,))
+
+
+def is_least(values: Floats, number: int, others: Sequence[int]) -> bool:
+    """Returns whether a value is clearly the smallest; negative values are distances of which the largest is meant."""
+    own, rest = float(values[number]), float(values[others].min())
+    if own >= 0:
+        return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)
+    return -own >= max(-rest * limit.DISTANCE_RATIO, -rest + limit.DISTANCE_GAP_M)

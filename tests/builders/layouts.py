@@ -1,0 +1,89 @@
+"""Floor plans of the built-in families, laid out once in a process, and the boxes of their pieces."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
+from factory.scenes.author.placement import FloorPlan, PropPlacement
+from schemas.errors import WorldError
+from schemas.support.numpy_types import Floats
+
+FAMILIES = tuple(BUILTIN_SCENES)
+SEEDS = range(6)
+
+
+@cache
+def laid_out(name: str, seed: int) -> FloorPlan | None:
+    """Returns a layout, which is only read; `None` if the seed has none."""
+    try:
+        return lay_out_scene(BUILTIN_SCENES[name], seed)
+    except WorldError:
+        return None
+
+
+def layouts_of(name: str) -> dict[int, FloorPlan]:
+    """Returns the layouts of a family by their seeds."""
+    return {seed: plan for seed in SEEDS if (plan := laid_out(name, seed)) is not None}
+
+
+def piece_boxes(plan: FloorPlan) -> Floats:
+    """Returns the (N, 2, 3) corners of all pieces in the world, metres."""
+    boxes = [piece.mesh.points for structure in plan.structures for piece in structure.pieces]
+    for placement in plan.placements:
+        boxes += list(world_points(placement))
+    return np.array([[points.min(axis=0), points.max(axis=0)] for points in boxes])
+
+
+def wall_boxes(plan: FloorPlan) -> Floats:
+    """Returns the (N, 2, 3) corners of the pieces of the walls, metres."""
+    walls = [structure for structure in plan.structures if structure.name.startswith("SM_Wall")]
+    points = [piece.mesh.points for wall in walls for piece in wall.pieces]
+    return np.array([[each.min(axis=0), each.max(axis=0)] for each in points])
+
+
+def world_points(placement: PropPlacement) -> tuple[Floats, ...]:
+    """Returns the points of each piece of a prop in the world, metres."""
+    cos, sin = np.cos(placement.yaw), np.sin(placement.yaw)
+    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    place = np.array([placement.x, placement.y, placement.z])
+    return tuple(piece.mesh.points @ turn + place for piece in placement.model.pieces)
+
+
+class Solid(NamedTuple):
+    """Upright box around a piece: its corners in the frame of its prop, and the pose of the prop."""
+
+    low: Floats
+    high: Floats
+    placement: PropPlacement
+
+
+def penetration(one: Solid, two: Solid) -> float:
+    """Returns how far two upright boxes intersect, metres: the least of the overlaps along height and along the sides
+    of both; 0 or less if they do not meet."""
+    z = min(one.high[2] + one.placement.z, two.high[2] + two.placement.z) - max(
+        one.low[2] + one.placement.z, two.low[2] + two.placement.z
+    )
+    return min(float(z), *(_overlap(a, b) for a, b in ((one, two), (two, one))))
+
+
+def _overlap(frame: Solid, other: Solid) -> float:
+    """Returns the least overlap along the two sides of the first box."""
+    corners = _in_frame(frame.placement, _corners(other))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return float(np.min(np.minimum(frame.high[:2], high) - np.maximum(frame.low[:2], low)))
+
+
+def _corners(solid: Solid) -> Floats:
+    (x0, y0), (x1, y1) = solid.low[:2], solid.high[:2]
+    cos, sin = np.cos(solid.placement.yaw), np.sin(solid.placement.yaw)
+    own = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    return own @ np.array([[cos, sin], [-sin, cos]]) + (solid.placement.x, solid.placement.y)
+
+
+def _in_frame(placement: PropPlacement, points: Floats) -> Floats:
+    cos, sin = np.cos(placement.yaw), np.sin(placement.yaw)
+    return np.asarray((points - (placement.x, placement.y)) @ np.array([[cos, -sin], [sin, cos]]))

@@ -1,0 +1,96 @@
+"""Opens exports with LeRobot's loader and compares them with the paper's tree of the same dataset.
+
+Runs in a separate environment (Python 3.12, `lerobot[dataset]==0.6.1`, see `make test-formats`), does not import this
+project, and exits with code 1 at the first failed check.
+
+    python tests/readers/lerobot_reader.py PAPER EXPORT [EXPORT ...]
+
+PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to lerobot`, with any
+of `--fps`, `--depth` and `--ids`; or as `--to lerobot-v2.1`, which LeRobot's converter first converts to v3.0.
+"""
+
+import json
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import torch
+from lerobot.datasets.aggregate import aggregate_datasets
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.scripts.convert_dataset_v21_to_v30 import convert_dataset
+from lerobot_frames import RGB, Listed, check_batches, check_frames
+from paper_tree import Paper
+from result import named, print_row
+
+
+def main() -> None:
+    paper, reader = Paper(Path(sys.argv[1])), named("lerobot")
+    for export in map(Path, sys.argv[2:]):
+        if json.loads((export / "meta/info.json").read_text())["codebase_version"] == "v2.1":
+            print_row(export, f"{reader}, pyav", f"made v3.0 by LeRobot's converter: {check_conversion(paper, export)}")
+            continue
+        for backend in backends():
+            print_row(export, f"{reader}, {backend}", check_export(paper, export, backend))
+        print_row(export, reader, check_parts(export))
+        print_row(export, reader, check_aggregate(export))
+
+
+def backends() -> list[str]:
+    """Returns the working video decoders; torchcodec needs FFmpeg's shared libraries."""
+    try:
+        import torchcodec  # noqa: F401
+    except (ImportError, RuntimeError, OSError):
+        sys.stderr.write("torchcodec does not load here (FFmpeg's libraries?); tested with pyav only\n")
+        return ["pyav"]
+    return ["pyav", "torchcodec"]
+
+
+def check_export(paper: Paper, export: Path, backend: str) -> str:
+    data = LeRobotDataset("test/nav", root=export, video_backend=backend)
+    listed = [
+        Listed(found["episode_id"], found["episode_index"], found["length"], found["split"], found["tasks"])
+        for found in data.meta.episodes
+    ]
+    starts = [found["dataset_from_index"] for found in data.meta.episodes]
+    assert starts == [sum(one.length for one in listed[:number]) for number in range(len(listed))]
+    return check_frames(paper, data, listed)
+
+
+def check_parts(export: Path) -> str:
+    """Checks chunks and batches, and the episodes of every split by range and by filter."""
+    lengths = LeRobotDataset("test/nav", root=export).meta.episodes["length"]
+    data, result = check_batches(export, lengths[0])
+    splits = json.loads((export / "meta/info.json").read_text())["splits"]
+    for split, span in splits.items():
+        start, stop = map(int, span.split(":"))
+        chosen = data.meta.filter_episodes(lambda episode, wanted=split: episode["split"] == wanted)
+        assert chosen == list(range(start, stop)), (split, span, chosen)
+        part = LeRobotDataset("test/nav", root=export, episodes=chosen)
+        assert len(part) == sum(lengths[start:stop])
+    return f"{result}, {len(splits)} splits by range and filter"
+
+
+def check_conversion(paper: Paper, export: Path) -> str:
+    """Converts an export of version 2.1 to version 3.0 with LeRobot and compares the content."""
+    with tempfile.TemporaryDirectory() as place:
+        copy = Path(place) / "export"
+        shutil.copytree(export, copy)
+        convert_dataset("test/nav", root=copy, push_to_hub=False)
+        return check_export(paper, copy, "pyav")
+
+
+def check_aggregate(export: Path) -> str:
+    """Aggregates the export with itself; the second half equals the first."""
+    with tempfile.TemporaryDirectory() as place:
+        target = Path(place) / "joined"
+        aggregate_datasets(["test/a", "test/b"], "test/joined", roots=[export, export], aggr_root=target)
+        joined, one = LeRobotDataset("test/joined", root=target), LeRobotDataset("test/nav", root=export)
+        assert len(joined) == 2 * len(one)
+        for index in (0, len(one) - 1):
+            assert torch.equal(joined[index + len(one)][RGB], one[index][RGB])
+    return f"aggregate_datasets joined two copies to {len(joined)} frames"
+
+
+if __name__ == "__main__":
+    main()

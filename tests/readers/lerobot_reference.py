@@ -1,0 +1,96 @@
+"""Writes a dataset with the same features with LeRobot's writer and prints its schema, in the reader's environment.
+
+    python tests/readers/lerobot_reference.py > tests/readers/lerobot_schema.json
+
+Its output is stored in `lerobot_schema.json`; the quick suite compares exports with it.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+from lerobot.configs.video import DepthEncoderConfig, RGBEncoderConfig
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from PIL import Image
+
+FPS, SIDE = 60, 640
+FEATURES = {
+    "observation.images.front": {"dtype": "video", "shape": (SIDE, SIDE, 3), "names": ["height", "width", "channels"]},
+    "observation.images.front_depth": {
+        "dtype": "video",
+        "shape": (SIDE, SIDE, 1),
+        "names": ["height", "width", "channels"],
+        "info": {"is_depth_map": True, "depth_unit": "m"},
+    },
+    "observation.images.front_ids": {
+        "dtype": "image",
+        "shape": (SIDE, SIDE, 1),
+        "names": ["height", "width", "channels"],
+    },
+    "observation.state": {"dtype": "float32", "shape": (5,), "names": ["x_m", "y_m", "yaw_rad", "v_mps", "w_rps"]},
+    "action": {"dtype": "float32", "shape": (2,), "names": ["v_mps", "w_rps"]},
+    "tokens": {"dtype": "int64", "shape": (2,), "names": ["v", "w"]},
+    "pose": {"dtype": "float32", "shape": (7,), "names": ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]},
+}
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as place:
+        root = Path(place) / "reference"
+        write(root)
+        json.dump(schema_of(root), sys.stdout, indent=1)
+        sys.stdout.write("\n")
+
+
+def write(root: Path) -> None:
+    rgb = RGBEncoderConfig(vcodec="h264", g=2, crf=19, preset="veryfast")
+    depth = DepthEncoderConfig(depth_min=0.0, depth_max=30.0, g=10, preset="superfast")
+    dataset = LeRobotDataset.create(
+        "test/reference", FPS, FEATURES, root=root, robot_type="nova_carter", rgb_encoder=rgb, depth_encoder=depth
+    )
+    for _ in range(2):
+        for t in range(4):
+            dataset.add_frame(frame(t))
+        dataset.save_episode()
+    dataset.finalize()
+
+
+def frame(t: int) -> dict[str, object]:
+    return {
+        "observation.images.front": np.full((SIDE, SIDE, 3), 40 * t, np.uint8),
+        "observation.images.front_depth": np.full((SIDE, SIDE, 1), 1.5 + t, np.float32),
+        "observation.images.front_ids": Image.fromarray(np.full((SIDE, SIDE), 300 + t, np.uint16)),
+        "observation.state": np.arange(5, dtype=np.float32) + t,
+        "action": np.arange(2, dtype=np.float32),
+        "tokens": np.array([3, t], np.int64),
+        "pose": np.arange(7, dtype=np.float32),
+        "task": "Go to the chair.",
+    }
+
+
+def schema_of(root: Path) -> dict[str, object]:
+    """Returns the keys and types of everything but the values."""
+    info = json.loads((root / "meta/info.json").read_text())
+    stats = json.loads((root / "meta/stats.json").read_text())
+    described = json.loads(pq.read_schema(root / "data/chunk-000/file-000.parquet").metadata[b"huggingface"])
+    return {
+        "info": info,
+        "data": types_of(root / "data/chunk-000/file-000.parquet"),
+        "data_features": {"info": described["info"]},
+        "episodes": types_of(root / "meta/episodes/chunk-000/file-000.parquet"),
+        "tasks": types_of(root / "meta/tasks.parquet"),
+        "tasks_pandas": json.loads(pq.read_schema(root / "meta/tasks.parquet").metadata[b"pandas"]),
+        "stats": {feature: sorted(values) for feature, values in stats.items()},
+        "files": sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()),
+    }
+
+
+def types_of(path: Path) -> dict[str, str]:
+    return {field.name: str(field.type) for field in pq.read_schema(path)}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Reads the paper's tree, the reference of the readers of other exports. Does not import this project."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+
+class Paper:
+    """A dataset as `factory export --to paper` writes it; arrays are read with numpy or Pillow."""
+
+    def __init__(self, root: Path) -> None:
+        self.episodes = root / "episodes"
+
+    def meta(self, name: str) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((self.episodes / name / "meta.json").read_text())
+        return found
+
+    def rgb(self, name: str, t: int) -> NDArray[np.uint8]:
+        return np.asarray(Image.open(self.episodes / name / f"rgb_front/{t:06d}.png"))
+
+    def depth(self, name: str, t: int) -> NDArray[np.float32]:
+        found: NDArray[np.float32] = np.load(self.episodes / name / f"depth_front/{t:06d}.npy")
+        return found
+
+    def ids(self, name: str, t: int) -> NDArray[np.uint16]:
+        return np.asarray(Image.open(self.episodes / name / f"seg_front/{t:06d}.png"))
+
+    def array(self, name: str, kind: str) -> NDArray[Any]:
+        found: NDArray[Any] = np.load(self.episodes / name / f"{kind}.npy")
+        return found
+
+
+def psnr(one: NDArray[Any], two: NDArray[Any]) -> float:
+    """Returns the PSNR of two 8-bit images, dB."""
+    return float(10 * np.log10(255.0**2 / np.mean((one.astype(np.float64) - two) ** 2)))
+
+
+def mean_commands(actions: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
+    """Returns (N, 2): the mean command from each kept frame to the next one."""
+    return np.stack([actions[t : t + stride].mean(axis=0) for t in range(0, len(actions), stride)])

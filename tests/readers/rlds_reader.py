@@ -1,0 +1,64 @@
+"""Builds the RLDS recipe with TFDS, reads it back and compares every step with the paper's tree.
+
+Runs in an environment with `tensorflow`, `tensorflow-datasets` and this project (the builder needs it; the reader does
+not import it). Exits with code 1 at the first failed check.
+
+    python tests/readers/rlds_reader.py DATASET PAPER BUILT
+
+PAPER: DATASET as `factory export --to paper`. BUILT: a folder that does not exist, for the built dataset.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tensorflow_datasets as tfds
+from paper_tree import Paper, mean_commands
+from result import named, print_row
+
+RECIPE = Path(__file__).parents[2] / "docs/formats/rlds/build.py"
+RECORDED_HZ, FPS, IMAGE_PX = 60, 10, 640
+
+
+def main() -> None:
+    dataset, tree, built = map(Path, sys.argv[1:])
+    paper = Paper(tree)
+    values = {"MINIVLA_DATASET": str(dataset.resolve()), "MINIVLA_FPS": str(FPS), "MINIVLA_IMAGE_PX": str(IMAGE_PX)}
+    subprocess.run([sys.executable, str(RECIPE), str(built)], env={**os.environ, **values}, check=True)
+    builder = tfds.builder_from_directory(built / "minivla_nav/1.0.0")
+    seen: dict[str, int] = {}
+    for split in builder.info.splits:
+        for episode in builder.as_dataset(split=split):
+            name = episode["episode_metadata"]["episode_id"].numpy().decode()
+            seen[name] = check_episode(paper, name, split, list(tfds.as_numpy(episode["steps"])))
+    assert seen.keys() == {path.name for path in paper.episodes.iterdir()}
+    result = (
+        f"{sum(seen.values())} steps of {len(seen)} episodes in {len(builder.info.splits)} splits, built and read back"
+    )
+    print_row(built, named("tensorflow-datasets", "tensorflow"), f"{result}, equal to the paper's tree")
+
+
+def check_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any]]) -> int:
+    """Compares every step of an episode; returns the number of steps."""
+    job, stride = paper.meta(name)["job"], RECORDED_HZ // FPS
+    assert split == job["split"]
+    actions = mean_commands(paper.array(name, "actions_continuous"), stride)
+    assert len(steps) == len(actions)
+    for number, (step, action) in enumerate(zip(steps, actions, strict=True)):
+        seen, t, is_last = step["observation"], number * stride, number == len(steps) - 1
+        np.testing.assert_array_equal(seen["image"], paper.rgb(name, t))
+        np.testing.assert_array_equal(seen["depth"][:, :, 0], paper.depth(name, t))
+        way = np.hypot(*(paper.array(name, "poses")[t, :2] - paper.array(name, "poses")[0, :2]))
+        np.testing.assert_allclose(np.hypot(*seen["state"][:2]), way, atol=1e-4)
+        np.testing.assert_allclose(step["action"], action, atol=1e-6)
+        assert (step["is_first"], step["is_last"], step["is_terminal"]) == (number == 0, is_last, is_last)
+        assert (step["reward"], step["discount"]) == (float(is_last), 1.0)
+        assert step["language_instruction"].decode() == job["instruction"]
+    return len(steps)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Determines target and sentence of an episode at its start, and tests the view there. Draws no start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from schemas.exchangeable import candidates_of, exchangeable_targets, may_exchange
+from schemas.instruction.start_view import start_view_findings
+from schemas.job import Job
+from schemas.language.instruction import Instruction
+from schemas.measure import Goal, target_in_view
+from schemas.scene import SceneInfo, Target
+from workers.experts import make_expert
+from workers.experts.planner import STOPPED_M, arrival_pose
+from workers.geometry.pose import Pose
+from workers.planning import Waypoint
+from workers.render import Renderer, as_partial
+from workers.sim.language import write_instruction
+from workers.sim.scene_renderer import LoadedScene
+
+
+@dataclass(frozen=True)
+class EpisodeAim:
+    """Target and sentence of an episode."""
+
+    job: Job
+    """Job with this target."""
+    target: Target
+    said: Instruction | None
+    """Verified instruction; `None` if the job has a template."""
+    choices: tuple[int, ...] = ()
+    """Ids of the objects that could be the target; empty if the plan names it."""
+
+
+def start_target(job: Job, info: SceneInfo) -> Target:
+    """Returns the object around which the starts of a job are drawn."""
+    if job.choice is None:
+        return info.target(job.target_id)
+    return next(each for each in info.targets if each.instance_id == job.choice.around)
+
+
+def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> bool:
+    """Returns whether heading and image of a pose meet the job's conditions; renders only what is needed."""
+    view, least = job.start_view, job.gains.min_mask_px
+    if view is None:
+        return True
+    if view.choice is not None:
+        return bool(_choices(job, info, renderer, pose))
+    target = info.target(job.target_id)
+    own = target.instance_id
+    x, y, _ = target.centroid_m
+    bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
+    if view.within_rad is not None and abs(bearing_rad) > view.within_rad:
+        return False
+    parts = as_partial(renderer)
+    if parts is not None:
+        is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
+        is_wanted = is_shown or not view.shows_target
+        if not (is_wanted and ((view.other_referents or view.least_same_category) if is_shown else view.same_category)):
+            return is_wanted
+    image = renderer.render_depth_and_ids(pose)
+    return not start_view_findings(view, own, bearing_rad, image.ids, image.depth, job.camera, least)
+
+
+def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple[Target, ...]:
+    """Returns the objects that could be the target from a pose; none if there are fewer than the job requires."""
+    assert job.start_view is not None
+    candidates, start, least = candidates_of(job, info), (pose.x, pose.y, pose.yaw), job.start_view.least_same_category
+    if not may_exchange(job, candidates, start, least + 1):
+        return ()
+    found = exchangeable_targets(job, candidates, start, renderer.render_depth_and_ids(pose).ids)
+    return found if len(found) > least else ()
+
+
+def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
+    """Returns the target and the sentence of an episode that starts at a pose.
+
+    If the target is drawn at the start, each object that could be the target must have a sentence and a path, so that
+    neither of both makes one of them more likely.
+
+    Args:
+        job: job of the episode.
+        place: scene of the job.
+        renderer: renderer with the scene loaded.
+        pose: pose of base_link at rest, whose view is clear.
+
+    Returns:
+        Target and sentence; `None` if a sentence also fits other objects, or an object that could be the target has no
+        path, or a path whose end does not show it.
+    """
+    if job.choice is None:
+        said = write_instruction(job, place, pose)
+        is_missing = said is None and job.language is not None
+        return None if is_missing else EpisodeAim(job, place.scene.info.target(job.target_id), said)
+    targets = _choices(job, place.scene.info, renderer, pose)
+    aims = [_exchangeable_aim(job, target, targets, place, renderer, pose) for target in targets]
+    return job.choice.of(aims) if aims and all(aims) else None
+
+
+def _exchangeable_aim(
+    job: Job, target: Target, targets: tuple[Target, ...], place: LoadedScene, renderer: Renderer, pose: Pose
+) -> EpisodeAim | None:
+    """Returns one of the targets with its sentence; `None` if it has no sentence, path or view at the end of it."""
+    own = job.aimed_at(target)
+    said = write_instruction(own, place, pose)
+    planned = None if said is None else make_expert(own).begin(pose, place.grid, target)
+    if planned is None or not ends_in_view(own, target, place, renderer, planned):
+        return None
+    return EpisodeAim(own, target, said, tuple(each.instance_id for each in targets))
+
+
+def ends_in_view(
+    job: Job, target: Target, place: LoadedScene, renderer: Renderer, planned: tuple[Waypoint, ...]
+) -> bool:
+    """Returns whether the target is in view at the end of a planned path, if the job requires this; without a path,
+    this is not known before the drive."""
+    if not (planned and job.demonstration.target_in_view):
+        return True
+    goal = Goal.of(target, job.task)
+    x, y, yaw = arrival_pose(planned, goal, goal.radius_m - STOPPED_M)
+    end = Pose.planar(x, y, yaw, z=place.scene.info.floor_height_m)
+    return target_in_view(renderer.render_depth_and_ids(end).ids, target.instance_id, job.gains.min_mask_px)
