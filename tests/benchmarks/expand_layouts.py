@@ -15,9 +15,9 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.draw import expand_layout
-from coordinator.ledger.builds import number_of_layout, open_builds
+from coordinator.ledger.builds import built_layouts, number_of_layout, open_builds
 from coordinator.ledger.database.engine import open_writer
-from coordinator.ledger.opening import open_run
+from coordinator.ledger.opening import holds_run, open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.repair import adopt_package
 from schemas.plan import Plan
@@ -50,8 +50,10 @@ def expand(plan: Plan, entry: SceneEntry, layouts: int, ledger: Path) -> None:
     """Inserts the episodes of the layouts that a ledger does not have yet, each layout in one transaction."""
     now = datetime.now(UTC)
     engine = open_writer(f"sqlite:///{ledger}")
-    open_run(engine, plan, {}, 15.0, now)
-    _say("opened")
+    with engine.connect() as connection:
+        built = dict.fromkeys(built_layouts(connection) if holds_run(connection) else (), entry)
+    open_run(engine, plan, built, 15.0, now)
+    _say(f"opened, {len(built)} layouts are there")
     with engine.begin() as connection:
         builds = open_builds(connection)[:layouts]
     for number, build in enumerate(builds, start=1):
