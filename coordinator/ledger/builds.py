@@ -120,10 +120,15 @@ def open_builds(connection: Connection) -> Sequence[Row[Any]]:
     return connection.execute(query).all()
 
 
-def built_layouts(connection: Connection) -> dict[str, str]:
-    """Returns the SHA-256 of the recorded package of each layout that workers have built."""
-    query = select(jobs.c.scene, jobs.c.sha256).where(jobs.c.tier == BUILD, jobs.c.state == JobState.ARCHIVED)
-    return {row.scene: row.sha256 for row in connection.execute(query)}
+def built_layouts(connection: Connection, episodes: int) -> dict[str, str]:
+    """Returns the SHA-256 of the recorded package of each layout that workers have built.
+
+    Args:
+        connection: open ledger.
+        episodes: number of planned episodes; builds have larger numbers, so that no job of an episode is read.
+    """
+    query = select(jobs.c.scene, jobs.c.sha256, jobs.c.state).where(jobs.c.idx > episodes, jobs.c.tier == BUILD)
+    return {row.scene: row.sha256 for row in connection.execute(query) if row.state == JobState.ARCHIVED}
 
 
 def refused_seeds(connection: Connection) -> dict[str, tuple[str, ...]]:

@@ -150,7 +150,8 @@ def read_info(connection: Connection) -> LedgerInfo:
         raise UsageError("the database contains no ledger: start a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
     try:
-        return replace(_info_of(facts), layouts=built_layouts(connection))
+        found = _info_of(facts)
+        return replace(found, layouts=built_layouts(connection, found.plan.episodes))
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         said = str(error).splitlines()[0]
         raise WorldError(f"the ledger is damaged: its description cannot be read ({said})") from error

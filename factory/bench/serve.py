@@ -30,6 +30,7 @@ _SEED = 24
 _TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 _IN_FLIGHT = 12
 """Number of frames that the player of the page requests ahead."""
+_SMALL = ("playback/{}?kind=depth", "playback/{}?kind=ids")
 _TABLES = (
     "/episodes",
     "/episodes?page=1",
@@ -160,11 +161,11 @@ def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, floa
     """Requests frames of an episode as the player does; returns frames per second and CPU milliseconds per frame."""
     steps = range(1, len(dataset[name]), 2)
     is_stored = dataset.meta.plan.record is Recording.FRAMES
-    queries = ("kind=rgb" if is_stored else "kind=rgb&small=1", "kind=depth&small=1", "kind=ids&small=1")
+    paths = ("frames/{}.png?kind=rgb" if is_stored else "playback/{}?kind=rgb", *_SMALL)
 
     def frame(t: int) -> None:
-        for query in queries:
-            _ask(host, f"/episodes/{name}/frames/{t}.png?{query}")
+        for path in paths:
+            _ask(host, f"/episodes/{name}/{path.format(t)}")
 
     begin_s, begin_cpu_s = time.perf_counter(), _cpu_s(pid)
     with ThreadPoolExecutor(_IN_FLIGHT) as pool:

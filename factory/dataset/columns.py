@@ -12,6 +12,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -31,6 +32,8 @@ _LATER = pa.schema(
 )
 """Columns that versions of this software added after the first; null where the table lacks them."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_ROWS_PER_SINGLE = 3000
+"""Number of rows whose columns are read in the time in which one row is read from its row group."""
 _SMALL_INTEGERS = (pa.int8(), pa.int16(), pa.int32())
 
 
@@ -51,6 +54,7 @@ class Columns:
         self._path = root / METADATA_FILE
         self._loaded: dict[str, pa.Array] = {}
         self._readers: dict[str, Callable[[int], Any]] = {}
+        self._single = 0
         self._loading = Lock()
         self._file: pq.ParquetFile | None = self._translated(self._open)
         self.rows: int = self._file.metadata.num_rows
@@ -68,7 +72,14 @@ class Columns:
             return self._loaded[name]
 
     def row(self, position: int) -> dict[str, Any]:
-        """Returns the values of one row, not validated."""
+        """Returns the values of one row, not validated.
+
+        The first rows of a large table are read from their row groups, until that takes as long as reading all columns.
+        """
+        if not self._readers and self._single < self.rows // _ROWS_PER_SINGLE:
+            self._single += 1
+            with self._loading:
+                return self._translated(lambda: self._read_single(position))
         self._readers = self._readers or {name: _reader(self[name]) for name in NAMES}
         return {name: read(position) for name, read in self._readers.items()}
 
@@ -93,6 +104,16 @@ class Columns:
         pa.default_memory_pool().release_unused()
         return compact
 
+    def _read_single(self, position: int) -> dict[str, Any]:
+        assert self._file is not None
+        footer = self._file.metadata
+        ends = np.cumsum([footer.row_group(number).num_rows for number in range(footer.num_row_groups)])
+        number = int(np.searchsorted(ends, position, side="right"))
+        group = self._file.read_row_group(number, use_threads=False)
+        row = group.slice(position - int(ends[number]) + group.num_rows, 1)
+        row.validate(full=True)
+        return {name: _single_value(row[name]) if name in row.column_names else None for name in NAMES}
+
     def _translated(self, read: Callable[[], Found]) -> Found:
         try:
             return read()
@@ -103,10 +124,22 @@ class Columns:
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns all columns, because another process might open another version of the file."""
-        return {"_path": self._path, "_loaded": {name: self[name] for name in NAMES}, "_readers": {}, "rows": self.rows}
+        return {
+            "_path": self._path,
+            "_loaded": {name: self[name] for name in NAMES},
+            "_readers": {},
+            "_single": 0,
+            "rows": self.rows,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state | {"_loading": Lock(), "_file": None}
+
+
+def _single_value(column: pa.ChunkedArray) -> Any:
+    return (
+        _reader(representable(column).combine_chunks())(0) if pa.types.is_timestamp(column.type) else column[0].as_py()
+    )
 
 
 def _compact(column: pa.ChunkedArray) -> pa.Array | pa.ChunkedArray:

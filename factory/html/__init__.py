@@ -16,7 +16,7 @@ from factory.html.palette import css_variables
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["data_uri", "join_units", "render"]
+__all__ = ["compile_templates", "data_uri", "join_units", "render"]
 
 _UNIT = re.compile(r"(\d) (?=(?:m|mm|m²|%|pp|Hz)\b|%)")
 
@@ -32,6 +32,12 @@ def render(template: str, **values: object) -> str:
         jinja2.UndefinedError: the template uses a name that is not in `values`.
     """
     return _environment().get_template(template).render(values)
+
+
+def compile_templates(folder: str) -> None:
+    """Compiles the templates of a folder of `factory/html/templates`, so that their first rendering takes no longer."""
+    for name in _environment().list_templates(filter_func=lambda name: name.startswith(f"{folder}/")):
+        _environment().get_template(name)
 
 
 def data_uri(media_type: str, data: bytes) -> str:

@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from factory.stats import Statistics
 from factory.stats.language import EpisodeView
+from factory.visualize.floor_map import FloorMap
 from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.plan import Plan
 from schemas.terms import family_of
 from schemas.tokens import GRID_POINTS
-
-Outlines = list[NDArray[np.float64]]
-"""Closed loops of points (K, 2); holes are separate loops."""
 
 
 @dataclass(frozen=True)
@@ -52,25 +50,6 @@ class Drives:
 
 _FIRST_LAYOUTS, _LAST_LAYOUTS = 3, 2
 """Number of layouts of a family with a map; the last ones are those of the unseen-scene splits."""
-
-
-@dataclass(frozen=True)
-class FloorMap:
-    """Floor map of a scene in the world frame, metres."""
-
-    bounds_m: tuple[float, float, float, float]
-    """West, east, south and north bound of the non-empty area, metres."""
-    floor: Outlines
-    """Outlines of the connected floor."""
-    low: Outlines
-    """Outlines of all obstacles."""
-    wall: Outlines
-    """Outlines of the obstacles that occlude."""
-    surveyed_m: NDArray[np.float32]
-    """(S, 2) surveyed spawn points, metres."""
-    targets_m: NDArray[np.float64]
-    """(K, 2) centroids of all targets, metres."""
-    free_area_m2: float
 
 
 @dataclass(frozen=True)

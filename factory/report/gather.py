@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.report.data import Drives, FloorMap, FrameSample, ReportInput, mapped_scenes
-from factory.report.floor_map import map_of
+from factory.report.data import Drives, FrameSample, ReportInput, mapped_scenes
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
 from factory.stats.views import read_fits, read_view
+from factory.visualize.floor_map import FloorMap, map_of
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import SceneInfo, read_geometry

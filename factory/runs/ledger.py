@@ -108,16 +108,25 @@ def require_outside_datasets(site: Site) -> None:
 
 
 def progress_of(site: Site, url: str | None = None) -> Progress:
-    """Returns the progress of the run of a dataset; without a running coordinator, no worker counts as alive.
+    """Returns the progress of the run of a dataset; see `progress_in`."""
+    with read_ledger(site, url) as connection:
+        return progress_in(connection, site, url)
+
+
+def progress_in(connection: Connection, site: Site, url: str | None = None) -> Progress:
+    """Returns the progress of the run of an open ledger; without a running coordinator, no worker counts as alive.
 
     A PostgreSQL server reports whether a coordinator writes to the ledger, on any host. An SQLite ledger in another
     location does not; there, heartbeats decide whether workers are alive.
+
+    Args:
+        connection: ledger that was opened with `read_ledger`.
+        site: location of the dataset.
+        url: URL of the ledger; `None` for the ledger of the dataset.
     """
-    with read_ledger(site, url) as connection:
-        progress = read_progress(connection, datetime.now(UTC)).model_copy(
-            update={"shards": len(shard_places(site.place))}
-        )
-        has_coordinator = is_held(site.state_dir) if url is None else has_writer(connection)
+    shards = len(shard_places(site.place))
+    progress = read_progress(connection, datetime.now(UTC)).model_copy(update={"shards": shards})
+    has_coordinator = is_held(site.state_dir) if url is None else has_writer(connection)
     if has_coordinator is not False:
         return progress
     gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)

@@ -37,7 +37,7 @@ _TABLE = _depth_table()
 def show_depth(depth: NDArray[np.float32]) -> Rgb:
     """Returns depth (H, W) in metres as colour (H, W, 3): near is bright; pixels without a hit are black."""
     shade = np.sqrt(np.clip(depth / DEPTH_SHOWN_M, 0, 1))  # more resolution for near depths, which are frequent
-    colours: Rgb = _TABLE[(255 * shade).astype(np.uint8)]
+    colours: Rgb = _TABLE.take((255 * shade).astype(np.uint8), axis=0)
     colours[depth == 0] = 0
     return colours
 

@@ -55,20 +55,24 @@ def create_app(
         evaluations: directories of `factory eval -o`.
     """
     app = Starlette(
-        routes=[
-            Route("/login", login, methods=["GET", "POST"]),
-            Route("/static/page.css", style),
-            Mount("/static", StaticFiles(directory=_STATIC)),
-            *farm.routes(workspace),
-            *(route for module in _PAGES for route in module.routes()),
-            *more_routes,
-        ],
+        routes=[*all_routes(workspace), *more_routes],
         exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
     app.state.context = WebContext(
         workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations)
     )
     return RequestGuard(app, address, access)
+
+
+def all_routes(workspace: Workspace) -> list[BaseRoute]:
+    """Returns the routes of all pages, their images and their static files."""
+    return [
+        Route("/login", login, methods=["GET", "POST"]),
+        Route("/static/page.css", style),
+        Mount("/static", StaticFiles(directory=_STATIC)),
+        *farm.routes(workspace),
+        *(route for module in _PAGES for route in module.routes()),
+    ]
 
 
 def style(_request: Request) -> Response:

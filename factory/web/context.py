@@ -14,7 +14,6 @@ from factory.web.evaluations import Evaluations
 from factory.web.figures import StatisticsStore
 from factory.web.floors import FloorStore
 from factory.web.frames import FrameStore
-from factory.web.table import Tables
 from factory.web.workspace import Workspace
 from schemas.protocol.administration import AdminReply, AdminRequest
 
@@ -42,8 +41,6 @@ class WebContext:
     """Executes an admin request on the run."""
     evaluations: Evaluations
     """Evaluation directories."""
-    tables: Tables = field(default_factory=Tables)
-    """Table of the episodes."""
     floors: FloorStore = field(default_factory=FloorStore)
     """Maps of the scenes."""
     statistics: StatisticsStore = field(default_factory=StatisticsStore)

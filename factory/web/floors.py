@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from factory.dataset.packages import ScenePackage
 from factory.html.palette import css_variables, reason_colour
+from factory.visualize.floor_map import map_of
 from schemas.scene import SceneInfo
 
 _KEPT = 16
@@ -92,8 +93,6 @@ class FloorStore:
 
 
 def _draw(package: ScenePackage) -> Floor:
-    from factory.report.floor_map import map_of  # with matplotlib, which takes half a second
-
     scene = package.geometry()
     drawn = map_of(scene)
     west, east, south, north = drawn.bounds_m

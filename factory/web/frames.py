@@ -1,26 +1,31 @@
-"""Encodes frames of episodes as PNG: stored or rendered on demand, in a bounded pool, kept in a bounded cache."""
+"""Encodes frames of episodes, stored or rendered on demand, in a bounded pool; keeps them in a bounded cache."""
 
 from __future__ import annotations
 
+import io
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
-from factory.dataset.episode import Episode, Frame
+from factory.dataset.episode import Episode
 from factory.visualize.panels import show_depth, show_ids
 from factory.web.workspace import Workspace
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
 from schemas.terms import Recording
 
 KINDS = ("rgb", "depth", "ids")
 """Images of a frame."""
+SMALL_PX = 320
+"""Width and height of the images for playback, pixels."""
+_JPEG_QUALITY = 85
 _MOST_BYTES = 64 << 20
 """Size of the cache of encoded frames, bytes."""
-_KEPT_FRAMES = 8
-"""Number of rendered frames whose three images are kept for encoding."""
 _KEPT_EPISODES = 16
 _THREADS = 2
 _MOST_WAITING = 200
@@ -34,7 +39,12 @@ class FrameKey(NamedTuple):
     kind: str
     """`rgb`, `depth` or `ids`."""
     is_small: bool
-    """Whether every second row and column is omitted."""
+    """Whether it is an image for playback, of `SMALL_PX`."""
+
+    @property
+    def media_type(self) -> str:
+        """Type of the encoded image: JPEG for colour in playback, otherwise PNG."""
+        return "image/jpeg" if self.is_small and self.kind == "rgb" else "image/png"
 
 
 class TooBusy(Exception):
@@ -56,7 +66,9 @@ class FrameStore:
         self._encoded: OrderedDict[FrameKey, bytes] = OrderedDict()
         self._bytes = 0
         self._episodes: OrderedDict[str, Episode] = OrderedDict()
-        self._rendered: OrderedDict[tuple[str, int], Future[Frame]] = OrderedDict()
+        self._turns: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
+        """Locks of the open episodes: frames of one episode are rendered one after another, so that only one rendering
+        process prepares its scene."""
         self._dataset: object = None
 
     def episode(self, episode_id: str) -> Episode:
@@ -69,16 +81,17 @@ class FrameStore:
         with self._lock:
             if dataset is not self._dataset:  # the tables have changed; an episode may have another content
                 self._dataset = dataset
-                for kept in (self._episodes, self._encoded, self._rendered):
+                for kept in (self._episodes, self._turns, self._encoded):
                     kept.clear()
                 self._bytes = 0
             episode = self._episodes.pop(episode_id, None) or dataset[episode_id]
             self._episodes[episode_id] = episode
             if len(self._episodes) > _KEPT_EPISODES:
-                self._episodes.popitem(last=False)  # the file is closed when the last reader has finished
+                oldest, _ = self._episodes.popitem(last=False)  # the file is closed when the last reader has finished
+                self._turns.pop(oldest, None)
             return episode
 
-    def png(self, key: FrameKey) -> Future[bytes]:
+    def encoded(self, key: FrameKey) -> Future[bytes]:
         """Returns the future of an image; equal requests share one encoding.
 
         Raises:
@@ -97,53 +110,68 @@ class FrameStore:
                 return self._waiting[key]
             if len(self._waiting) >= _MOST_WAITING:
                 raise TooBusy(f"{_MOST_WAITING} frames are waiting")
-            future = self._waiting[key] = self._pool.submit(self._encode, episode, key)
-        future.add_done_callback(lambda made: self._keep(key, made))
-        return future
+            kinds = (key.kind,) if _is_stored(episode) else KINDS  # a rendering has all three images
+            made = {other: Future[bytes]() for other in (key._replace(kind=kind) for kind in kinds)}
+            for future in made.values():
+                future.set_running_or_notify_cancel()  # a client that leaves does not cancel it for others
+            self._waiting |= made
+            turn = self._turns[key.episode_id]
+        self._pool.submit(self._make, episode, made, turn)
+        return made[key]
 
-    def _encode(self, episode: Episode, key: FrameKey) -> bytes:
-        step = 2 if key.is_small else 1
-        if episode.meta.job.record is not Recording.FRAMES:
-            image = np.asarray(getattr(self._frame(episode, key.t), key.kind))
-        elif key.kind == "rgb" and step == 1:
-            return episode.stored(f"rgb_front/{key.t:06d}.png")
-        else:
-            image = getattr(episode, key.kind)(key.t)
-        image = image[::step, ::step]
-        if key.kind == "depth":
-            image = show_depth(image)
-        elif key.kind == "ids":
-            image = show_ids(image, episode.meta.target_instance_id)
-        return encode_png(np.ascontiguousarray(image))
+    def _make(self, episode: Episode, made: dict[FrameKey, Future[bytes]], turn: threading.Lock) -> None:
+        found: dict[FrameKey, bytes | Exception]
+        try:
+            if _is_stored(episode):
+                found = {key: _encode_stored(episode, key) for key in made}
+            else:
+                first = next(iter(made))
+                with turn:
+                    frame = episode.frame(first.t, SMALL_PX if first.is_small else FRAME_SIZE_PX)
+                found = {key: _encode(np.asarray(getattr(frame, key.kind)), key, episode) for key in made}
+        except Exception as error:  # noqa: BLE001 - raised by the futures
+            found = dict.fromkeys(made, error)
+        for key, future in made.items():
+            self._finish(key, future, found[key])
 
-    def _frame(self, episode: Episode, t: int) -> Frame:
-        """Returns a rendered frame; the three images of a frame are rendered together, once."""
-        key = (episode.episode_id, t)
-        with self._lock:
-            future = self._rendered.get(key)
-            is_mine = future is None
-            if future is None:
-                future = self._rendered[key] = Future()
-                while len(self._rendered) > _KEPT_FRAMES:
-                    self._rendered.popitem(last=False)
-        if is_mine:
-            try:
-                future.set_result(episode.frame(t))
-            except Exception as error:  # noqa: BLE001 - raised by the future
-                future.set_exception(error)
-                with self._lock:
-                    self._rendered.pop(key, None)
-        return future.result()
-
-    def _keep(self, key: FrameKey, made: Future[bytes]) -> None:
+    def _finish(self, key: FrameKey, future: Future[bytes], made: bytes | Exception) -> None:
         with self._lock:
             self._waiting.pop(key, None)
-            if made.exception() is not None or key.episode_id not in self._episodes:
-                return
-            self._encoded[key] = made.result()
-            self._bytes += len(made.result())
-            while self._bytes > _MOST_BYTES:
-                self._bytes -= len(self._encoded.popitem(last=False)[1])
+            if isinstance(made, bytes) and key.episode_id in self._episodes and key not in self._encoded:
+                self._encoded[key] = made
+                self._bytes += len(made)
+                while self._bytes > _MOST_BYTES:
+                    self._bytes -= len(self._encoded.popitem(last=False)[1])
+        if isinstance(made, bytes):
+            future.set_result(made)
+        else:
+            future.set_exception(made)
+
+
+def _is_stored(episode: Episode) -> bool:
+    return episode.meta.job.record is Recording.FRAMES
+
+
+def _encode_stored(episode: Episode, key: FrameKey) -> bytes:
+    if key.kind == "rgb" and not key.is_small:
+        return episode.stored(f"rgb_front/{key.t:06d}.png")
+    image, step = getattr(episode, key.kind)(key.t), FRAME_SIZE_PX // SMALL_PX if key.is_small else 1
+    return _encode(image[::step, ::step], key, episode)
+
+
+def _encode(image: NDArray[Any], key: FrameKey, episode: Episode) -> bytes:
+    if key.kind == "depth":
+        image = show_depth(image)
+    elif key.kind == "ids":
+        image = show_ids(image, episode.meta.target_instance_id)
+    image = np.ascontiguousarray(image)
+    return encode_png(image) if key.media_type == "image/png" else _encode_jpeg(image)
+
+
+def _encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    held = io.BytesIO()
+    Image.fromarray(rgb).save(held, "JPEG", quality=_JPEG_QUALITY)
+    return held.getvalue()
 
 
 def _done(data: bytes) -> Future[bytes]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -15,10 +17,12 @@ from coordinator.protocol.ask import OPERATOR
 from coordinator.protocol.tls import read_credentials
 from coordinator.status.address import parse_address
 from factory.dataset.site import Site
+from factory.html import compile_templates
 from factory.web.access import Access
 from factory.web.app import create_app
 from factory.web.server import WebServer
 from factory.web.workspace import Workspace
+from schemas.errors import FactoryError
 from schemas.protocol.administration import AdminReply, AdminRequest
 
 
@@ -57,6 +61,16 @@ def serve(
     def ask(request: AdminRequest) -> AdminReply:
         return administer_dataset(site.state_dir, request, datetime.now(UTC), ledger, name=name, tls=files)
 
-    app = create_app(Workspace(site, ledger), address, access, administer or ask, more_routes, evaluations)
+    workspace = Workspace(site, ledger)
+    app = create_app(workspace, address, access, administer or ask, more_routes, evaluations)
     with WebServer(app, address, files) as server:
+        threading.Thread(target=_prepare, args=(workspace,), name="prepare", daemon=True).start()
         yield server.url + ("" if token else f"/?token={access.token}")
+
+
+def _prepare(workspace: Workspace) -> None:
+    """Compiles templates and statements and reads the tables, so that the first requests do not; they raise errors."""
+    compile_templates("web")
+    for read in (workspace.farm, workspace.table):
+        with contextlib.suppress(FactoryError):
+            read()

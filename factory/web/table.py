@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
@@ -15,7 +16,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
-from schemas.errors import UsageError
+from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.support.suggest import did_you_mean
 
 FILTERS = MappingProxyType(
@@ -41,12 +42,14 @@ SORTED = (
     "final_ne_m",
 )
 """Columns that the table can be sorted by."""
+_READ = tuple(dict.fromkeys(("index", "instruction", *SORTED, *FILTERS.values())))
+"""Columns that the table needs."""
 _OTHERS = ("q", "sort", "order", "page", "flagged")
 _MOST_TEXT = 200
 _MOST_CHOICES = 300
 _KEPT = 16
 
-Indices = NDArray[np.int64]
+Indices = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -109,10 +112,23 @@ class EpisodeTable:
         self.dataset = dataset
         """The dataset."""
         self._found: OrderedDict[object, Indices] = OrderedDict()
-        self._lock = threading.Lock()
+        self._orders: dict[str, Indices] = {}
+        self._lock, self._sorting = threading.Lock(), threading.Lock()
 
     def __len__(self) -> int:
         return len(self.dataset)
+
+    def load(self) -> None:
+        """Reads the columns of the table, so that no later request does; requests raise the errors."""
+        for name in _READ:
+            with contextlib.suppress(ArchiveCorrupt):
+                self.dataset.column(name)
+
+    def sort_all(self) -> None:
+        """Computes the order of each column, so that no later request does."""
+        for column in SORTED:
+            with contextlib.suppress(ArchiveCorrupt):
+                self._order_by(column)
 
     def values(self, column: str) -> list[str]:
         """Returns the values of a text column, sorted; empty if there are too many to choose from."""
@@ -141,10 +157,17 @@ class EpisodeTable:
         return [dict(zip(names, values, strict=True)) for values in zip(*taken, strict=True)]
 
     def _sorted(self, query: TableQuery) -> Indices:
-        order = self._kept(("order", query.sort), lambda: self._order(query.sort))
+        order = self._order_by(query.sort)
         order = order[::-1] if query.descending else order
         mask = self._mask(query)
         return order if mask is None else order[mask[order]]
+
+    def _order_by(self, column: str) -> Indices:
+        """Returns the positions of all episodes, the smallest value of a column first."""
+        with self._sorting:
+            if column not in self._orders:
+                self._orders[column] = self._order(column)
+            return self._orders[column]
 
     def _order(self, column: str) -> Indices:
         held = self.dataset.column("index" if column == "episode_id" else column)
@@ -154,8 +177,8 @@ class EpisodeTable:
         else:
             numbers = held.to_numpy(zero_copy_only=False)
         if np.all(numbers[1:] >= numbers[:-1]):  # the table is written in the order of the episodes
-            return np.arange(len(numbers))
-        return np.argsort(numbers, kind="stable")
+            return np.arange(len(numbers), dtype=np.int32)
+        return np.argsort(numbers, kind="stable").astype(np.int32)
 
     def _mask(self, query: TableQuery) -> NDArray[np.bool_] | None:
         masks = [
@@ -178,20 +201,6 @@ class EpisodeTable:
             while len(self._found) > _KEPT:
                 self._found.popitem(last=False)
         return found
-
-
-class Tables:
-    """The table of the current version of a dataset; thread-safe."""
-
-    def __init__(self) -> None:
-        self._table: EpisodeTable | None = None
-
-    def of(self, dataset: Dataset) -> EpisodeTable:
-        """Returns the table of a dataset; the same one for the same object."""
-        table = self._table
-        if table is None or table.dataset is not dataset:
-            self._table = table = EpisodeTable(dataset)
-        return table
 
 
 def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Opens the dataset of a web page again when its tables change, and reads the state of its run. Serves nothing."""
+"""Reads the dataset of a web page and the state of its run. Serves nothing."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from coordinator.ledger.reading.farm import FarmReading, read_farm
 from factory.dataset.packages import packages_by_scene
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
-from factory.runs.ledger import progress_of, read_ledger
+from factory.runs.ledger import progress_in, read_ledger
 from factory.support.text import format_bytes
+from factory.web.current_table import CurrentTable
+from factory.web.table import EpisodeTable
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.errors import FactoryError
 from schemas.protocol.status import Progress
@@ -68,31 +70,28 @@ class Workspace:
         """Location of the dataset."""
         self.ledger = ledger
         """URL of the ledger; `None` for the ledger of the dataset."""
-        self._opening = threading.Lock()
-        self._dataset: Dataset | None = None
-        self._version: object = None
-        self._checked = self._listed = -float("inf")
+        self._listing = threading.Lock()
+        self._listed = -float("inf")
         self._packaged: frozenset[str] = frozenset()
         self._pause_s = _RECHECK_S if site.store is None else _REMOTE_RECHECK_S
+        self._table = CurrentTable(lambda: Dataset(site.place), self._version_of_tables, self._pause_s)
 
     @property
     def root(self) -> Place:
         """Location of the dataset's files."""
         return self.site.place
 
-    def dataset(self) -> Dataset:
-        """Returns the dataset as its tables are now; equal tables give the same object.
+    def table(self) -> EpisodeTable:
+        """Returns the table of the episodes as its files are now, or as they were shortly before.
 
         Raises:
             FactoryError: the tables are missing or damaged.
         """
-        with self._opening:
-            if self._dataset is None or time.monotonic() - self._checked > self._pause_s:
-                version = self._version_of_tables()
-                if self._dataset is None or version is None or version != self._version:
-                    self._dataset = Dataset(self.root)
-                self._version, self._checked = version, time.monotonic()
-            return self._dataset
+        return self._table.get()
+
+    def dataset(self) -> Dataset:
+        """Returns the dataset of `table`; raises the same errors."""
+        return self.table().dataset
 
     def meta(self) -> DatasetMeta | None:
         """Returns the description of the dataset; `None` if it has none yet."""
@@ -120,8 +119,8 @@ class Workspace:
             FactoryError: the dataset has no ledger, or a damaged one.
         """
         now = datetime.now(UTC)
-        progress = progress_of(self.site, self.ledger)
         with read_ledger(self.site, self.ledger) as connection:
+            progress = progress_in(connection, self.site, self.ledger)
             reading = read_farm(connection, now)
             return Farm(progress, reading, now, read_info(connection), count_failures(connection))
 
@@ -135,7 +134,7 @@ class Workspace:
 
     def packaged_scenes(self) -> frozenset[str]:
         """Returns the names of the scenes whose package is stored in the dataset."""
-        with self._opening:
+        with self._listing:
             if time.monotonic() - self._listed > self._pause_s:
                 self._packaged, self._listed = frozenset(packages_by_scene(self.root / SCENES)), time.monotonic()
             return self._packaged

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Mapping
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -193,7 +195,8 @@ class SceneInfo(Model):
         Raises:
             KeyError: the scene has no target of that name.
         """
-        for target in self.targets:
-            if target.target_id == target_id:
-                return target
-        raise KeyError(target_id)
+        return self._targets_by_id[target_id]
+
+    @functools.cached_property
+    def _targets_by_id(self) -> Mapping[str, Target]:
+        return {target.target_id: target for target in self.targets}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.policies.note import PolicyNote
+from factory.eval.results.publish import RESULTS_FILE, VIDEOS
 from factory.eval.results.score import Evaluation, score_policy
+from factory.eval.results.store import EvalManifest, Store
 from schemas.instruction.language import instruction
 from schemas.terms import Split, Tier
 
@@ -102,3 +106,21 @@ def evaluation_of(*names: str) -> Evaluation:
         policies=scores,
         remarks=("one & only",),
     )
+
+
+def write_evaluation(root: Path, policies: Sequence[str]) -> Path:
+    """Writes results of two policies in six episodes; one failure of the first policy has a film."""
+    specs = specs_of(*(spec_of(number) for number in range(1, 7)))
+    manifest = EvalManifest(run="test-00000000", specs_digest=specs.digest, with_pose=False, act_timeout_s=10.0)
+    with Store(root, specs, manifest) as store:
+        for policy, wins in zip(policies, (2, 3), strict=True):
+            note = PolicyNote(policy=policy, knows="nothing", reads_instruction=True, renderer="", software={})
+            store.note(note)
+            for number in range(1, 7):
+                store.add(result_of(number, policy=policy, success=number % wins == 0, detail="timeout & more"))
+        films = store.folder(policies[0]) / VIDEOS
+    films.mkdir()
+    (films / "ep_000001.mp4").write_bytes(b"film of ep_000001")
+    (films / "ep_000001.jpg").write_bytes(b"picture")
+    (root / RESULTS_FILE).write_text(evaluation_of(*policies).model_dump_json())
+    return root

@@ -8,17 +8,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from PIL import Image
+from starlette.routing import Match
 
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
-from schemas.terms import FailReason
+from factory.dataset.site import site_of
+from factory.web.app import all_routes
+from factory.web.workspace import Workspace
+from schemas.terms import FailReason, Recording
 from tests.builders.browser import axe_violations, chromium, overflow_px, why_no_chromium
 from tests.builders.dataset import make_dataset
+from tests.builders.eval_results import write_evaluation
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.web import WebClient, web_page
 from tests.builders.wire_worker import WireWorker, bundle_for
@@ -26,10 +32,17 @@ from tests.builders.wire_worker import WireWorker, bundle_for
 REASON = why_no_chromium()
 pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
-_PATHS = (
-    *("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/office", "/scenes/office/3d?episode=ep_000001"),
-    *("/statistics", "/evaluations", "/operations/retry", "/episodes/ep_9"),
+_PAGES = (
+    *("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/{scene}", "/scenes/{scene}/3d?episode=ep_000001"),
+    *("/statistics", "/evaluations", "/evaluations/results?first=a&second=b", "/operations/retry", "/login"),
+    "/episodes/ep_9",
 )
+_FILES = (
+    *("/episodes/ep_000001/mask.svg", "/episodes/ep_000001/playback/0", "/episodes/ep_000001/download/zip"),
+    *("/episodes/ep_000001/objects.json", "/scenes/{scene}/failures.svg", "/evaluations/results/films/0/ep_000001.jpg"),
+)
+"""Files that pages load later, after a click or for some datasets only."""
+_WIDTHS_PX = (360, 1400, 3840)
 _SHOWN = """
 async kind => {
   const image = document.querySelector(`img[data-kind=${kind}]`);
@@ -86,16 +99,44 @@ def tab(
     assert messages == []
 
 
+@pytest.fixture(scope="module", params=list(Recording))
+def served(
+    request, data, recordings, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[WebClient, Workspace]]:
+    """A page with all kinds of content, of a dataset of frames and of one of states."""
+    root: Path = data if request.param is Recording.FRAMES else recordings[request.param]
+    results = write_evaluation(tmp_path_factory.mktemp("served") / "results", "ab")
+    with web_page(root, evaluations=(results,)) as client:
+        yield client, Workspace(site_of(str(root)))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "scheme"), [(360, "dark"), (1400, "light"), (3840, "dark")])
-def test_axe_finds_no_violation_and_no_page_is_wider_than_its_window(browser, client, width, scheme):
-    with tab(browser, client, width, scheme) as page:
-        for path in _PATHS:
+def test_axe_finds_no_violation_on_any_page_and_every_route_was_visited(browser, served):
+    client, workspace = served
+    is_dark = workspace.dataset().meta.plan.record is Recording.STATES
+    scene = workspace.dataset()[0].meta.job.scene
+    asked: set[str] = set()
+    own, scheme = (360, "dark") if is_dark else (1400, "light")
+    with tab(browser, client, own, scheme) as page:
+        page.on("request", lambda request: asked.add(urlsplit(request.url).path))
+        for path in (path.format(scene=scene) for path in _PAGES):
             page.goto(client.url + path)
             if path == "/statistics":
                 page.wait_for_selector("section.figures", timeout=300_000)
-            assert overflow_px(page) <= 0, path
             assert axe_violations(page) == [], path
+            for width in (*_WIDTHS_PX, own):
+                page.set_viewport_size({"width": width, "height": 900})
+                assert overflow_px(page) <= 0, (path, width)
+        for path in (path.format(scene=scene) for path in _FILES):
+            assert page.request.get(client.url + path).status == 200, path
+            asked.add(path)
+    assert {route.path for route in all_routes(workspace) if not any(answers(route, path) for path in asked)} == set()
+
+
+def answers(route: Any, path: str) -> bool:
+    """Returns whether a route has a path; that of a form, which another test sends, has no page."""
+    scope = {"type": "http", "method": "GET", "path": path, "root_path": "", "headers": []}
+    return route.matches(scope)[0] is Match.FULL or "GET" not in (getattr(route, "methods", None) or {"GET"})
 
 
 def test_a_played_episode_ends_at_its_last_step_with_the_pixels_of_the_dataset(browser, client, data):
@@ -223,4 +264,5 @@ def test_a_run_is_watched_until_it_ends_with_a_retried_episode_and_drained_worke
         assert page.locator(".tiles").inner_text().count("finished") == 1
         confirm(page, client.url, "drain")
         assert worker.beat().drain
+        assert axe_violations(page) == []
         assert page.locator("#live table").last.inner_text().splitlines()[1].split()[1] == "drain"

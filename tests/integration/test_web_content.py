@@ -22,10 +22,7 @@ from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.tables import LEDGER_FORMAT, jobs
 from factory.dataset.reader import Dataset
 from factory.eval.models.result import Variant
-from factory.eval.policies.note import PolicyNote
 from factory.eval.results.compare import compare
-from factory.eval.results.publish import RESULTS_FILE, VIDEOS
-from factory.eval.results.store import EvalManifest, Store
 from factory.relabel.route import STEPS_SCHEMA
 from schemas.language.route.model import RouteStep
 from schemas.plan import Plan
@@ -35,11 +32,10 @@ from schemas.terms import FailReason
 from tests.builders.bundle import GOAL_M
 from tests.builders.catalog import make_catalog
 from tests.builders.dataset import make_dataset
-from tests.builders.eval_results import evaluation_of, result_of, spec_of, specs_of
+from tests.builders.eval_results import result_of, write_evaluation
 from tests.builders.ledger import TimedLedger, room_plan
 from tests.builders.web import WebClient, web_page
 
-SPECS = specs_of(*(spec_of(number) for number in range(1, 7)))
 POLICIES = ("stop", "my policy <b>")
 
 
@@ -62,20 +58,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An evaluation of two policies; one failure of the first has a film."""
-    root = tmp_path_factory.mktemp("evaluation") / "results"
-    manifest = EvalManifest(run="test-00000000", specs_digest=SPECS.digest, with_pose=False, act_timeout_s=10.0)
-    with Store(root, SPECS, manifest) as store:
-        for policy, wins in zip(POLICIES, (2, 3), strict=True):
-            note = PolicyNote(policy=policy, knows="nothing", reads_instruction=True, renderer="", software={})
-            store.note(note)
-            for number in range(1, 7):
-                store.add(result_of(number, policy=policy, success=number % wins == 0, detail="timeout & more"))
-        films = store.folder(POLICIES[0]) / VIDEOS
-    films.mkdir()
-    (films / "ep_000001.mp4").write_bytes(b"film of ep_000001")
-    (films / "ep_000001.jpg").write_bytes(b"picture")
-    (root / RESULTS_FILE).write_text(evaluation_of(*POLICIES).model_dump_json())
-    return root
+    return write_evaluation(tmp_path_factory.mktemp("evaluation") / "results", POLICIES)
 
 
 @pytest.fixture(scope="module")

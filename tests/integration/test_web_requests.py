@@ -67,7 +67,17 @@ def test_shown_frames_equal_those_of_the_dataset(client, data):
     here = "/episodes/ep_000002/frames/1.png"
     assert np.array_equal(pixels(client.ask(here).body), frame.rgb)
     assert np.array_equal(pixels(client.ask(f"{here}?kind=depth").body), show_depth(frame.depth))
-    assert np.array_equal(pixels(client.ask(f"{here}?kind=ids&small=1").body), show_ids(frame.ids[::2, ::2], target))
+    assert np.array_equal(pixels(client.ask(f"{here}?kind=ids").body), show_ids(frame.ids, target))
+
+
+def test_images_for_playback_have_a_quarter_of_the_pixels(client, data):
+    frame, here = Dataset(data)["ep_000002"].frame(1), "/episodes/ep_000002/playback/1"
+    target = Dataset(data)["ep_000002"].meta.target_instance_id
+    colour = client.ask(here)
+    assert colour.headers["content-type"] == "image/jpeg"
+    assert np.abs(pixels(colour.body) - frame.rgb[::2, ::2].astype(int)).mean() < 3
+    assert np.array_equal(pixels(client.ask(f"{here}?kind=depth").body), show_depth(frame.depth[::2, ::2]))
+    assert np.array_equal(pixels(client.ask(f"{here}?kind=ids").body), show_ids(frame.ids[::2, ::2], target))
 
 
 def test_the_colours_of_the_ids_have_the_names_of_the_objects(client, data):

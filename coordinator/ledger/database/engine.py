@@ -8,6 +8,7 @@ on the ledger's tables.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import sqlite3
 import stat
@@ -32,6 +33,8 @@ _LOCK_HELD = text("""
 _OTHERS = 0o007
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
 """Longest wait for the lock and pause between attempts, seconds. A server detects late that a client was killed."""
+_KEPT_READERS = 8
+"""Number of SQLite files whose reading engines are kept."""
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
 
 
@@ -84,6 +87,12 @@ def open_reader(url: str) -> Engine:
     file = _sqlite_file(url)
     if not file.is_file():
         raise WorldError(f"no ledger at {file}; start a run with `factory run` or `factory coordinator start`")
+    return _reader_of(file)
+
+
+@functools.lru_cache(maxsize=_KEPT_READERS)
+def _reader_of(file: Path) -> Engine:
+    """Returns the engine of a file, which holds no connection, only compiled statements: compiling takes longest."""
     return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
 
 

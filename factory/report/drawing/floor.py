@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from factory.html.palette import colour
-from factory.report.data import FloorMap
 from factory.report.drawing.canvas import WIDTH_IN, Axes, fill_outlines, mark
+from factory.visualize.floor_map import FloorMap
 from schemas.dataset.rows import EpisodeSummary
 
 _BESIDE_IN, _ABOVE_IN = 0.45, 0.95

@@ -18,10 +18,10 @@ from factory.visualize.panels import show_ids
 from factory.web.charts import WIDTH, draw_lines
 from factory.web.context import WebContext, context_of, page
 from factory.web.forms import read_form
+from factory.web.frames import SMALL_PX
 from factory.web.pages.downloads import DOWNLOADS, download
 from factory.web.pages.find import find_episode
-from factory.web.pages.frame import show_frame, show_mask
-from factory.web.table import EpisodeTable
+from factory.web.pages.frame import show_frame, show_mask, show_playback
 from schemas.measure import Goal
 from schemas.terms import Recording
 
@@ -35,6 +35,7 @@ def routes() -> list[Route]:
     return [
         Route(here, show),
         Route(f"{here}/frames/{{t:int}}.png", show_frame),
+        Route(f"{here}/playback/{{t:int}}", show_playback),
         Route(f"{here}/mask.svg", show_mask),
         Route(f"{here}/objects.json", list_objects),
         Route(f"{here}/mark", mark, methods=["POST"]),
@@ -102,6 +103,7 @@ def show(request: Request) -> Response:
         facts=_facts(episode),
         steps=_steps(episode, last),
         rendered=episode.meta.job.record is not Recording.FRAMES,
+        small_px=SMALL_PX,
         mark=context.marks.read().get(summary.episode_id, Mark()),
         neighbours=_neighbours(context, summary.index),
         downloads=DOWNLOADS,
@@ -139,7 +141,7 @@ def list_objects(request: Request) -> Response:
 
 def _neighbours(context: WebContext, index: int) -> list[tuple[str, str]]:
     """Returns title and id of the previous and the next episode."""
-    table: EpisodeTable = context.tables.of(context.workspace.dataset())
+    table = context.workspace.table()
     indices = table.dataset.column("index").to_numpy(zero_copy_only=False)
     place, names = int(np.searchsorted(indices, index)), table.dataset.column("episode_id")
     around = (("previous", place - 1), ("next", place + 1))

@@ -38,7 +38,7 @@ def show(request: Request) -> Response:
     """Answers with one page of the table."""
     context = context_of(request)
     query = parse_query(request.query_params)
-    table = context.tables.of(context.workspace.dataset())
+    table = context.workspace.table()
     marks = context.marks.read()
     flagged = {name for name, mark in marks.items() if mark.flagged}
     found = table.select(query, flagged)

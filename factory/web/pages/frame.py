@@ -1,4 +1,4 @@
-"""Images of an episode: frames as PNG, and the size of the target's mask over time."""
+"""Images of an episode: frames, and the size of the target's mask over time."""
 
 from __future__ import annotations
 
@@ -23,21 +23,29 @@ _MASK_PX = 160
 
 
 async def show_frame(request: Request) -> Response:
-    """Answers with an image of a frame: `?kind=rgb`, `depth` or `ids`; `?small=1` omits every second pixel."""
-    query = request.query_params
-    kind = query.get("kind", "rgb")
+    """Answers with an image of a frame: `?kind=rgb`, `depth` or `ids`."""
+    return await _show(request, is_small=False)
+
+
+async def show_playback(request: Request) -> Response:
+    """Answers with an image of a frame in `SMALL_PX`, for playback: colour as JPEG, `?kind=depth` or `ids` as PNG."""
+    return await _show(request, is_small=True)
+
+
+async def _show(request: Request, is_small: bool) -> Response:
+    kind = request.query_params.get("kind", "rgb")
     if kind not in KINDS:
         raise HTTPException(400, f"kind={kind[:40]!r} is not valid; valid kinds: {', '.join(KINDS)}")
-    key = FrameKey(request.path_params["episode_id"], request.path_params["t"], kind, bool(query.get("small")))
+    key = FrameKey(request.path_params["episode_id"], request.path_params["t"], kind, is_small)
     store = context_of(request).frames
     try:
-        future = await asyncio.to_thread(store.png, key)
+        future = await asyncio.to_thread(store.encoded, key)
     except (KeyError, IndexError) as error:
         raise HTTPException(404, str(error.args[0])) from error
     except TooBusy as error:
         raise HTTPException(503, str(error), {"retry-after": "1"}) from error
     data = await asyncio.wrap_future(future)
-    return Response(data, media_type="image/png", headers={"cache-control": "private, max-age=600"})
+    return Response(data, media_type=key.media_type, headers={"cache-control": "private, max-age=600"})
 
 
 def show_mask(request: Request) -> Response:

@@ -14,7 +14,6 @@ from starlette.routing import Route
 
 from coordinator.ledger.reading.failures import FailedPlace
 from factory.dataset.packages import ScenePackage
-from factory.dataset.reader import Dataset
 from factory.web.context import WebContext, context_of, page, svg_image
 from factory.web.floors import Floor, FloorMark
 from factory.web.table import TableQuery, page_number
@@ -157,10 +156,10 @@ def _counts(column: pa.Array) -> dict[str, int]:
 def _of_scene(context: WebContext, name: str) -> tuple[dict[str, int], list[str]]:
     """Returns the number of episodes by target, and some episodes whose first frames show the scene."""
     try:
-        dataset: Dataset = context.workspace.dataset()
+        table = context.workspace.table()
     except FactoryError:
         return {}, []
-    found = context.tables.of(dataset).select(TableQuery({"scene": name}))
+    found, dataset = table.select(TableQuery({"scene": name})), table.dataset
     targets = _counts(dataset.column("target_id").take(pa.array(found)))
     step = max(1, len(found) // _VIEWS)
     return targets, dataset.column("episode_id").take(pa.array(found[::step][:_VIEWS])).to_pylist()

@@ -4,7 +4,7 @@ const images = [...player.querySelectorAll("img[data-kind]")];
 const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];
 const stride = Math.max(1, Math.ceil(hz / 30));
 const AHEAD = 12;
-const SMALL_PX = 320;
+const MOST_LATE_MS = 250;
 const robot = document.getElementById("robot");
 const poses = robot.dataset.poses.split(" ").map((text) => text.split(",").map(Number));
 const time = document.getElementById("time");
@@ -13,29 +13,34 @@ const clock = document.getElementById("clock");
 const loaded = new Map();
 let shown = Number(player.dataset.t);
 let playing = false;
+let turn = 0; // number of the newest playback
+let pace = stride; // steps from one shown frame to the next
 
-// while it plays: small images, but stored colour frames as they are, and rendered ones if the window shows them large
+// while it plays: small images, but stored colour frames as they are, because the server need not decode them
 function source(t, kind) {
-  const isLarge = kind === "rgb" && (!player.dataset.rendered || images[0].clientWidth * devicePixelRatio > SMALL_PX * 1.25);
-  return `${player.dataset.frames}${t}.png?kind=${kind}${playing && !isLarge ? "&small=1" : ""}`;
+  const isSmall = playing && (kind !== "rgb" || player.dataset.rendered);
+  return `${player.dataset.here}${isSmall ? `playback/${t}` : `frames/${t}.png`}?kind=${kind}`;
 }
 
 function load(t) {
   if (!loaded.has(t)) {
-    const parts = images.map((image) => {
-      const part = new Image();
-      part.src = source(t, image.dataset.kind);
-      return part.decode().then(() => part);
-    });
-    loaded.set(t, Promise.all(parts));
+    const parts = images.map((image) => Object.assign(new Image(), { src: source(t, image.dataset.kind) }));
+    const ready = Promise.all(parts.map((part) => part.decode())).then(() => parts);
+    ready.catch(() => {}); // `show` reports the error when the frame is due
+    loaded.set(t, { parts, ready });
   }
-  return loaded.get(t);
+  return loaded.get(t).ready;
+}
+
+function forget(t) {
+  for (const part of loaded.get(t).parts) if (!part.complete) part.src = ""; // cancels the request
+  loaded.delete(t);
 }
 
 async function show(t) {
   shown = t;
-  for (const known of loaded.keys()) if (known < t - stride || known > t + AHEAD * stride) loaded.delete(known);
-  if (playing) for (let next = t; next <= Math.min(last, t + AHEAD * stride); next += stride) load(next).catch(() => {});
+  for (const known of [...loaded.keys()]) if (known < t || known > t + AHEAD * pace) forget(known);
+  if (playing) for (let next = t; next <= Math.min(last, t + AHEAD * pace); next += pace) load(next);
   try {
     const parts = await load(t);
     if (shown !== t) return;
@@ -44,6 +49,7 @@ async function show(t) {
       images[place].alt = `${images[place].dataset.kind} at step ${t}`;
     });
   } catch {
+    if (shown !== t) return;
     clock.value = `step ${t} cannot be shown`;
     return;
   }
@@ -71,21 +77,32 @@ function mark(t) {
   player.dataset.t = t;
 }
 
+// shows frames at their times, on a slow machine every second, fourth or eighth, so that no image is loaded in vain
 async function run() {
-  const begin = performance.now();
-  const first = shown >= last ? 0 : shown;
-  while (playing) {
-    const due = first + Math.floor(((performance.now() - begin) / 1000) * (hz / stride)) * stride;
-    const t = Math.min(last, Math.max(shown, due));
-    if (t !== shown || t === first) await show(t);
-    if (shown >= last) toggle();
-    await new Promise(requestAnimationFrame);
+  const mine = ++turn;
+  const goesOn = () => playing && turn === mine;
+  let [due, early] = [performance.now(), 0];
+  await show(shown);
+  while (goesOn() && shown < last) {
+    due += (1000 * pace) / hz;
+    await show(Math.min(last, shown + pace));
+    const late = performance.now() - due;
+    early = late > 0 ? 0 : early + 1;
+    if (late > MOST_LATE_MS) {
+      pace = Math.min(8 * stride, 2 * pace);
+      due = performance.now();
+    } else if (early > 30) {
+      pace = Math.max(stride, pace / 2);
+      early = 0;
+    }
+    while (goesOn() && performance.now() < due) await new Promise(requestAnimationFrame);
   }
+  if (goesOn()) toggle();
 }
 
 function toggle() {
   playing = !playing;
-  loaded.clear();
+  for (const known of [...loaded.keys()]) forget(known);
   play.textContent = playing ? "Pause" : "Play";
   play.setAttribute("aria-pressed", playing);
   if (playing) {
@@ -104,7 +121,7 @@ for (const link of document.querySelectorAll(".steps a"))
     event.preventDefault();
     show(Number(link.closest("li").dataset.first));
   });
-document.querySelector(".player").hidden = false;
+document.getElementById("controls").hidden = false;
 document.getElementById("steps").hidden = true;
 mark(shown);
 

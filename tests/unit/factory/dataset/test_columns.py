@@ -49,6 +49,30 @@ def test_rows_are_those_of_the_file(shared: Path) -> None:
     assert [columns.row(n) for n in range(3)] == pq.read_table(shared / "metadata.parquet").select(NAMES).to_pylist()
 
 
+def test_single_rows_of_a_large_table_equal_those_of_all_columns(own: Path) -> None:
+    path = own / "metadata.parquet"
+    table = pa.concat_tables([pq.read_table(path)] * 4000)
+    pq.write_table(
+        table.set_column(table.column_names.index("num_steps"), "num_steps", pa.array(range(12_000))), path, 999
+    )
+    columns, positions = Columns(own), (0, 998, 999, 11_999, 7, 11_998)  # the last two after all columns were read
+    assert [columns.row(n) for n in positions] == pq.read_table(path).select(NAMES).take(positions).to_pylist()
+
+
+def test_a_damaged_row_group_does_not_hide_single_rows_of_others(own: Path) -> None:
+    path = own / "metadata.parquet"
+    pq.write_table(pa.concat_tables([pq.read_table(path)] * 2000), path, 1000)
+    data = bytearray(path.read_bytes())
+    chunk = pq.read_metadata(path).row_group(5).column(0)
+    begin = chunk.dictionary_page_offset or chunk.data_page_offset
+    data[begin : begin + chunk.total_compressed_size] = bytes(chunk.total_compressed_size)
+    path.write_bytes(data)
+    columns = Columns(own)
+    assert columns.row(0)["episode_id"] == "ep_000001"
+    with pytest.raises(ArchiveCorrupt, match="is damaged"):
+        columns.row(5500)
+
+
 @pytest.mark.parametrize("rows", [(1,), (0, 1, 2)])
 @pytest.mark.parametrize("column", ["steps_visible", "geodesic_m", "target_in_view", "created_at", "software"])
 def test_rows_with_missing_values_are_those_of_the_file(own: Path, column: str, rows: tuple[int, ...]) -> None:

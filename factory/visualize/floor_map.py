@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.report.data import FloorMap, Outlines
 from schemas.scene import CompiledScene
 
 Corner = tuple[int, int]
 
+Outlines = list[NDArray[np.float64]]
+"""Closed loops of points (K, 2); holes are separate loops."""
 _MARGIN_M = 0.3
+
+
+@dataclass(frozen=True)
+class FloorMap:
+    """Floor map of a scene in the world frame, metres."""
+
+    bounds_m: tuple[float, float, float, float]
+    """West, east, south and north bound of the non-empty area, metres."""
+    floor: Outlines
+    """Outlines of the connected floor."""
+    low: Outlines
+    """Outlines of all obstacles."""
+    wall: Outlines
+    """Outlines of the obstacles that occlude."""
+    surveyed_m: NDArray[np.float32]
+    """(S, 2) surveyed spawn points, metres."""
+    targets_m: NDArray[np.float64]
+    """(K, 2) centroids of all targets, metres."""
+    free_area_m2: float
 
 
 def map_of(scene: CompiledScene) -> FloorMap:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from factory.report.floor_map import trace_outlines
+from factory.visualize.floor_map import trace_outlines
 
 
 def area(loop: NDArray[np.float64]) -> float:
