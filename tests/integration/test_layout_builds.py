@@ -135,6 +135,8 @@ def test_a_package_that_cannot_fulfil_the_plan_is_followed_by_the_next_seed(tmp_
         assert retried.build is not None
         assert retried.build.seed == 7
         deliver(worker, retried, package(FIRST))
+        # a worker repeats the announcement, because the coordinator ignores one while the refused transfer ends
+        until(lambda: not worker.beat().drop and not worker.spool)
         worker.job()
     assert "no reachable 'chair'" in read_dataset_meta(root).refused_seeds[FIRST][0]
     assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
