@@ -128,7 +128,7 @@ class BuildOrder(Model):
     rules: Annotated[str, Field(max_length=MAX_RULES_CHARS)] | None = None
     """Text of the file of category rules; null for the rules of the family."""
     textures: Annotated[tuple[Sha256, ...], Field(max_length=MAX_KNOWN_TEXTURES)] = ()
-    """SHA-256 of textures that the coordinator has, which the worker leaves out of the bundle."""
+    """SHA-256 of textures that the coordinator has, which the bundle of the worker omits."""
 
 
 class Attachment(Model):

@@ -30,7 +30,7 @@ def complete_package(package: bytes, read: ReadTexture, known: Collection[str] =
     Args:
         package: package without files of textures.
         read: function that returns the content of the file of a texture.
-        known: SHA-256 of textures that the receiver has, which are left out.
+        known: SHA-256 of textures that the receiver has, which are omitted.
 
     Raises:
         InvalidBundle: the package is damaged, or `read` raises it.

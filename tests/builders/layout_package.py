@@ -32,7 +32,7 @@ class MadeLayout:
         return [texture.sha256 for texture in self.textures]
 
     def complete(self, known: Collection[str] = ()) -> bytes:
-        """Returns the bundle of a build that leaves out known textures."""
+        """Returns the bundle of a build that omits known textures."""
         return complete_package(self.package, self.textures.__getitem__, known)
 
     def write(self, path: Path) -> Path:
