@@ -123,7 +123,7 @@ def _ring(
         goals: goals of targets.
         rows: numbers of the goals.
         distance_m: distance from the targets, metres.
-        starts: whether to return only points at which a robot can start that faces the target.
+        starts: whether to return only points at which a robot that faces the target can start.
     """
     angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
