@@ -1,6 +1,6 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
-# check-rigs | ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-ray | test-slurm | test-train | fuzz |
-# audit | docs | quickstart.
+# check-rigs | ledger-accidents | scenes-check | test-engines | test-formats | test-install | test-lerobot | test-ray | test-slurm |
+# test-train | fuzz | audit | docs | quickstart.
 # Everything is in .venv.
 VENV    := .venv
 PYTHON  ?= python3.11
@@ -17,7 +17,7 @@ DOCS    := .venv-docs
 READY   := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
+.PHONY: test-engines test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -144,6 +144,12 @@ test-install: $(READY)
 # a failed node, and a dataset by shards and by workers; needs root and half an hour
 test-slurm: $(READY)
 	$(VENV)/bin/python -m pytest tests/slurm --slurm
+
+# 240 episodes as one run, as shards with kills, on Slurm with every event that stops a task, and on Ray with kills: one digest.
+# Needs what test-slurm and test-ray need, and about an hour on two cores
+test-engines: $(READY)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check "ray>=2.60,<3"
+	$(VENV)/bin/python -m pytest tests/engines --engines
 
 # a Ray cluster of two nodes on loopback: killed actors, workers and nodes; needs the extra `ray` and some minutes
 test-ray: $(READY)

@@ -14,6 +14,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, FindLocalBundle, no_local_bundle
 from schemas.dataset.meta import GateOutcome
 from schemas.dataset.run_shard import RunShard
+from schemas.protocol.messages import Hello
 from schemas.storage.object_path import ObjectPath
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
@@ -53,5 +54,7 @@ class CoordinatorOptions:
     """Function that returns the states recording of a job."""
     connect: Sequence[str] = ()
     """Endpoints of other coordinators, whose workers may also execute jobs of this one."""
+    on_joined: Callable[[Hello], None] = lambda _hello: None
+    """Callback after the first registration of a worker; must not block."""
     find_local_bundle: FindLocalBundle = no_local_bundle
     """Function that finds bundles of workers on this machine, to avoid the transfer over the network."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +36,7 @@ from coordinator.validation.validator import Validator, sandbox_of
 from schemas.plan import Plan
 from schemas.protocol.address_file import remove_address, usable_endpoints, write_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+from schemas.protocol.messages import Hello
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
 
@@ -81,7 +82,7 @@ class Coordinator(Closing):
             self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
             chores.check_free_space()
-            handler = stack.enter_context(self._open_request_handler(run))
+            handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
             self._router = stack.enter_context(_open_router(run, options, handler))
             stack.enter_context(PeriodicTasks(chores.table(self._router.admit)))
             # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
@@ -180,6 +181,7 @@ class Coordinator(Closing):
             is_draining=self._draining.is_set,
             has_room=lambda: room.has_room,
             evaluation=options.evaluation,
+            is_pulled=lambda index: self._pullers.has(index),
             find_states=options.find_states,
             workers_validate=options.settings.spot_checks is not None and options.evaluation is None,
         )
@@ -200,7 +202,7 @@ class Coordinator(Closing):
         return Pullers(
             run.archive,
             LocalLedgerClient(run.ledger.writer, run.terms, run.clock),
-            lambda sid, lease, chunk: self._router.fetch(sid, lease, chunk),
+            lambda sid, ranges: self._router.fetch(sid, ranges),
             run.checker,
             run.settings,
             self._tables.note_change,
@@ -209,7 +211,7 @@ class Coordinator(Closing):
             layouts,
         )
 
-    def _open_request_handler(self, run: RunContext) -> RequestHandler:
+    def _open_request_handler(self, run: RunContext, on_joined: Callable[[Hello], None]) -> RequestHandler:
         return RequestHandler(
             run.ledger.writer,
             run.terms,
@@ -218,6 +220,7 @@ class Coordinator(Closing):
             dispatch=Dispatch(self._pullers.offer),
             on_archived=self._tables.note_change,
             on_drain=self.drain,
+            on_joined=on_joined,
             backlog=run.settings.backlog,
             meters=run.meters,
         )

@@ -46,7 +46,10 @@ class EpisodeSpec(Model):
         Raises:
             ValidationError: a value is not valid.
         """
-        return EpisodeSpec(**{name: getattr(source, name) for name in EpisodeSpec.model_fields} | changes)
+        return EpisodeSpec(**{name: getattr(source, name) for name in _FIELDS} | changes)
+
+
+_FIELDS = tuple(EpisodeSpec.model_fields)
 
 
 def columns_of(source: object, row: type[Model]) -> dict[str, Any]:
@@ -56,5 +59,5 @@ def columns_of(source: object, row: type[Model]) -> dict[str, Any]:
         source: has the fields of `EpisodeSpec` that the table has.
         row: model of the table's rows.
     """
-    columns = {_COLUMN_NAMES.get(name, name): name for name in EpisodeSpec.model_fields}
+    columns = {_COLUMN_NAMES.get(name, name): name for name in _FIELDS}
     return {column: getattr(source, name) for column, name in columns.items() if column in row.model_fields}

@@ -5,7 +5,9 @@ Does not compile scenes; `factory.scenes` does.
 
 from __future__ import annotations
 
+import functools
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, BinaryIO
 
@@ -171,10 +173,11 @@ class SceneInfo(Model):
         Raises:
             KeyError: the scene has no target of that name.
         """
-        for target in self.targets:
-            if target.target_id == target_id:
-                return target
-        raise KeyError(target_id)
+        return self._targets_by_id[target_id]
+
+    @functools.cached_property
+    def _targets_by_id(self) -> Mapping[str, Target]:
+        return {target.target_id: target for target in self.targets}
 
 
 @dataclass(frozen=True)

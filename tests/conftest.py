@@ -24,15 +24,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """`--scene-seeds N`: number of seeds of each built-in scene in the contract suite."""
     parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to test")
     parser.addoption("--install", action="store_true", help="run tests/install, which installs the wheel from an index")
+    parser.addoption("--engines", action="store_true", help="run tests/engines, which needs Slurm and Ray")
     parser.addoption("--ray", action="store_true", help="run tests/ray, which starts a Ray cluster on loopback")
     parser.addoption("--slurm", action="store_true", help="run tests/slurm, which starts a Slurm on loopback")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Collects tests/install, tests/ray and tests/slurm only with the option of that name."""
-    option = next(
-        (name for name in ("install", "ray", "slurm") if collection_path == Path(__file__).parent / name), None
-    )
+    """Collects some folders of tests only with the option of their name."""
+    folders = ("engines", "install", "ray", "slurm")
+    option = next((name for name in folders if collection_path == Path(__file__).parent / name), None)
     return True if option is not None and not config.getoption(f"--{option}") else None
 
 

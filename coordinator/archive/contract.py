@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from coordinator.archive.staging import Staged
+from schemas.errors import FactoryError
 from schemas.storage.place import FilePlace, Place
 
 __all__ = ["Archive", "Staged", "scene_file"]
@@ -43,6 +44,16 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         Raises:
             ArchiveCorrupt: a different file has that name; it is not changed, and the part file is removed.
             WorldError: the file cannot be stored; no incomplete file is published.
+        """
+
+    def publish_all(self, parts: Mapping[int, Staged]) -> Mapping[int, FactoryError]:
+        """Publishes the part files of several episodes, as `publish` does, and syncs them together.
+
+        Returns:
+            The error of each episode that was not published, by number; the others are published.
+
+        Raises:
+            WorldError: the folder cannot be synced; the ledger must record none of the episodes.
         """
 
     def path_of(self, index: int) -> FilePlace:

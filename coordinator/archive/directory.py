@@ -8,14 +8,15 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from coordinator.archive.contract import scene_file
 from coordinator.archive.packing import PackingArchive
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset.rows import file_name_of
-from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.errors import ArchiveCorrupt, FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
 from schemas.storage.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.storage.disk import (
@@ -25,11 +26,13 @@ from schemas.storage.disk import (
     set_copy_aside,
     sync_directory,
     translated,
-    world_error,
 )
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
+
+_SYNCING_THREADS = 8
+"""Number of threads that sync the files of several episodes; the file system commits concurrent syncs together."""
 
 
 class DirectoryArchive(PackingArchive, Closing):
@@ -45,6 +48,7 @@ class DirectoryArchive(PackingArchive, Closing):
         super().__init__()
         self.root = root
         self._publishing = threading.Lock()
+        self._syncing = ThreadPoolExecutor(_SYNCING_THREADS, "sync")
         self._staging = Staging(root, str(root))
         try:
             with translated("open", root):
@@ -67,16 +71,38 @@ class DirectoryArchive(PackingArchive, Closing):
             ArchiveCorrupt: a file of that name exists; it is not changed, and the part file is removed.
             WorldError: the disk is full or unavailable; no incomplete file remains.
         """
+        for error in self.publish_all({index: staged}).values():
+            raise error
+        return self._file_of(index)
+
+    def publish_all(self, parts: Mapping[int, Staged]) -> dict[int, FactoryError]:
+        """See `Archive.publish_all`. The folder is synced once; the files are synced by several threads."""
+        failed = dict(self._flush_all(parts))
+        with self._publishing:
+            for index, staged in parts.items():
+                with staged:
+                    try:
+                        if index not in failed:
+                            self._rename(staged, index)
+                    except FactoryError as error:
+                        failed[index] = error
+            if len(failed) < len(parts):
+                with translated("rename into", self.root / EPISODES):
+                    sync_directory(self.root / EPISODES)
+        return failed
+
+    def _flush_all(self, parts: Mapping[int, Staged]) -> Iterator[tuple[int, FactoryError]]:
+        """Syncs part files; yields the error of each that cannot be synced."""
+        errors = map(_flush, parts.values()) if len(parts) == 1 else self._syncing.map(_flush, parts.values())
+        for index, error in zip(parts, errors, strict=True):
+            if error is not None:
+                yield index, error
+
+    def _rename(self, staged: Staged, index: int) -> None:
+        self._require_free(index)
         final = self._file_of(index)
-        staged.flush()
-        with self._publishing, staged:
-            self._require_free(index)
-            try:
-                staged.path.rename(final)
-                sync_directory(final.parent)
-            except OSError as error:
-                raise world_error("rename into", final.parent, error) from error
-        return final
+        with translated("rename into", final.parent):
+            staged.path.rename(final)
 
     def _file_of(self, index: int) -> Path:
         return self.root / file_name_of(episode_id(index))
@@ -174,4 +200,13 @@ class DirectoryArchive(PackingArchive, Closing):
 
     def close(self) -> None:
         """Releases the directory, so that another coordinator can open it."""
+        self._syncing.shutdown()
         self._staging.close()
+
+
+def _flush(staged: Staged) -> FactoryError | None:
+    try:
+        staged.flush()
+    except WorldError as error:
+        return error
+    return None

@@ -14,16 +14,16 @@ import mmap
 import os
 import secrets
 import socket
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import structlog
 
 from coordinator.archive.contract import scene_file
-from coordinator.archive.packing import PackingArchive
+from coordinator.archive.packing import PackingArchive, in_threads
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset.rows import file_name_of
-from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.errors import ArchiveCorrupt, FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
 from schemas.storage.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.storage.disk import set_aside, translated
@@ -101,6 +101,18 @@ class ObjectArchive(PackingArchive, Closing):
             if found != staged.size:
                 raise ArchiveCorrupt(f"{final} has {found} bytes, but {staged.size} were sent: run `factory repair`")
         return final
+
+    def publish_all(self, parts: Mapping[int, Staged]) -> dict[int, FactoryError]:
+        """See `Archive.publish_all`. Some objects are put at the same time."""
+        errors = in_threads(lambda part: self._error_of(*part), parts.items())
+        return {index: error for index, error in zip(parts, errors, strict=True) if error is not None}
+
+    def _error_of(self, index: int, staged: Staged) -> FactoryError | None:
+        try:
+            self.publish(staged, index)
+        except FactoryError as error:
+            return error
+        return None
 
     def _file_of(self, index: int) -> ObjectPath:
         return self.root / file_name_of(episode_id(index))

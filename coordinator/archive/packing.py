@@ -41,9 +41,9 @@ from schemas.storage.shards import (
     write_shard,
 )
 
-_READERS = 8
-_READ_AHEAD = 64
-"""Number of episodes that are read at once."""
+_THREADS = 8
+_AHEAD = 64
+"""Number of episodes that are read or stored at once."""
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -165,7 +165,7 @@ class PackingArchive(ABC):
     def _whole_files(self, owned: Mapping[int, str]) -> Iterator[tuple[int, bytes]]:
         """Yields number and content of the files that can be packed, ascending."""
         wanted = [index for index in sorted(owned) if self._shards.find(index) is None]
-        for index, data in zip(wanted, _in_threads(self._read_file, wanted), strict=True):
+        for index, data in zip(wanted, in_threads(self._read_file, wanted), strict=True):
             if isinstance(data, str):
                 why = data
             elif len(data) > MAX_PACKED_BYTES:
@@ -245,7 +245,7 @@ class PackingArchive(ABC):
     def _settle_files(self, files: Mapping[int, Place]) -> None:
         """Deletes the files whose episodes are packed with the same bytes, and quarantines those that differ."""
         twice = [(path, packed) for index, path in files.items() if (packed := self._shards.find(index)) is not None]
-        equal = list(_in_threads(lambda pair: pair[0].read_bytes() == pair[1].read_bytes(checked=False), twice))
+        equal = list(in_threads(lambda pair: pair[0].read_bytes() == pair[1].read_bytes(checked=False), twice))
         self._delete([path for (path, _), same in zip(twice, equal, strict=True) if same])
         for (path, packed), same in zip(twice, equal, strict=True):
             if not same:
@@ -267,9 +267,9 @@ def _is_regular_shard(path: Place) -> bool:
     return is_shard(path.name) and path.is_file() and not path.is_symlink()
 
 
-def _in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+def in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """Yields the results in the order of the items; keeps a few of them in memory."""
     rest = iter(items)
-    with ThreadPoolExecutor(_READERS) as pool:
-        while batch := list(islice(rest, _READ_AHEAD)):
+    with ThreadPoolExecutor(_THREADS) as pool:
+        while batch := list(islice(rest, _AHEAD)):
             yield from pool.map(work, batch)

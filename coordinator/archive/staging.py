@@ -37,7 +37,7 @@ class Staged(Closing):
         self._file = file
         self._hash = hashlib.sha256()
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes | memoryview) -> None:
         """Appends bytes.
 
         Raises:

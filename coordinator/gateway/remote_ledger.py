@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import Archived, ExtendLease, Inventory, InventoryReply, Refused
+from coordinator.transfer.contract import Delivery
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import UsageError
 from schemas.protocol.keys import Verb
@@ -37,9 +39,11 @@ class RemoteLedgerClient:
         self._archive = archive
         self._stop = stop
 
-    def keep(self, pull: Pull, seconds: float) -> bool:
+    def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
         """See `LedgerClient`."""
-        return self._core.ask(Verb.HOLD, ExtendLease(lease=pull.lease, seconds=seconds), Ack).accepted
+        return [
+            self._core.ask(Verb.HOLD, ExtendLease(lease=pull.lease, seconds=seconds), Ack).accepted for pull in pulls
+        ]
 
     def is_owned(self, index: int) -> bool:
         """See `LedgerClient`."""
@@ -48,8 +52,11 @@ class RemoteLedgerClient:
         strays = self._core.ask(Verb.INVENTORY, told, InventoryReply).strays
         return all(stray.index != index for stray in strays)
 
-    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:  # noqa: ARG002 - a gateway checks all
-        """See `LedgerClient`. Repeats the request until the core replies, because the file is already durable."""
+    def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
+        """See `LedgerClient`. Repeats each request until the core replies, because the file is already durable."""
+        return [self._own(pull, receipt) for pull, receipt, _ in deliveries]
+
+    def _own(self, pull: Pull, receipt: BundleReceipt) -> bool:
         told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
         return self._core.request_until_reply(Verb.ARCHIVED, told, Ack, self._stop).accepted
 

@@ -31,8 +31,7 @@ from coordinator.transfer.contract import EpisodeValidator
 from coordinator.transfer.puller import Pullers
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
-from schemas.protocol.keys import Chunk, Verb
-from schemas.protocol.messages import Lease
+from schemas.protocol.keys import BundleRange, Verb
 from schemas.support.closing import Closing
 
 _ORDERS_S = 0.25
@@ -159,8 +158,8 @@ class Gateway(Closing):
             self._meters,
         )
 
-    def _fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
-        return self._node.fetch(self.run, sid, lease, chunk, self._settings.pull_timeout_s)
+    def _fetch(self, sid: str, ranges: Sequence[BundleRange]) -> bytes:
+        return self._node.fetch(self.run, sid, ranges, self._settings.pull_timeout_s)
 
     def _open_periodic_tasks(self) -> PeriodicTasks:
         return PeriodicTasks(

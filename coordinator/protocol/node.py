@@ -18,8 +18,7 @@ import zenoh
 from coordinator.protocol.ask import query
 from schemas.errors import TransientError, WorldError
 from schemas.protocol.identity import Role
-from schemas.protocol.keys import Chunk, bundle_selector
-from schemas.protocol.messages import Lease
+from schemas.protocol.keys import BundleRange, bundle_selector
 from schemas.support.closing import Closing
 
 Admitted = Mapping[str, Role]
@@ -84,18 +83,22 @@ class ZenohNode(Closing):
         except zenoh.ZError as error:
             log.debug("ask_failed", selector=selector, error=str(error))
 
-    def fetch(self, run: str, sid: str, lease: Lease, chunk: Chunk, timeout_s: float) -> bytes:
-        """Requests a chunk of a spooled bundle from a worker.
+    def fetch(self, run: str, sid: str, ranges: Sequence[BundleRange], timeout_s: float) -> bytes:
+        """Requests ranges of spooled bundles from a worker, in one reply.
 
         There is no retry, so that a frozen worker does not block a puller.
 
         Raises:
             TransientError: no reply arrived in time, or the reply has the wrong length.
         """
-        for data in self.ask(bundle_selector(run, sid, lease, chunk), None, timeout_s):
-            if len(data) == chunk.length:
+        length = sum(each.chunk.length for each in ranges)
+        for data in self.ask(bundle_selector(run, sid, ranges), None, timeout_s):
+            if len(data) == length:
                 return data
-        raise TransientError(f"worker {sid} does not serve bytes {chunk.offset}+{chunk.length} of job {lease.job_id}")
+        first, more = ranges[0], f" and {len(ranges) - 1} other jobs" if len(ranges) > 1 else ""
+        raise TransientError(
+            f"worker {sid} does not serve bytes {first.chunk.offset}+{first.chunk.length} of job {first.job_id}{more}"
+        )
 
     def admit(self) -> bool:
         """Reopens the session if it is closed or the admission list has changed; workers reconnect automatically.

@@ -94,6 +94,8 @@ class Terms:
     """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None
     """Tasks of an evaluation; `None` for a collection."""
+    is_pulled: Callable[[int], bool] = lambda _index: False
+    """Function that returns whether the bundle of an episode is queued or in transfer in this process."""
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
     memory: dict[str, HostMemory] = field(default_factory=dict)
@@ -245,7 +247,8 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
         drain=terms.is_draining(),
         finished=is_idle and not claims.has_open_jobs(connection),
     )
-    return ProtocolAnswer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
+    unpulled = (row for row in outcome.waiting if not terms.is_pulled(row.idx))
+    return ProtocolAnswer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in unpulled))
 
 
 def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001

@@ -94,6 +94,7 @@ class RequestHandler(Closing):
         dispatch: assignment of announced bundles to gateways.
         on_archived: callback after a gateway archived or lost an episode.
         on_drain: callback after a drain request.
+        on_joined: callback after the first registration of a worker.
         backlog: maximum number of waiting requests, an eighth of them per host. Further requests get no reply and are
             repeated by the client.
         meters: counters of requests.
@@ -109,6 +110,7 @@ class RequestHandler(Closing):
         dispatch: Dispatch,
         on_archived: Callable[[], None],
         on_drain: Callable[[], None],
+        on_joined: Callable[[Hello], None],
         backlog: int,
         meters: Meters | None = None,
     ) -> None:
@@ -118,7 +120,7 @@ class RequestHandler(Closing):
         self._read_progress = read_progress
         self._dispatch = dispatch
         self._on_archived = on_archived
-        self._on_drain = on_drain
+        self._on_drain, self._on_joined = on_drain, on_joined
         self._backlog = backlog
         self._meters = meters or Meters()
         self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
@@ -194,11 +196,11 @@ class RequestHandler(Closing):
             self._on_archived()
         if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
             self._meters.add(Meter.CLAIMS)
-        if isinstance(request.message, Hello) and isinstance(answer.reply, HelloReply):
-            self._note_joined(request.message)
         inquiry.answer(answer.reply)
         for pull in answer.pulls:
             self._dispatch.offer(pull)
+        if isinstance(request.message, Hello) and isinstance(answer.reply, HelloReply):
+            self._note_joined(request.message)
 
     def _note_joined(self, hello: Hello) -> None:
         """Logs the first registration of a session; workers repeat it."""
@@ -208,6 +210,7 @@ class RequestHandler(Closing):
             self._joined.clear()
         self._joined.add(hello.sid)
         log.info("worker_joined", host=hello.host, worker=hello.sid, cores=hello.slots)
+        self._on_joined(hello)
 
     def _fail(self, inquiry: Inquiry, error: BaseException) -> None:
         self._log(log.error, "request_failed", inquiry, error=describe_error(error))

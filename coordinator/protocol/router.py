@@ -17,7 +17,7 @@ from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
 from schemas.base import Model
 from schemas.protocol.keys import (
-    Chunk,
+    BundleRange,
     Verb,
     alive_pattern,
     parse_chunk,
@@ -27,7 +27,6 @@ from schemas.protocol.keys import (
     verb_key,
     verb_pattern,
 )
-from schemas.protocol.messages import Lease
 from schemas.support.closing import Closing
 
 MAX_KEY_CHARS = 400
@@ -111,9 +110,9 @@ class Router(Closing):
         self.endpoints = self._node.endpoints
         """Endpoints with their actual ports."""
 
-    def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
-        """Returns a chunk of a bundle in a worker's spool; see `ZenohNode.fetch`."""
-        return self._node.fetch(self._run, sid, lease, chunk, self._settings.pull_timeout_s)
+    def fetch(self, sid: str, ranges: Sequence[BundleRange]) -> bytes:
+        """Returns ranges of bundles in a worker's spool; see `ZenohNode.fetch`."""
+        return self._node.fetch(self._run, sid, ranges, self._settings.pull_timeout_s)
 
     @property
     def is_open(self) -> bool:

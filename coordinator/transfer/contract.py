@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from coordinator.protocol.pulls import Pull
+from coordinator.validation.bundle_file import BundleFile
 from coordinator.validation.scope import Scope
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
+from schemas.errors import InvalidBundle
 from schemas.job import Job
 from schemas.protocol.messages import Lease
 from schemas.scene import Target
@@ -29,6 +31,9 @@ class BundleValidator(Protocol):
     ) -> BundleReceipt:
         """Validates the part `scope` of a bundle, or raises `InvalidBundle` or `TransientError`."""
 
+    def check_all(self, files: Sequence[BundleFile]) -> Sequence[BundleReceipt | InvalidBundle]:
+        """Validates several bundles; returns a row or the violations of each, or raises `TransientError`."""
+
     def close(self) -> None:
         """Ends the validator; a running check raises `TransientError`."""
 
@@ -42,26 +47,31 @@ class EpisodeValidator(BundleValidator, Protocol):
         """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
+class Delivery(NamedTuple):
+    """Published episode, to be recorded in the ledger."""
+
+    pull: Pull
+    """Bundle of the episode."""
+    receipt: BundleReceipt
+    """Row of the episode."""
+    is_checked: bool
+    """Whether the bundle was validated here, not only by its worker."""
+
+
 class LedgerClient(Protocol):
     """Interface of the ledger for pullers: local in a coordinator, remote in a gateway.
 
     All methods except `refuse` are idempotent. All methods raise `TransientError` if the ledger is unavailable.
     """
 
-    def keep(self, pull: Pull, seconds: float) -> bool:
-        """Extends the lease to at least `seconds` from now; returns whether it is in force."""
+    def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
+        """Extends each lease to at least `seconds` from now; returns which ones are in force."""
 
     def is_owned(self, index: int) -> bool:
         """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
 
-    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:
-        """Records a published episode if the lease is in force; returns whether the ledger records the file.
-
-        Args:
-            pull: bundle of the episode.
-            receipt: row of the episode.
-            is_checked: whether the bundle was validated here, not only by its worker.
-        """
+    def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
+        """Records published episodes whose leases are in force; returns of which ones the ledger records the file."""
 
     def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
         """Reports a bundle that failed validation.

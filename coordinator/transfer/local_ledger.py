@@ -5,7 +5,7 @@ The state machine in `coordinator.ledger` decides which operations succeed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 
 from sqlalchemy.engine import Connection
@@ -14,7 +14,7 @@ from coordinator.ledger import claims, outcomes, unchecked
 from coordinator.ledger.database.writer import Writer
 from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.protocol.pulls import Pull
-from schemas.dataset.rows import BundleReceipt
+from coordinator.transfer.contract import Delivery
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Fail, cut_detail
 from schemas.terms import FailReason
@@ -28,25 +28,19 @@ class LocalLedgerClient:
         self._terms = terms
         self._clock = clock
 
-    def keep(self, pull: Pull, seconds: float) -> bool:
+    def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
         """See `LedgerClient`."""
-        return self._writer.call(lambda connection: claims.extend(connection, pull.lease, self._clock(), seconds))
+        return self._writer.call(
+            lambda connection: [claims.extend(connection, pull.lease, self._clock(), seconds) for pull in pulls]
+        )
 
     def is_owned(self, index: int) -> bool:
         """See `LedgerClient`."""
         return self._writer.call(lambda connection: outcomes.is_owned(connection, index))
 
-    def own(self, pull: Pull, receipt: BundleReceipt, *, is_checked: bool = True) -> bool:
+    def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
         """See `LedgerClient`."""
-
-        def own(connection: Connection) -> bool:
-            if not outcomes.archive(connection, pull.lease, receipt, self._clock()):
-                return outcomes.is_owned(connection, pull.job.index)
-            if not is_checked:
-                unchecked.note_unchecked(connection, pull.job.index, host_of(pull.sid))
-            return True
-
-        return self._writer.call(own)
+        return self._writer.call(lambda connection: [_own(connection, each, self._clock()) for each in deliveries])
 
     def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
         """See `LedgerClient`."""
@@ -64,3 +58,12 @@ class LocalLedgerClient:
                 unchecked.bar_at_once(connection, host_of(pull.sid), f"announced as valid: {report.detail}", now)
 
         self._writer.call(refuse)
+
+
+def _own(connection: Connection, delivery: Delivery, now: datetime) -> bool:
+    pull, receipt, is_checked = delivery
+    if not outcomes.archive(connection, pull.lease, receipt, now):
+        return outcomes.is_owned(connection, pull.job.index)
+    if not is_checked:
+        unchecked.note_unchecked(connection, pull.job.index, host_of(pull.sid))
+    return True

@@ -9,16 +9,27 @@ from __future__ import annotations
 import hmac
 import secrets
 import time
-from pathlib import Path
+from collections.abc import Sequence
 from typing import NamedTuple
 
+from coordinator.archive.contract import Staged
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.pulls import BuildJob, Pull
 from coordinator.transfer.contract import BundleValidator
+from coordinator.validation.bundle_file import BundleFile
 from coordinator.validation.scope import Scope
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import InvalidBundle
 from schemas.protocol.keys import host_of
+
+
+class Arrival(NamedTuple):
+    """Announced bundle whose file has been transferred or linked."""
+
+    pull: Pull
+    """Announced bundle."""
+    staged: Staged
+    """Complete part file."""
 
 
 class ValidatedBundle(NamedTuple):
@@ -48,30 +59,35 @@ class SpotCheckedValidation:
         self._is_trusted: dict[str, bool] = {}
         """Mapping of host to the result of its complete validations; hosts without one are missing."""
 
-    def validate(self, pull: Pull, path: Path, *, is_local: bool) -> ValidatedBundle:
-        """Validates a bundle.
-
-        Args:
-            pull: announced bundle.
-            path: path of the transferred file.
-            is_local: whether a worker of this user wrote the file on this machine.
+    def validate(self, arrivals: Sequence[Arrival]) -> list[ValidatedBundle | InvalidBundle]:
+        """Validates bundles; returns the result or the violations of each.
 
         Raises:
-            InvalidBundle: the bundle has violations.
-            TransientError: the bundle cannot be validated now.
+            TransientError: the bundles cannot be validated now.
         """
+        files, begun = [self._file_of(arrival) for arrival in arrivals], time.monotonic()
+        receipts = self._checker.check_all(files)
+        self._meters.add(Meter.VALIDATIONS, len(files))
+        self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
+        return [
+            self._result_of(pull, file.scope, receipt)
+            for (pull, _), file, receipt in zip(arrivals, files, receipts, strict=True)
+        ]
+
+    def _file_of(self, arrival: Arrival) -> BundleFile:
+        pull, staged = arrival
         if isinstance(pull.job, BuildJob):
             raise TypeError(f"{pull.name} is the package of a layout")
-        scope = Scope.SAMPLE if is_local else self._scope(pull)
-        host, begun = host_of(pull.sid), time.monotonic()
-        try:
-            receipt = self._checker.check(path, pull.job, pull.candidates, scope)
-        except InvalidBundle:
+        scope = Scope.SAMPLE if staged.is_linked else self._scope(pull)
+        return BundleFile(staged.path, pull.job, pull.candidates, scope, None if staged.is_linked else staged.sha256)
+
+    def _result_of(
+        self, pull: Pull, scope: Scope, receipt: BundleReceipt | InvalidBundle
+    ) -> ValidatedBundle | InvalidBundle:
+        host = host_of(pull.sid)
+        if isinstance(receipt, InvalidBundle):
             self._is_trusted[host] = False
-            raise
-        finally:
-            self._meters.add(Meter.VALIDATIONS)
-            self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
+            return receipt
         if pull.is_validated and scope is Scope.ALL:
             self._is_trusted.setdefault(host, True)
         return ValidatedBundle(receipt, scope is not Scope.CLAIM)

@@ -2,7 +2,7 @@
 
 Design: docs/design/protocol.md#security.
 
-A child (`coordinator.validation.validator_child`) receives each bundle as an open file and replies with a line of JSON.
+A child (`coordinator.validation.validator_child`) receives bundles as open files and replies with a line of JSON.
 The pool replaces a child that terminates, hangs or replies with too much data.
 """
 
@@ -14,72 +14,45 @@ import os
 import queue
 import socket
 import stat
-import struct
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+import structlog
+from pydantic import ValidationError
 
+from coordinator.validation.bundle_file import BundleFile
+from coordinator.validation.language import sentence_findings
+from coordinator.validation.messages import (
+    HEADER,
+    MAX_TASKS,
+    ValidationOrder,
+    ValidationTask,
+    ValidatorLimits,
+    Verdict,
+    Verdicts,
+)
 from coordinator.validation.sandbox import SECCOMP
 from coordinator.validation.scope import Scope
-from schemas.base import Line, Model
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
-from schemas.language.instruction import Instruction
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
 from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess
 from schemas.support.log_limit import LogLimit
 
-MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
-"""Maximum number and length of the findings of a verdict; the output of a child with a hostile bundle is untrusted."""
 _TRIES = 2
 _LONGEST_PAUSE_S = 60.0
 """Longest pause between two log lines about terminated children, seconds."""
 _STARTUP_S = 60.0
 _MOST_ANSWER_BYTES = 4 << 20
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP})
-HEADER = struct.Struct("!I")
-"""Header of a task: its length, bytes. The descriptor of the open bundle is sent with the header."""
 
-
-class ValidatorLimits(Model):
-    """Resource limits of a child."""
-
-    memory_bytes: Annotated[int, Field(ge=256 << 20)] = 1536 << 20
-    """Limit of the address space (RLIMIT_AS), bytes."""
-    cpu_s: Annotated[int, Field(ge=1)] = 120
-    """CPU time per bundle, seconds; 1000 frames take 4 to 7 s."""
-    wall_s: Annotated[float, Field(gt=0)] = 300.0
-    """Wall time per bundle, seconds."""
-
-
-class ValidationTask(Model):
-    """Task of a child for the bundle whose descriptor is sent with it."""
-
-    job: Job | None = None
-    """Leased job; `None` if the bundle is the package of a scene."""
-    candidates: tuple[Target, ...] = ()
-    """Targets of the compiled scene that the episode may have; none skips the comparison."""
-    scope: Scope = Scope.ALL
-    """Part of the bundle that is read."""
-
-
-class Verdict(Model):
-    """Reply of a child: one line of JSON with either a summary or findings."""
-
-    summary: EpisodeSummary | None = None
-    """Row of the episode; `None` if the bundle is invalid."""
-    language: Instruction | None = None
-    """Verified instruction of the episode, which is then compared with the scene; `None` for a template."""
-    findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
-    """Violations."""
+log = structlog.get_logger(__name__)
 
 
 class Validator(Closing):
@@ -130,8 +103,29 @@ class Validator(Closing):
             TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
                 cannot be opened now.
         """
-        verdict = self._verdict(ValidationTask(job=job, candidates=candidates, scope=scope), path)
+        verdict = self._verdict(_task_of(BundleFile(path, job, candidates, scope)), path)
         return self._with_sentence(verdict, job)
+
+    def check_all(self, files: Sequence[BundleFile]) -> list[EpisodeSummary | InvalidBundle]:
+        """Validates several bundles in one order, which costs less than an order for each.
+
+        If the child terminates, or a file cannot be opened, the bundles are validated one after another.
+
+        Returns:
+            The row or the violations of each bundle, in the order of the files.
+
+        Raises:
+            TransientError: see `check`.
+        """
+        found: list[EpisodeSummary | InvalidBundle] = []
+        for start in range(0, len(files), MAX_TASKS):
+            part = files[start : start + MAX_TASKS]
+            for file, verdict in zip(part, self._verdicts(part), strict=True):
+                try:
+                    found.append(self._with_sentence(verdict or self._verdict(_task_of(file), file.path), file.job))
+                except InvalidBundle as error:
+                    found.append(error)
+        return found
 
     def check_package(self, path: Path) -> None:
         """Decodes the package of a scene; raises the errors of `check`."""
@@ -139,13 +133,27 @@ class Validator(Closing):
         if verdict.findings:
             raise InvalidBundle("bundle refused", verdict.findings)
 
+    def _verdicts(self, files: Sequence[BundleFile]) -> Sequence[Verdict | None]:
+        """Returns the results of one order; `None` for bundles that must be validated separately."""
+        nothing = [None] * len(files)
+        if len(files) == 1:
+            return nothing
+        tasks = tuple(map(_task_of, files))
+        try:
+            with self._child() as child, contextlib.ExitStack() as opened:
+                bundles = [opened.enter_context(_opened(file.path)) for file in files]
+                return self._ask(child, tasks, bundles) or nothing
+        except InvalidBundle:
+            return nothing
+
     def _verdict(self, task: ValidationTask, path: Path) -> Verdict:
         with self._child() as child:
             for _ in range(_TRIES):
-                verdict = self._ask(child, task, path)
-                if verdict is not None:
-                    return verdict
-                self._limit.write(_log().warning, "validator_died", file=str(path), how=child.last_words)
+                with _opened(path) as bundle:
+                    verdicts = self._ask(child, (task,), [bundle])
+                if verdicts:
+                    return verdicts[0]
+                self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
                 if child.was_ended:
                     raise TransientError(f"a signal from outside ended the validating process ({child.last_words})")
         raise InvalidBundle(
@@ -159,8 +167,6 @@ class Validator(Closing):
         """
         summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
         if verdict.language is not None and package is not None:
-            from coordinator.validation.language import sentence_findings  # children start faster without it
-
             start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
             aimed = job.model_copy(update={"target_id": summary.target_id})
             found = sentence_findings(aimed, verdict.language, start, package)
@@ -168,13 +174,14 @@ class Validator(Closing):
                 raise InvalidBundle("bundle refused", found)
         return summary
 
-    def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
-        with _opened(path) as bundle:
-            verdict = child.ask(task, bundle)
+    def _ask(
+        self, child: _Child, tasks: tuple[ValidationTask, ...], bundles: Sequence[int]
+    ) -> tuple[Verdict, ...] | None:
+        verdicts = child.ask(ValidationOrder(tasks=tasks), bundles)
         if child.layers and not self._layers:
             self._layers = child.layers
             _log_sandbox(child.layers)
-        return verdict
+        return verdicts
 
     @property
     def layers(self) -> tuple[str, ...]:
@@ -209,15 +216,16 @@ class _Child:
         self.layers: tuple[str, ...] = ()
         """Active sandbox layers; empty before the start."""
 
-    def ask(self, task: ValidationTask, bundle: int) -> Verdict | None:
-        """Returns the verdict, or `None` if the child terminated or was killed."""
+    def ask(self, order: ValidationOrder, bundles: Sequence[int]) -> tuple[Verdict, ...] | None:
+        """Returns the verdict on each bundle, or `None` if the child terminated or was killed."""
         process = self._started()
-        line = self._exchange(process, self._limits.wall_s, (task.model_dump_json().encode(), bundle))
-        try:
-            return Verdict.model_validate_json(line)
-        except ValidationError:
-            self._kill()
-            return None
+        line = self._exchange(process, self._limits.wall_s, (order.model_dump_json().encode(), bundles))
+        with contextlib.suppress(ValidationError):
+            verdicts = Verdicts.model_validate_json(line).verdicts
+            if len(verdicts) == len(bundles):
+                return verdicts
+        self._kill()
+        return None
 
     def _started(self) -> JsonlProcess[bytes]:
         if self._ended:
@@ -233,15 +241,17 @@ class _Child:
             raise TransientError(f"the validating process does not start ({self.last_words}): check the free memory")
         return self._process
 
-    def _exchange(self, process: JsonlProcess[bytes], limit_s: float, order: tuple[bytes, int] | None = None) -> bytes:
-        """Sends a task with its bundle, if any, and returns the answer; empty when the child dies or is too slow."""
+    def _exchange(
+        self, process: JsonlProcess[bytes], limit_s: float, order: tuple[bytes, Sequence[int]] | None = None
+    ) -> bytes:
+        """Sends an order with its bundles, if any, and returns the answer; empty when the child dies or is too slow."""
         assert self._orders is not None
         end = time.monotonic() + limit_s
         try:
             if order is not None:
-                text, bundle = order
+                text, bundles = order
                 self._orders.settimeout(limit_s)
-                socket.send_fds(self._orders, [HEADER.pack(len(text))], [bundle])
+                socket.send_fds(self._orders, [HEADER.pack(len(text))], bundles)
                 self._orders.sendall(text)
             return process.read(max(0.0, end - time.monotonic())) or b""
         except (OSError, EOFError):
@@ -309,6 +319,10 @@ def _opened(path: Path) -> Iterator[int]:
         os.close(descriptor)
 
 
+def _task_of(file: BundleFile) -> ValidationTask:
+    return ValidationTask(job=file.job, candidates=file.candidates, scope=file.scope, sha256=file.sha256)
+
+
 def sandbox_of(validator: object) -> tuple[str, ...]:
     """Returns the active sandbox layers of a validator; empty before the first bundle, or without child processes."""
     return validator.layers if isinstance(validator, Validator) else ()
@@ -317,16 +331,10 @@ def sandbox_of(validator: object) -> tuple[str, ...]:
 def _log_sandbox(layers: Sequence[str]) -> None:
     active = ", ".join(layers)
     if SECCOMP in layers:
-        _log().info("validator_sandbox", active=active)
+        log.info("validator_sandbox", active=active)
     else:
         remedy = "install the extra `sandbox` (pyseccomp) and the system's libseccomp2 to forbid files and network too"
-        _log().warning("validator_sandbox", active=active, remedy=remedy)
-
-
-def _log() -> Any:
-    import structlog  # not at the start of each child, which it would slow down
-
-    return structlog.get_logger(__name__)
+        log.warning("validator_sandbox", active=active, remedy=remedy)
 
 
 def _summary_or_raise(verdict: Verdict) -> EpisodeSummary:

@@ -1,4 +1,4 @@
-"""Sandboxed child process of the validator: receives tasks and open files from a socket, writes verdicts as JSON lines.
+"""Sandboxed child process of the validator: receives orders and open files from a socket, and writes verdicts as JSON.
 
 The process writes no file and opens no socket. It may be killed at any time.
 """
@@ -16,16 +16,19 @@ from typing import BinaryIO
 import numpy.ma
 import numpy.random  # noqa: F401 - for the sampled frames of a states recording
 
-from coordinator.validation.sandbox import confine
-from coordinator.validation.validate import validate
-from coordinator.validation.validator import (
+from coordinator.validation.messages import (
     HEADER,
     MAX_FINDING_CHARS,
     MAX_FINDINGS,
+    MAX_TASKS,
+    ValidationOrder,
     ValidationTask,
     ValidatorLimits,
     Verdict,
+    Verdicts,
 )
+from coordinator.validation.sandbox import confine
+from coordinator.validation.validate import validate
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.errors import InvalidBundle
@@ -36,7 +39,7 @@ from schemas.scene import decode_scene
 def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
     """Validates an open bundle in the current process."""
     try:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+        sha256 = task.sha256 or hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
         size = file.seek(0, os.SEEK_END)
         if size > MAX_BUNDLE_BYTES:
             return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
@@ -54,16 +57,21 @@ def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
     return Verdict(findings=tuple(finding[:MAX_FINDING_CHARS] for finding in findings[:MAX_FINDINGS]))
 
 
+def _verdict_and_close(task: ValidationTask, file: BinaryIO) -> Verdict:
+    with file:
+        return verdict_of(task, file)
+
+
 def _allow_cpu(limits: ValidatorLimits) -> None:
-    """Raises the CPU time limit by the time of one task; the limit applies to the total time of the process."""
+    """Raises the CPU time limit by the time of one order; the limit applies to the total time of the process."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     resource.setrlimit(resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + 1 + limits.cpu_s, hard))
 
 
-def _receive(orders: socket.socket) -> tuple[ValidationTask, BinaryIO] | None:
-    """Returns the next task and its file, or `None` at the end of the input."""
-    header, descriptors, _, _ = socket.recv_fds(orders, HEADER.size, 1)
+def _receive(orders: socket.socket) -> tuple[ValidationOrder, list[BinaryIO]] | None:
+    """Returns the next order and its files, or `None` at the end of the input."""
+    header, descriptors, _, _ = socket.recv_fds(orders, HEADER.size, MAX_TASKS)
     if len(header) < HEADER.size or not descriptors:
         return None
     (length,) = HEADER.unpack(header)
@@ -73,7 +81,7 @@ def _receive(orders: socket.socket) -> tuple[ValidationTask, BinaryIO] | None:
         if not part:
             return None
         text += part
-    return ValidationTask.model_validate_json(bytes(text)), _open(descriptors[0])
+    return ValidationOrder.model_validate_json(bytes(text)), [_open(descriptor) for descriptor in descriptors]
 
 
 def _open(descriptor: int) -> BinaryIO:
@@ -81,7 +89,7 @@ def _open(descriptor: int) -> BinaryIO:
 
 
 def main(arguments: list[str]) -> int:
-    """Executes tasks from standard input, a socket, until it is closed."""
+    """Executes orders from standard input, a socket, until it is closed."""
     limits = ValidatorLimits.model_validate_json(arguments[0])
     orders = socket.socket(fileno=0)
     for code in LANGUAGES:
@@ -90,11 +98,10 @@ def main(arguments: list[str]) -> int:
     sys.stdout.write(f"ready {' '.join(layers)}\n")
     sys.stdout.flush()
     while (received := _receive(orders)) is not None:
-        task, file = received
+        order, files = received
         _allow_cpu(limits)
-        with file:
-            verdict = verdict_of(task, file)
-        sys.stdout.write(f"{verdict.model_dump_json()}\n")
+        verdicts = Verdicts(verdicts=tuple(map(_verdict_and_close, order.tasks, files)))
+        sys.stdout.write(f"{verdicts.model_dump_json()}\n")
         sys.stdout.flush()
     return 0
 

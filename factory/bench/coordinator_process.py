@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -13,6 +14,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.validation.bundle_file import BundleFile, check_each
 from coordinator.validation.scope import Scope
 from coordinator.validation.validator import Validator
 from factory.bench.machine import cpu_s_of_children, measure_memory, resident_mib
@@ -22,6 +24,7 @@ from factory.support.logs import configure_logs
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
+from schemas.errors import InvalidBundle
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.scene import Target
@@ -63,6 +66,9 @@ class _AcceptAll:
         job = self._meta.job.model_copy(update={"index": job.index})
         meta = self._meta.model_copy(update={"job": job, "episode_id": job.episode_id})
         return summary_of(meta, self._sha256, self._size)
+
+    def check_all(self, files: Sequence[BundleFile]) -> list[EpisodeSummary | InvalidBundle]:
+        return check_each(self.check, files)
 
     def close(self) -> None:
         pass

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import PlannedJob
+from coordinator.expansion.draw import PlannedJob, to_job
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.settings import CoordinatorSettings
@@ -28,6 +28,8 @@ _WAITING = 512
 """Largest number of bundles that wait for the coordinator, of all workers."""
 _WAITING_BYTES = 1 << 30
 """Largest total size of these bundles, bytes."""
+_READY_BYTES = 1 << 29
+"""Largest total size of bundles that are made before the measurement, bytes; larger ones are made in it."""
 
 
 def bench_delivery(
@@ -44,22 +46,27 @@ def bench_delivery(
 ) -> DeliveryBench:
     """Archives copies of recorded episodes and returns the measurements.
 
+    A measurement includes claims, announcements, heartbeats, transfer, validation, fsyncs and ledger. It excludes the
+    tables of the dataset and the log, and the CPU time excludes that of the simulated workers. Before it, each worker
+    delivers one bundle, because the first bundle of a host is validated completely.
+
     Args:
         plan: Plan of the samples.
         catalog: Scenes of the plan.
         samples: Recorded episodes.
         folder: Empty directory for the datasets.
-        episodes: Number of episodes of each variant.
+        episodes: Number of measured episodes of each variant.
         workers: Number of simulated workers.
         pullers: Number of pullers.
         shares: Shares of spot checks to compare; `None` validates all bundles centrally.
         tell: Progress callback, called after every variant.
     """
     machine, paces = describe_machine(), []
-    plan = plan.model_copy(update={"scenes": (plan.scenes[0].model_copy(update={"episodes": episodes}),)})
+    jobs = episodes + workers  # each worker delivers one before the measurement
+    plan = plan.model_copy(update={"scenes": (plan.scenes[0].model_copy(update={"episodes": jobs}),)})
     recordings = [RecordedBundle(sample.path) for sample in samples]
     steps = [recording.meta.rollout.num_steps for recording in recordings]
-    frames = sum(steps[index % len(steps)] for index in range(1, episodes + 1))
+    frames = sum(steps[index % len(steps)] for index in range(workers + 1, jobs + 1))
     sizes = [sample.path.stat().st_size for sample in samples]
     for number, share in enumerate(shares):
         root = folder / f"run{number}"
@@ -103,10 +110,12 @@ def _archive_copies(
     """Returns the wall time and the CPU time of the coordinator in which it archives the planned episodes, seconds."""
     paths = [sample.path for sample in samples]
     largest = max(path.stat().st_size for path in paths)
+    planned = _planned(plan, [RecordedBundle(path) for path in paths]) if largest * plan.episodes < _READY_BYTES else ()
+    jobs = [to_job(plan, catalog, each, attempt=1) for each in planned]
     at_once = max(2, min(_WAITING, _WAITING_BYTES // largest) // workers)
     with process(serve_archive, root, plan, catalog, settings, samples[0]) as coordinator:
         opened: CoordinatorReady = receive(coordinator)
-        load = (opened.endpoints, plan.run, workers, paths, settings.spot_checks is not None, at_once)
+        load = (opened.endpoints, plan.run, workers, paths, jobs, settings.spot_checks is not None, at_once)
         with process(deliver_copies, *load) as fleet:
             receive(fleet)
             before = usage(coordinator).cpu_s

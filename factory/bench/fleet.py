@@ -22,7 +22,7 @@ from coordinator.protocol.ask import query
 from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError
-from schemas.protocol.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.protocol.keys import RANGE_FIELDS, Verb, alive_key, bundle_key, parse_bundle_ranges, verb_key
 from schemas.protocol.messages import Beat, BeatReply, Claim, Done, Hello, Lease
 
 _LINK_LEASE_S = 60.0
@@ -110,10 +110,10 @@ class BenchWorker:
 
     def _serve(self, query: zenoh.Query) -> None:
         with query:
-            names = ("job", "fence", "off", "n")
-            *_, chunk = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in names})
+            asked = parse_bundle_ranges({name: query.parameters.get(name) or "" for name in RANGE_FIELDS})
             if self._bundle:
-                query.reply(bundle_key(self._run, self.sid), self._bundle[chunk.offset : chunk.offset + chunk.length])
+                parts = [self._bundle[part.offset : part.offset + part.length] for *_, part in asked]
+                query.reply(bundle_key(self._run, self.sid), b"".join(parts))
 
 
 def claim_and_announce(

@@ -54,7 +54,7 @@ def package_path(
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or rules_of(name)).model_dump_json()
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
-    made_from += "" if _is_paper(name, seed) else f"\nmaterials {MATERIALS_VERSION}"
+    made_from += "" if _is_paper(name, seed, called) else f"\nmaterials {MATERIALS_VERSION}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
     made_from += "" if called is None else f"\n{called}"

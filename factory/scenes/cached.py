@@ -80,5 +80,6 @@ def write_whole(path: Path, data: bytes) -> None:
             Path(beside).unlink(missing_ok=True)
     except OSError as error:
         raise WorldError(
-            f"cannot write {path} ({error.strerror}); free some space, or choose another folder with --out"
+            f"cannot write {path} ({error.strerror}); free some space, or choose another folder: MINIVLA_CACHE, or "
+            "--out of a scene command"
         ) from error

@@ -222,10 +222,14 @@ def submit_all(job: SlurmJob, mode: Mode) -> dict[str, int]:
 
     Raises:
         UsageError: this host has no `sbatch`.
-        WorldError: Slurm refuses a job.
+        WorldError: Slurm refuses a job; no job remains.
     """
     first, second = ("shards", "gather") if mode == "shards" else ("coordinator", "workers")
     leading = submit(job.run / "slurm" / f"{first}.sh")
     when = "afterany" if mode == "shards" else "after"
-    following = submit(job.run / "slurm" / f"{second}.sh", f"--dependency={when}:{leading}")
+    try:
+        following = submit(job.run / "slurm" / f"{second}.sh", f"--dependency={when}:{leading}")
+    except WorldError:
+        subprocess.run(["scancel", str(leading)], check=False, env=child_environment(os.environ))
+        raise
     return {first: leading, second: following}

@@ -20,6 +20,8 @@ from schemas.errors import InvalidBundle
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NONE, _SUB = 0, 1
 _ISAL_ERROR = cast(type[Exception], IsalError)  # the package's stub declares an instance
+_BAND_ROWS = 64
+"""Number of rows that are decoded together; those of an image of 640 pixels and two copies take 370 kB."""
 _LEVEL = 2
 # Sizes of office frames with filter None / Sub / Up / Paeth: 429 / 383 / 412 / 388 kB at isal level 2, which takes as
 # long as levels 0 and 1. Ids: 14 / 11 / 12 kB with None / Sub / Up, but None decodes in a third of the time.
@@ -68,13 +70,38 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
     body = _single_idat(name, data, _front(height, width, is_grey))
     depth = 2 if is_grey else 3  # bytes per pixel
     lines = _inflate(name, body, height * (1 + depth * width)).reshape(height, 1 + depth * width)
-    pixels = lines[:, 1:].reshape(height, width, depth)
+    rows = lines[:, 1:]
     if bool((lines[:, 0] == _SUB).all()):
-        pixels = np.cumsum(pixels, axis=1, dtype=np.uint8)
+        rows = _unfilter_sub(rows, depth)
     elif bool(lines[:, 0].any()):
         raise InvalidBundle("image refused", [f"{name}: a row filter other than None or Sub throughout"])
-    pixels = np.ascontiguousarray(pixels)
+    pixels = np.ascontiguousarray(rows).reshape(height, width, depth)
     return pixels.view(">u2")[..., 0].astype(np.uint16) if is_grey else pixels
+
+
+def _unfilter_sub(rows: NDArray[np.uint8], depth: int) -> NDArray[np.uint8]:
+    """Returns the bytes of rows with filter Sub: the sum of a byte and those of all pixels before it, modulo 256.
+
+    Adds rows to copies of themselves that are shifted by 1, 2, 4, ... pixels. These additions are vectorised, and a
+    band of rows stays in the cache, so that they take half the time of `np.cumsum`.
+
+    Args:
+        rows: filtered bytes, (height, depth * width).
+        depth: bytes per pixel.
+    """
+    height, size = rows.shape
+    sums = np.empty((height, size), np.uint8)
+    spare = np.empty((2, _BAND_ROWS, size), np.uint8)
+    shifts = [depth << power for power in range((size // depth - 1).bit_length())]
+    for top in range(0, height, _BAND_ROWS):
+        band = rows[top : top + _BAND_ROWS]
+        for number, shift in enumerate(shifts):
+            added = spare[number % 2, : len(band)]
+            added[:, :shift] = band[:, :shift]
+            np.add(band[:, shift:], band[:, :-shift], out=added[:, shift:])
+            band = added
+        sums[top : top + _BAND_ROWS] = band
+    return sums
 
 
 def _front(height: int, width: int, is_grey: bool) -> bytes:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
-from schemas.protocol.messages import MAX_MESSAGE_BYTES, PROTOCOL, Lease
+from schemas.protocol.messages import MAX_MESSAGE_BYTES, PROTOCOL
 
 MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
-"""Largest part of a file in one reply, bytes."""
+"""Largest size of the ranges in one reply, bytes."""
+MAX_RANGES = 64
+"""Largest number of ranges of bundles in one request."""
 EVALUATION_PREFIX = "eval_"
 """Prefix of the name of an evaluation's run."""
 EVALUATION_RUNS = f"{EVALUATION_PREFIX}$*"
 """Key expression that matches the runs of all evaluations."""
+
+
+RANGE_FIELDS = ("job", "fence", "off", "n")
+"""Parameters of a range of a bundle in a selector."""
+_SEPARATOR = "|"
+"""Separator of the values of several ranges, as in other selectors of zenoh."""
+_MAX_FIELD_CHARS = 16 * MAX_RANGES
 
 
 class Verb(StrEnum):
@@ -45,7 +54,7 @@ class Chunk(NamedTuple):
     """Number of bytes."""
 
 
-class BundleChunk(NamedTuple):
+class BundleRange(NamedTuple):
     """Requested range of a spooled bundle."""
 
     job_id: int
@@ -123,9 +132,17 @@ def scene_selector(run: str, sha256: str, chunk: Chunk) -> str:
     return f"{scene_key(run, sha256)}?off={chunk.offset};n={chunk.length}"
 
 
-def bundle_selector(run: str, sid: str, lease: Lease, chunk: Chunk) -> str:
-    """Returns the selector of a chunk of the bundle that a worker's spool holds under a lease."""
-    where = f"job={lease.job_id};fence={lease.fence};off={chunk.offset};n={chunk.length}"
+def bundle_selector(run: str, sid: str, ranges: Sequence[BundleRange]) -> str:
+    """Returns the selector of ranges of bundles in a worker's spool; the reply is their concatenation.
+
+    Args:
+        run: name of the run.
+        sid: session id of the worker.
+        ranges: at most `MAX_RANGES` ranges of at most `MAX_CHUNK_BYTES` in total.
+    """
+    rows = [(each.job_id, each.fence, *each.chunk) for each in ranges]
+    columns = [_SEPARATOR.join(map(str, column)) for column in zip(*rows, strict=True)]
+    where = ";".join(f"{name}={values}" for name, values in zip(RANGE_FIELDS, columns, strict=True))
     return f"{bundle_key(run, sid)}?{where}"
 
 
@@ -141,13 +158,25 @@ def parse_chunk(parameters: Mapping[str, str]) -> Chunk:
     return Chunk(offset, length)
 
 
-def parse_bundle_chunk(parameters: Mapping[str, str]) -> BundleChunk:
-    """Parses the selector of a bundle's chunk.
+def parse_bundle_ranges(parameters: Mapping[str, str]) -> tuple[BundleRange, ...]:
+    """Parses the selector of ranges of bundles.
 
     Raises:
-        ValueError: a parameter is missing or out of bounds.
+        ValueError: a parameter is missing or out of bounds, or the ranges exceed a limit together.
     """
-    return BundleChunk(_number(parameters, "job"), _number(parameters, "fence"), parse_chunk(parameters))
+    columns = [parameters.get(name, "")[:_MAX_FIELD_CHARS].split(_SEPARATOR) for name in RANGE_FIELDS]
+    count = len(columns[0])
+    if count > MAX_RANGES or any(len(column) != count for column in columns):
+        raise ValueError(f"{[len(column) for column in columns]} values; expected equal numbers, at most {MAX_RANGES}")
+    found = tuple(_range_of(dict(zip(RANGE_FIELDS, row, strict=True))) for row in zip(*columns, strict=True))
+    total = sum(each.chunk.length for each in found)
+    if total > MAX_CHUNK_BYTES:
+        raise ValueError(f"ranges of {total} bytes in total are not within 1..{MAX_CHUNK_BYTES} bytes")
+    return found
+
+
+def _range_of(parameters: Mapping[str, str]) -> BundleRange:
+    return BundleRange(_number(parameters, "job"), _number(parameters, "fence"), parse_chunk(parameters))
 
 
 def _number(parameters: Mapping[str, str], name: str) -> int:

@@ -36,6 +36,7 @@ _METADATA_SERVICES = ("latest/api/token", "latest/meta-data", "computeMetadata",
 _REMEDIES = (
     ("NoSuchBucket", "create the bucket, or check its name and AWS_ENDPOINT_URL"),
     ("no credentials", "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or your cloud's own variables"),
+    ("RequestTimeTooSkewed", "set the clock of this host; stores accept a difference of some minutes"),
     ("401", "check the credentials in the environment"),
     ("403", "check the credentials in the environment, and that they may read, write, list and delete there"),
     ("501", "use a store that supports conditional writes (If-None-Match), so that no episode is overwritten"),

@@ -74,6 +74,13 @@ def test_an_unknown_part_of_a_dataset_is_refused_before_a_dataset_is_written(fac
     assert "files that do not belong to a dataset; `factory verify` will report them: thesis.tex" in err
 
 
+def test_a_folder_without_shards_is_named(factory, plan, tmp_path):
+    for folder in (tmp_path, tmp_path / "nowhere"):
+        err = factory("gather", plan, folder, "--out", tmp_path / "joined", expect=2).stderr
+        assert f"{folder} is not a shard and contains none" in err
+    assert not (tmp_path / "joined").exists()
+
+
 def test_a_worker_without_a_coordinator_prints_the_start_command(factory):
     err = factory("worker", "--connect", free_endpoint(), "--wait", 2, expect=1).stderr
     assert "no coordinator" in err

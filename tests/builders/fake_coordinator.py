@@ -18,7 +18,16 @@ import zenoh
 
 from schemas.base import Model
 from schemas.job import Job
-from schemas.protocol.keys import Chunk, Verb, bundle_selector, parse_chunk, scene_pattern, verb_key, verb_pattern
+from schemas.protocol.keys import (
+    BundleRange,
+    Chunk,
+    Verb,
+    bundle_selector,
+    parse_chunk,
+    scene_pattern,
+    verb_key,
+    verb_pattern,
+)
 from schemas.protocol.messages import (
     Ack,
     Beat,
@@ -215,7 +224,8 @@ class FakeCoordinator:
         for offset in range(0, done.size, _CHUNK):
             chunk = Chunk(offset, min(_CHUNK, done.size - offset))
             try:
-                selector = bundle_selector(RUN, done.sid, done.lease, chunk)
+                asked = BundleRange(done.lease.job_id, done.lease.fence, chunk)
+                selector = bundle_selector(RUN, done.sid, [asked])
                 replies = list(session.get(selector, zenoh.handlers.FifoChannel(4), timeout=2)) if session else []
             except zenoh.ZError:
                 return None

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 _CUT_AFTER_BYTES = 64 << 10
 _DENIED = (
-    b'<?xml version="1.0"?><Error><Code>AccessDenied</Code><Message>no</Message>'
+    b'<?xml version="1.0"?><Error><Code>%s</Code><Message>no</Message>'
     b"<AWSAccessKeyId>tester</AWSAccessKeyId><StringToSign>AWS4-HMAC-SHA256 private</StringToSign></Error>"
 )
 
@@ -36,6 +36,8 @@ class StoreRelay:
     def __init__(self, endpoint: str) -> None:
         self.is_denying = False
         """Answers every request with 403."""
+        self.denial = "AccessDenied"
+        """Error code of these answers."""
         self.is_cutting = False
         """Closes the connection in the middle of every upload and forwards nothing of it."""
         self.cuts = 0
@@ -87,7 +89,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         body += self.rfile.read(length - length // 2)
         if faults.is_denying:
-            self._answer(403, {"Content-Type": "application/xml"}, _DENIED)
+            self._answer(403, {"Content-Type": "application/xml"}, _DENIED % faults.denial.encode())
             return
         headers = {
             name: value

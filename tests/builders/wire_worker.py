@@ -14,7 +14,7 @@ from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.job import Job
 from schemas.protocol.identity import TlsFiles
-from schemas.protocol.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.protocol.keys import RANGE_FIELDS, Verb, alive_key, bundle_key, parse_bundle_ranges, verb_key
 from schemas.protocol.messages import (
     Ack,
     Beat,
@@ -60,6 +60,8 @@ class WireWorker(Closing):
         self.spool: dict[tuple[int, int], tuple[Done, bytes]] = {}
         self.served: list[int] = []
         """Requested offsets."""
+        self.served_together: list[int] = []
+        """Number of ranges in each request."""
         self.is_frozen = False
         self.knows_router = True
         self._session = zenoh.open(client_config(endpoints, 2.0, tls))
@@ -151,10 +153,10 @@ class WireWorker(Closing):
 
     def _serve(self, query: zenoh.Query) -> None:
         with query:
-            names = ("job", "fence", "off", "n")
-            job_id, fence, chunk = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in names})
-            if self.is_frozen or (job_id, fence) not in self.spool:
+            asked = parse_bundle_ranges({name: query.parameters.get(name) or "" for name in RANGE_FIELDS})
+            if self.is_frozen or any((job_id, fence) not in self.spool for job_id, fence, _ in asked):
                 return
-            self.served.append(chunk.offset)
-            _, bundle = self.spool[job_id, fence]
-            query.reply(bundle_key(self.run, self.sid), bundle[chunk.offset : chunk.offset + chunk.length])
+            self.served += [chunk.offset for *_, chunk in asked]
+            self.served_together.append(len(asked))
+            parts = [self.spool[job_id, fence][1][chunk.offset :][: chunk.length] for job_id, fence, chunk in asked]
+            query.reply(bundle_key(self.run, self.sid), b"".join(parts))

@@ -134,6 +134,23 @@ def test_archived_episode_is_never_overwritten(kind: Kind) -> None:
         assert parts_of(kind) == []
 
 
+def test_several_episodes_are_published_together_and_one_that_is_stored_already_is_reported(kind: Kind) -> None:
+    with kind.open() as archive:
+        publish(archive, 2, b"first")
+        parts = {index: archive.stage(index) for index in (1, 2, 3)}
+        for index, staged in parts.items():
+            staged.write(b"%d" % index)
+        failed = archive.publish_all(parts)
+        assert list(failed) == [2]
+        assert "already exists and is not overwritten" in str(failed[2])
+        assert {index: path.read_bytes() for index, path in archive.present().items()} == {
+            1: b"1",
+            2: b"first",
+            3: b"3",
+        }
+        assert parts_of(kind) == []
+
+
 def test_unpublishing_deletes_and_may_be_repeated(kind: Kind) -> None:
     with kind.open() as archive:
         place = publish(archive, 1, b"late")

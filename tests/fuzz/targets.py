@@ -17,7 +17,7 @@ from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.tables.table_reader import read_column, read_failed_attempts
-from coordinator.validation.validator import ValidationTask
+from coordinator.validation.messages import ValidationTask
 from coordinator.validation.validator_child import verdict_of
 from factory.dataset.reader import Dataset
 from factory.scenes.formats import extract_scene
@@ -151,7 +151,7 @@ def _read_bundle(data: bytes, folder: Path) -> None:
     path = folder / "bundle.zip"
     path.write_bytes(data)
     with path.open("rb") as file:
-        verdict_of(ValidationTask(job=job_for(), target=chair()), file)
+        verdict_of(ValidationTask(job=job_for(), candidates=(chair(),)), file)
 
 
 def _bundles(_folder: Path) -> list[bytes]:

@@ -25,7 +25,7 @@ from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.keys import revoke
 from schemas.errors import TransientError
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
-from schemas.protocol.keys import Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
+from schemas.protocol.keys import BundleRange, Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
 from schemas.protocol.messages import Claim, ClaimReply, Done
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.keys import files_of, make_authority
@@ -142,7 +142,7 @@ def test_an_evaluator_can_neither_receive_nor_answer_messages_of_the_collection(
         done = Done(sid=worker.sid, lease=lease, sha256="0" * 64, size=9, via=worker.via)
         worker.spool[lease.job_id, lease.fence] = done, b"secret" * 100
         for run in (hub.run, "*"):
-            selector = bundle_selector(run, worker.sid, lease, Chunk(0, 10))
+            selector = bundle_selector(run, worker.sid, [BundleRange(lease.job_id, lease.fence, Chunk(0, 10))])
             replies = listener.get(selector, zenoh.handlers.FifoChannel(4), timeout=2.0)
             assert [reply for reply in replies if reply.ok is not None] == []
         listener.declare_queryable(bundle_key(hub.run, worker.sid), answer_falsely)

@@ -358,6 +358,11 @@ def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_quarantines_damaged_f
     assert len(Dataset(str(store))) == 2
 
 
+def test_a_wrong_clock_is_named_as_the_cause_of_a_refusal(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
+    relay.is_denying, relay.denial = True, "RequestTimeTooSkewed"
+    assert "set the clock of this host" in message_of(lambda: open_archive(tmp_path, store))
+
+
 def test_an_unreachable_store_is_not_reported_as_damage(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
     run = ArchivedRun(tmp_path / "out")
     copy_to(store, run.root)

@@ -19,7 +19,7 @@ from schemas.protocol.address_file import read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Chunk, Verb, scene_selector
 from schemas.protocol.messages import Beat, BeatReply, Claim, ClaimReply, HelloReply, Refusal
-from schemas.terms import FailReason
+from schemas.terms import FailReason, Recording
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
@@ -83,6 +83,20 @@ def test_bundles_are_pulled_in_chunks_of_bounded_size(tmp_path):
         worker.deliver(lease, bundle)
         until(opened.is_finished)
         assert worker.served == list(range(0, len(bundle), 64 << 10))
+
+
+def test_small_bundles_that_wait_together_are_fetched_in_one_request(tmp_path):
+    states, options = room_plan(5, Recording.STATES), CoordinatorOptions(listen=ANY_PORT, settings=settings())
+    with (
+        Coordinator(tmp_path / "out", states, room_catalog(tmp_path), options) as hub,
+        WireWorker(hub.endpoints, hub.run) as worker,
+    ):
+        jobs = [worker.job() for _ in range(5)]
+        for job, lease in jobs:  # the start of the validating process delays the only puller at the first bundle
+            assert worker.deliver(lease, bundle_for(job))
+        until(lambda: hub.progress().jobs["archived"] == 5)
+    assert sum(worker.served_together) == 5
+    assert max(worker.served_together) > 1
 
 
 def test_a_bundle_of_another_job_is_refused_as_invalid_and_the_attempt_repeated(opened, worker):

@@ -37,7 +37,7 @@ class Shared:
     """One sandboxed child for all tests, because starting one takes longer than most tests."""
 
     def __init__(self, validator: Validator) -> None:
-        self.check = validator.check
+        self.check, self.check_all = validator.check, validator.check_all
 
     def close(self) -> None:
         """Keeps the shared child open."""

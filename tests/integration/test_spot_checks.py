@@ -112,6 +112,7 @@ def test_workers_do_not_validate_and_their_claims_are_ignored_without_spot_check
             hello = false_peer.hello(version("minivla-factory"))
             assert isinstance(hello, HelloReply)
             assert not hello.validates
+        until(lambda: any(line["event"] == "worker_joined" for line in lines))
         joined = [(line["host"], line["worker"], line["cores"]) for line in lines if line["event"] == "worker_joined"]
         assert joined == [("false-peer", false_peer.sid, 2)]
         for make in (bundle_for, forged_for):

@@ -23,13 +23,14 @@ from schemas.errors import WorldError
 from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.identity import TlsFiles
 from schemas.protocol.keys import (
-    BundleChunk,
+    RANGE_FIELDS,
+    BundleRange,
     Chunk,
     Verb,
     alive_key,
     any_hello_key,
     bundle_key,
-    parse_bundle_chunk,
+    parse_bundle_ranges,
     scene_selector,
     verb_key,
 )
@@ -39,14 +40,13 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 
 R = TypeVar("R", bound=Model)
-ReadChunk = Callable[[BundleChunk], bytes]
+ReadChunk = Callable[[BundleRange], bytes]
 """Returns bytes of a spooled bundle; raises `KeyError` if the bundle does not exist."""
 
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
 _LEASE_MS = 5000
 _MAX_PACKET_BYTES = 4 << 20
 _ASK_TIMEOUT_S = 2.0
-_CHUNK_FIELDS = ("job", "fence", "off", "n")
 
 log = structlog.get_logger(__name__)
 _LIMIT = LogLimit(1.0, 60.0)
@@ -216,8 +216,8 @@ class Link(Closing):
 def _answer(query: zenoh.Query, key: str, read: ReadChunk, unreadable: Repeated) -> None:
     with query:
         try:
-            asked = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in _CHUNK_FIELDS})
-            query.reply(key, read(asked))
+            asked = parse_bundle_ranges({name: query.parameters.get(name) or "" for name in RANGE_FIELDS})
+            query.reply(key, b"".join(map(read, asked)))
             unreadable.succeed()
         except (ValueError, KeyError) as error:
             query.reply_err(f"no such bytes: {error}")

@@ -42,6 +42,7 @@ from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.plan import Plan
+from schemas.protocol.messages import Hello
 from schemas.protocol.status import Progress
 from schemas.storage.disk import require_room
 from schemas.storage.place import Place
@@ -139,6 +140,7 @@ def start(
             guard=guard,
             gate=gate,
             store=site.store,
+            on_joined=_print_joined,
             find_states=simulate_all if rendering is None else rendering.states,
         )
         with (
@@ -156,6 +158,10 @@ def _build(plan: Plan, site: Site, stop: threading.Event, gate_mode: GateMode) -
     before = scenes_before_run(plan, gate_plans(plan, gate_mode))
     with building_layouts(os.cpu_count() or 1, stop) as builds:
         return open_catalog(plan, site.place, scene_cache(), print_building, builds, only=before)
+
+
+def _print_joined(hello: Hello) -> None:
+    click.echo(f"worker {hello.sid} joined with {hello.slots} cores", err=True)
 
 
 def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:

@@ -23,7 +23,7 @@ from factory.runs.ledger import require_outside_datasets
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from factory.verify.repair_input import inspect_dataset
-from schemas.dataset.run_shard import find_shards
+from schemas.dataset.run_shard import ShardState, find_shards
 from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.storage.dataset_files import SCENES
@@ -94,7 +94,7 @@ def _directory(place: str | Place) -> Path:
 def _join(
     plan: Plan, sources: tuple[Place, ...], site: Site, ledger: str | None, is_partial: bool, as_json: bool
 ) -> int:
-    found = [one for source in sources for one in find_shards(source)]
+    found = [one for source in sources for one in _shards_in(source)]
     require_joinable(found, plan, partial=is_partial)
     require_outside_datasets(site)
     catalog = open_catalog(plan, site.place, scene_cache(), print_building, packages=found[0][0] / SCENES)
@@ -103,6 +103,16 @@ def _join(
         report = join_shards(target, found, checker, datetime.now(UTC), tell)
     print_result(report, as_json, _print_joined)
     return 1 if report.episodes < report.planned and not is_partial else 0
+
+
+def _shards_in(source: Place) -> list[tuple[Place, ShardState]]:
+    found = list(find_shards(source))
+    if not found:
+        raise UsageError(
+            f"{source} is not a shard and contains none: give the --out of each `factory run --shard`, or a folder of "
+            "them"
+        )
+    return found
 
 
 def _print_joined(report: JoinReport) -> None:

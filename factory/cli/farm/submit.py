@@ -22,7 +22,7 @@ from factory.runs.catalog import open_catalog
 from factory.submit.slurm import Mode, SlurmJob, submit_all, write_scripts
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from schemas.errors import UsageError
+from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.protocol.identity import Role
 from schemas.storage.disk import translated
@@ -99,7 +99,7 @@ def slurm(
     job = SlurmJob(run, tasks, cpus, time, partition, setup, factory, has_local_ledgers=is_shared)
     _prepare(job, plan, mode)
     scripts = write_scripts(job, mode)
-    ids = {} if no_submit else submit_all(job, mode)
+    ids = {} if no_submit else _submit(job, mode)
     if as_json:
         print_json({"run": str(run), "scripts": [str(script) for script in scripts], "jobs": ids})
         return
@@ -108,20 +108,33 @@ def slurm(
     click.echo(f"progress: factory status {run / 'shards' if mode == 'shards' else job.dataset}", err=True)
 
 
+def _submit(job: SlurmJob, mode: Mode) -> dict[str, int]:
+    """Submits the jobs; removes the folder of the run if Slurm refuses them, so that the command can be repeated."""
+    try:
+        return submit_all(job, mode)
+    except WorldError:
+        shutil.rmtree(job.run)
+        raise
+
+
 def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
     """Creates the folder of a run with its plan, its scenes and, for workers, its certificates."""
     if job.run.exists():
         raise UsageError(f"{job.run} exists: choose another --out, or submit the scripts in {job.run / 'slurm'} again")
     catalog = open_catalog(plan, job.dataset, scene_cache(), print_building)
-    with translated("write", job.run):
-        job.plan.parent.mkdir(parents=True)
-        (job.run / "shards").mkdir()
-        job.plan.write_text(plan_to_toml(plan), encoding="utf-8")
-        _copy_scenes(catalog, job.scenes if mode == "shards" else job.dataset / "scenes")
-    if mode == "workers":
-        now = datetime.now(UTC)
-        create_authority(job.run / "pki", plan.run, _AUTHORITY_DAYS, now)
-        admit(job.run / "pki", "worker", Role.WORKER, (), _AUTHORITY_DAYS, now)
+    try:
+        with translated("write", job.run):
+            job.plan.parent.mkdir(parents=True)
+            (job.run / "shards").mkdir()
+            job.plan.write_text(plan_to_toml(plan), encoding="utf-8")
+            _copy_scenes(catalog, job.scenes if mode == "shards" else job.dataset / "scenes")
+        if mode == "workers":
+            now = datetime.now(UTC)
+            create_authority(job.run / "pki", plan.run, _AUTHORITY_DAYS, now)
+            admit(job.run / "pki", "worker", Role.WORKER, (), _AUTHORITY_DAYS, now)
+    except FactoryError:
+        shutil.rmtree(job.run, ignore_errors=True)  # as above
+        raise
 
 
 def _copy_scenes(catalog: Catalog, folder: Path) -> None:

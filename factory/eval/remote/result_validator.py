@@ -8,12 +8,13 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
+from coordinator.validation.bundle_file import BundleFile, check_each
 from coordinator.validation.scope import Scope
 from factory.eval.driving import measure
 from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
@@ -95,6 +96,10 @@ class ResultValidator:
             file_sha256=sha256,
             file_bytes=size,
         )
+
+    def check_all(self, files: Sequence[BundleFile]) -> list[EvalReceipt | InvalidBundle]:
+        """Validates several bundles; returns the receipt or the violations of each."""
+        return check_each(self.check, files)
 
     def close(self) -> None:
         """Does nothing."""

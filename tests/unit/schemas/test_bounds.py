@@ -15,7 +15,7 @@ import schemas.protocol.messages
 from coordinator.protocol.protocol import ParsedRequest, parse
 from coordinator.protocol.relay import MAX_FILES, Inventory, OrdersRequest, Refused
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES
-from coordinator.validation.validator import Verdict
+from coordinator.validation.messages import Verdict
 from schemas.base import MAX_COUNT, MAX_ROWS, Model
 from schemas.episode import EpisodeMeta
 from schemas.protocol.messages import MAX_LEASES, Beat, Done, Fail, Lease, LeaseProgress, Refusal

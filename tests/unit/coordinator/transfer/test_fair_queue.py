@@ -10,7 +10,7 @@ from coordinator.transfer.fair_queue import FairQueue
 def serve(queue: FairQueue[str], seconds: float) -> str:
     taken = queue.take()
     assert taken is not None
-    owner, item = taken
+    owner, (item,) = taken
     queue.give(owner, seconds)
     return item
 
@@ -30,8 +30,8 @@ def test_items_of_one_owner_stay_in_order_and_an_unfinished_one_goes_first() -> 
     queue: FairQueue[str] = FairQueue()
     queue.put("a", "a1")
     queue.put("a", "a2")
-    owner, item = queue.take() or ("", "")
-    queue.give(owner, 1, item)
+    owner, turn = queue.take() or ("", [])
+    queue.give(owner, 1, turn)
     assert [serve(queue, 1), serve(queue, 1)] == ["a1", "a2"]
 
 
@@ -41,10 +41,37 @@ def test_an_owner_has_a_second_active_item_only_while_no_other_owner_waits() -> 
         queue.put("a", item)
     queue.put("b", "b1")
     taken = [queue.take() for _ in range(3)]
-    assert [item for _, item in filter(None, taken)] == ["a1", "b1", "a2"]
+    assert [turn for _, turn in filter(None, taken)] == [["a1"], ["b1"], ["a2"]]
     assert queue.has_others("b")
     assert not queue.has_others("a")
     assert queue.sizes() == {"a": 3, "b": 1}
+
+
+def test_items_that_join_are_served_in_one_turn_of_their_owner() -> None:
+    queue: FairQueue[str] = FairQueue(lambda turn, item: len(turn) < 3 and item.startswith("small"))
+    for item in ("small1", "small2", "large", "small3", "small4", "small5", "small6"):
+        queue.put("a", item)
+    queue.put("b", "small7")
+    turns = []
+    for _ in range(4):
+        owner, turn = queue.take() or ("", [])
+        turns.append((owner, turn))
+        queue.give(owner, 1)
+    assert turns == [
+        ("a", ["small1", "small2"]),
+        ("b", ["small7"]),
+        ("a", ["large", "small3", "small4"]),
+        ("a", ["small5", "small6"]),
+    ]
+
+
+def test_the_unfinished_items_of_a_turn_keep_their_order() -> None:
+    queue: FairQueue[str] = FairQueue(lambda turn, _item: len(turn) < 2)
+    for item in ("a1", "a2", "a3"):
+        queue.put("a", item)
+    owner, turn = queue.take() or ("", [])
+    queue.give(owner, 1, turn)
+    assert [items for _, items in (queue.take() or ("", []), queue.take() or ("", []))] == [["a1", "a2"], ["a3"]]
 
 
 def test_a_closed_queue_returns_its_items_and_wakes_blocked_threads() -> None:

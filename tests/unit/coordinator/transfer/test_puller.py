@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,11 +18,12 @@ from structlog.testing import capture_logs
 from coordinator.archive.opening import open_archive
 from coordinator.protocol.pulls import Pull
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import FindLocalBundle, no_local_bundle
+from coordinator.transfer.contract import Delivery, FindLocalBundle, no_local_bundle
 from coordinator.transfer.puller import Pullers
+from coordinator.validation.bundle_file import BundleFile, check_each
 from coordinator.validation.scope import Scope
 from schemas.errors import TransientError
-from schemas.protocol.keys import Chunk
+from schemas.protocol.keys import BundleRange, Chunk
 from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for
 from tests.builders.wire_worker import until
@@ -43,9 +44,9 @@ class RecordingParts:
     checked: list[bool] = field(default_factory=list)
     done: threading.Event = field(default_factory=threading.Event)
 
-    def fetch(self, _sid: str, _lease: Lease, chunk: Chunk) -> bytes:
-        self.fetched.append(chunk)
-        return BUNDLE[chunk.offset : chunk.offset + chunk.length]
+    def fetch(self, _sid: str, ranges: Sequence[BundleRange]) -> bytes:
+        self.fetched += [each.chunk for each in ranges]
+        return b"".join(BUNDLE[chunk.offset :][: chunk.length] for *_, chunk in ranges)
 
     def check(self, path: Path, _job: Any, _target: Any = None, scope: Scope = Scope.ALL) -> Any:
         data = path.read_bytes()
@@ -53,15 +54,18 @@ class RecordingParts:
         self.scopes.append(scope)
         return SimpleNamespace(num_steps=1, file_sha256=hashlib.sha256(data).hexdigest())
 
-    def keep(self, _pull: Pull, _seconds: float) -> bool:
-        return True
+    def check_all(self, files: Sequence[BundleFile]) -> list[Any]:
+        return check_each(self.check, files)
+
+    def keep(self, pulls: Sequence[Pull], _seconds: float) -> list[bool]:
+        return [True] * len(pulls)
 
     def is_owned(self, _index: int) -> bool:
         return False
 
-    def own(self, _pull: Pull, _receipt: Any, *, is_checked: bool = True) -> bool:
-        self.checked.append(is_checked)
-        return True
+    def own(self, deliveries: Sequence[Delivery]) -> list[bool]:
+        self.checked += [delivery.is_checked for delivery in deliveries]
+        return [True] * len(deliveries)
 
     def refuse(self, _pull: Pull, detail: str, *, is_false: bool = False) -> None:
         self.barred += [detail] if is_false else []
@@ -172,15 +176,15 @@ class SlowHosts(RecordingParts):
         self.owned: list[str] = []
         self.changed = threading.Event()
 
-    def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
+    def fetch(self, sid: str, ranges: Sequence[BundleRange]) -> bytes:
         if sid.startswith("slow"):
             time.sleep(self.pause_s)
-        return super().fetch(sid, lease, chunk)
+        return super().fetch(sid, ranges)
 
-    def own(self, pull: Pull, _receipt: Any, *, is_checked: bool = True) -> bool:
-        self.owned.append(pull.sid)
+    def own(self, deliveries: Sequence[Delivery]) -> list[bool]:
+        self.owned += [delivery.pull.sid for delivery in deliveries]
         self.changed.set()
-        return True
+        return [True] * len(deliveries)
 
 
 def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
@@ -241,7 +245,8 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
 def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
     recorded, asked = RecordingParts(), threading.Event()
 
-    def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
+    def fetch(_sid: str, ranges: Sequence[BundleRange]) -> bytes:
+        ((*_, chunk),) = ranges
         if chunk.offset >= size * 1024:
             asked.set()
             raise TransientError("no answer in time")
@@ -267,10 +272,10 @@ def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_pat
 def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> None:
     recorded, failures = RecordingParts(), iter(range(3))
 
-    def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
+    def fetch(sid: str, ranges: Sequence[BundleRange]) -> bytes:
         if next(failures, None) is not None:
             raise TransientError("no answer in time")
-        return recorded.fetch(sid, lease, chunk)
+        return recorded.fetch(sid, ranges)
 
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0, slow_start_s=0.0)
     pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]

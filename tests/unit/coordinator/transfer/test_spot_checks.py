@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import pytest
-
 from coordinator.meters import Meters
 from coordinator.protocol.pulls import Pull
-from coordinator.transfer.spot_checks import SpotCheckedValidation
+from coordinator.transfer.spot_checks import Arrival, SpotCheckedValidation, ValidatedBundle
+from coordinator.validation.bundle_file import BundleFile, check_each
 from coordinator.validation.scope import Scope
 from schemas.errors import InvalidBundle
 from schemas.protocol.messages import Lease
@@ -30,8 +30,17 @@ class Recorder:
             raise InvalidBundle("bundle refused", ["frame 3"])
         return SimpleNamespace(num_steps=1)
 
+    def check_all(self, files: Sequence[BundleFile]) -> list[Any]:
+        return check_each(self.check, files)
+
     def close(self) -> None:
         pass
+
+
+def validated(validation: SpotCheckedValidation, pull: Pull) -> ValidatedBundle | InvalidBundle:
+    staged: Any = SimpleNamespace(path=Path(), is_linked=False, sha256="0" * 64)
+    (found,) = validation.validate([Arrival(pull, staged)])
+    return found
 
 
 JOB = job_for()
@@ -49,8 +58,9 @@ def scopes_of(pulls: list[Pull], share: float | None, secret: bytes = b"s") -> s
     recorder = Recorder()
     validation = SpotCheckedValidation(recorder, Meters(), share, secret)
     for pull in pulls:
-        validated = validation.validate(pull, Path(), is_local=False)
-        assert validated.is_checked == (recorder.scopes[-1] is Scope.ALL)
+        bundle = validated(validation, pull)
+        assert isinstance(bundle, ValidatedBundle)
+        assert bundle.is_checked == (recorder.scopes[-1] is Scope.ALL)
     return "".join(scope.value[0] for scope in recorder.scopes)
 
 
@@ -72,11 +82,7 @@ def test_no_bundle_of_a_host_is_trusted_after_an_invalid_one() -> None:
     recorder = Recorder(invalid=(3,))
     validation = SpotCheckedValidation(recorder, Meters(), 0.0)
     for pull in pulls:
-        if pull.job.index == 3:
-            with pytest.raises(InvalidBundle):
-                validation.validate(pull, Path(), is_local=False)
-        else:
-            validation.validate(pull, Path(), is_local=False)
+        assert isinstance(validated(validation, pull), InvalidBundle) == (pull.job.index == 3)
     assert [scope.value for scope in recorder.scopes] == ["all", "claim", "all", "all", "all"]
 
 

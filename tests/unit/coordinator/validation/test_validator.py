@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from coordinator.validation.validator import Validator, ValidatorLimits
+from coordinator.validation.bundle_file import BundleFile
+from coordinator.validation.messages import MAX_TASKS, ValidatorLimits
+from coordinator.validation.validator import Validator
 from schemas.errors import InvalidBundle, TransientError
 from schemas.terms import Recording
 from tests.builders.bundle import bundle_bytes, job_for, parts_for
@@ -138,3 +140,51 @@ def test_many_threads_share_the_children(bundle: Path) -> None:
     with Validator(children=2) as validator, ThreadPoolExecutor(6) as pool:
         rows = list(pool.map(lambda _: validator.check(bundle, job_for()), range(12)))
     assert {row.episode_id for row in rows} == {"ep_000001"}
+
+
+def test_each_bundle_of_an_order_has_a_separate_verdict(validator: Validator, bundle: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.part"
+    damaged.write_bytes(bundle_bytes()[:-100])
+    files = [
+        BundleFile(bundle, job_for()),
+        BundleFile(damaged, job_for()),
+        BundleFile(bundle, job_for(2), sha256="a" * 64),
+    ]
+    valid, torn, other = validator.check_all(files)
+    assert valid == validator.check(bundle, job_for())
+    assert "not a readable zip" in str(torn)
+    assert "job.index" in str(other)
+
+
+def test_a_known_digest_is_not_computed_again(validator: Validator, bundle: Path) -> None:
+    rows = validator.check_all([BundleFile(bundle, job_for(), sha256="a" * 64), BundleFile(bundle, job_for())])
+    assert [isinstance(row, InvalidBundle) or row.file_sha256 == "a" * 64 for row in rows] == [True, False]
+
+
+def test_a_missing_file_does_not_affect_the_others_of_an_order(
+    validator: Validator, bundle: Path, tmp_path: Path
+) -> None:
+    first, missing, last = validator.check_all(
+        [BundleFile(bundle, job_for()), BundleFile(tmp_path / "nothing", job_for()), BundleFile(bundle, job_for())]
+    )
+    assert first == last == validator.check(bundle, job_for())
+    assert "cannot be read" in str(missing)
+
+
+def test_the_bundles_of_an_order_whose_child_dies_are_validated_one_by_one(bundle: Path) -> None:
+    before = child_processes()
+    with Validator() as validator, ThreadPoolExecutor(1) as pool:
+        validator.check(bundle, job_for())
+        (child,) = child_processes() - before
+        os.kill(child, signal.SIGSTOP)
+        checking = pool.submit(validator.check_all, [BundleFile(bundle, job_for())] * 3)
+        time.sleep(0.3)
+        os.kill(child, signal.SIGKILL)
+        rows = checking.result()
+        assert rows == [validator.check(bundle, job_for())] * 3
+        assert child not in child_processes()
+
+
+def test_more_bundles_than_an_order_has_are_validated_in_several(validator: Validator, bundle: Path) -> None:
+    rows = validator.check_all([BundleFile(bundle, job_for())] * (MAX_TASKS + 1))
+    assert rows == [validator.check(bundle, job_for())] * (MAX_TASKS + 1)

@@ -90,6 +90,16 @@ def test_the_second_job_waits_for_the_first(job, tmp_path, monkeypatch):
     assert ["--dependency=after:41" in line for line in lines] == [False, False, False, True]
 
 
+def test_the_first_job_is_cancelled_if_the_second_is_refused(job, tmp_path, monkeypatch):
+    tool(tmp_path, "sbatch", '[ "$#" -eq 2 ] && echo 41 && exit; echo "no dependency" >&2; exit 1')
+    tool(tmp_path, "scancel", f'echo "$@" > "{tmp_path}/cancelled"')
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    write_scripts(job, "shards")
+    with pytest.raises(WorldError, match=r"sbatch refused .*gather\.sh: no dependency"):
+        submit_all(job, "shards")
+    assert (tmp_path / "cancelled").read_text() == "41\n"
+
+
 def test_a_host_without_slurm_and_a_refused_job_are_errors_with_the_reason(job, tmp_path, monkeypatch):
     write_scripts(job, "shards")
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))

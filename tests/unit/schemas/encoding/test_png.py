@@ -47,6 +47,12 @@ def test_image_comes_back_bit_for_bit(image: np.ndarray) -> None:
     assert np.array_equal(found, image)
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (63, 640), (64, 3), (65, 129), (200, 33), (640, 640)])
+def test_rows_of_any_width_and_number_are_unfiltered(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    assert np.array_equal(decode_png("image", encode_png(image), image.shape), image)
+
+
 @given(st.one_of(COLOUR, GREY))
 def test_other_software_reads_the_same_image(image: np.ndarray) -> None:
     with Image.open(io.BytesIO(encode_png(image))) as opened:

@@ -1,0 +1,301 @@
+"""Fetches announced bundles from workers into part files: a bundle in chunks, or several small ones in one request.
+
+The module does not validate, publish or retry: the worker's next heartbeat announces a bundle again.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import structlog
+
+from coordinator.archive.contract import Archive, Staged
+from coordinator.meters import Meter, Meters
+from coordinator.protocol.pulls import BuildJob, Pull
+from coordinator.settings import CoordinatorSettings
+from coordinator.transfer.contract import FindLocalBundle, LedgerClient
+from coordinator.transfer.refusals import Refusals
+from schemas.bundle import MAX_BUNDLE_BYTES
+from schemas.errors import TransientError
+from schemas.protocol.keys import MAX_RANGES, BundleRange, Chunk
+from schemas.protocol.messages import Lease
+
+_TURN_S = 0.25
+"""Duration of a turn of one bundle while others wait, seconds."""
+_FAILURES = 5
+"""Number of failed transfers after which a bundle may be refused."""
+_SMALL_BYTES = 64 << 10
+"""Largest size of a bundle that is fetched together with others, bytes."""
+_TOGETHER = 32
+"""Largest number of bundles that are fetched, validated and recorded together."""
+assert _TOGETHER <= MAX_RANGES
+
+log = structlog.get_logger(__name__)
+
+Fetch = Callable[[str, Sequence[BundleRange]], bytes]
+"""Function that requests ranges of the bundles of a session, or raises `TransientError`."""
+
+
+@dataclass(eq=False)
+class Transfer:
+    """Transfer of a bundle, which may take several turns."""
+
+    pull: Pull
+    """Announced bundle."""
+    staged: Staged | None = None
+    """Part file; `None` before the first turn."""
+    seconds: float = 0.0
+    """Transfer time so far, seconds."""
+    is_alone: bool = False
+    """Whether the bundle is not fetched together with others, because that has failed."""
+    is_refused: bool = False
+    """Whether the bundle was refused before it was complete."""
+
+    @property
+    def open_file(self) -> Staged:
+        """Part file of a started transfer."""
+        assert self.staged is not None
+        return self.staged
+
+    @property
+    def rest(self) -> int:
+        """Number of bytes to fetch."""
+        return self.pull.size - self.open_file.size
+
+    def abandon(self) -> None:
+        """Deletes the part file unless it is published."""
+        if self.staged is not None:
+            self.staged.abandon()
+
+    def restart(self) -> None:
+        """Deletes the part file; the next turn begins again, without other bundles."""
+        self.abandon()
+        self.staged, self.is_alone = None, True
+
+
+@dataclass
+class _Failures:
+    """Failed transfers of a bundle whose worker repeats the announcement."""
+
+    lease: Lease
+    """Lease of the bundle."""
+    since: float
+    """Monotonic time of the first failure, seconds."""
+    count: int = 0
+    """Number of failures."""
+    most_bytes: int = 0
+    """Size of the longest partial transfer, bytes."""
+
+
+class Fetcher:
+    """Thread-safe fetching of bundles.
+
+    Args:
+        archive: archive with the part files.
+        ledger: ledger of the run.
+        fetch: function that requests bytes from a worker.
+        settings: settings of the coordinator.
+        meters: counters of the coordinator.
+        find_local_bundle: function that finds a bundle on this machine.
+        refusals: reports bundles that no worker serves, or too slowly.
+        has_others: function of a host, which returns whether bundles of other hosts wait.
+        stop: event that ends transfers at the next chunk.
+    """
+
+    def __init__(
+        self,
+        archive: Archive,
+        ledger: LedgerClient,
+        fetch: Fetch,
+        settings: CoordinatorSettings,
+        meters: Meters,
+        find_local_bundle: FindLocalBundle,
+        refusals: Refusals,
+        has_others: Callable[[str], bool],
+        stop: threading.Event,
+    ) -> None:
+        self._archive, self._ledger, self._fetch = archive, ledger, fetch
+        self._settings, self._meters, self._find_local_bundle = settings, meters, find_local_bundle
+        self._refusals, self._has_others, self._stop = refusals, has_others, stop
+        self._guard = threading.Lock()
+        self._rest: dict[int, int] = {}
+        """Mapping of episode number to remaining bytes of its bundle."""
+        self._failed: dict[int, _Failures] = {}
+        """Mapping of episode number to the failed transfers of its bundle."""
+
+    def joins(self, turn: Sequence[Transfer], transfer: Transfer) -> bool:
+        """Returns whether a bundle is fetched together with those of a turn: all are small and in one spool."""
+        size = sum(each.pull.size for each in turn) + transfer.pull.size
+        return (
+            len(turn) < _TOGETHER
+            and size <= self._settings.chunk_bytes
+            and turn[0].pull.sid == transfer.pull.sid
+            and _is_small(turn[0])
+            and _is_small(transfer)
+        )
+
+    def begin(self, turn: Sequence[Transfer]) -> list[Transfer]:
+        """Opens the part files of bundles; returns the bundles that are needed.
+
+        Raises:
+            TransientError: there is too little free space, or the ledger is unavailable.
+            WorldError: the disk is full or unavailable.
+        """
+        fresh = [transfer for transfer in turn if transfer.staged is None]
+        if not fresh:
+            return list(turn)
+        held = self._ledger.keep([transfer.pull for transfer in fresh], self._settings.lease_ttl_s)
+        wanted = [transfer for transfer, is_held in zip(fresh, held, strict=True) if is_held and self._wants(transfer)]
+        if wanted:
+            self._require_free_space([transfer.pull for transfer in wanted])
+        for transfer in wanted:
+            transfer.staged = self._archive.stage(transfer.pull.job.index)
+            self._link_local_bundle(transfer.pull, transfer.staged)
+        return wanted
+
+    def fetch(self, host: str, turn: Sequence[Transfer]) -> list[Transfer]:
+        """Fetches the bundles of a turn; returns those that are complete.
+
+        A single bundle may need further turns: it is incomplete and not refused.
+
+        Raises:
+            TransientError: the worker does not serve the bundles, or the coordinator is closing.
+            WorldError: the disk is full or unavailable.
+        """
+        missing = [transfer for transfer in turn if transfer.rest]
+        if len(missing) > 1:
+            self._fetch_together(missing)
+        elif missing and self._fetch_in_chunks(host, missing[0]) and missing[0].rest:
+            self._refuse_slow(missing[0])
+        complete = [transfer for transfer in turn if not transfer.rest]
+        self._forget_failures([transfer.pull for transfer in complete])
+        return complete
+
+    def forget(self, transfers: Sequence[Transfer]) -> None:
+        """Frees the space that is reserved for bundles whose transfer has ended."""
+        with self._guard:
+            for transfer in transfers:
+                self._rest.pop(transfer.pull.job.index, None)
+
+    def _wants(self, transfer: Transfer) -> bool:
+        pull = transfer.pull
+        if not self._prepare_destination(pull.job.index):
+            return False
+        if pull.size > MAX_BUNDLE_BYTES:
+            self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
+            return False
+        return True
+
+    def _prepare_destination(self, index: int) -> bool:
+        """Removes a file that an unfinished commit left at the episode's path; returns whether the path is free."""
+        if not self._archive.path_of(index).exists():
+            return True
+        if self._ledger.is_owned(index):
+            return False
+        self._archive.unpublish(index)
+        return True
+
+    def _require_free_space(self, pulls: Sequence[Pull]) -> None:
+        with self._guard:
+            size, to_come = sum(pull.size for pull in pulls), sum(self._rest.values())
+            free, wanted = self._archive.free_bytes(), size + to_come + self._settings.reserve_bytes
+            if free < wanted:
+                raise TransientError(
+                    f"{free} bytes free, {wanted} required for the bundle, {to_come} bytes of other transfers and the "
+                    "reserve: free some space"
+                )
+            self._rest.update((pull.job.index, pull.size) for pull in pulls)
+
+    def _link_local_bundle(self, pull: Pull, staged: Staged) -> None:
+        """Links a bundle on the archive's disk instead of transferring and copying it."""
+        try:
+            source = self._find_local_bundle(pull.lease)
+            if source is not None and source.stat().st_size == pull.size:
+                staged.link(source)
+        except OSError as error:
+            log.debug("fetched_instead", episode=pull.name, error=str(error))
+
+    def _fetch_together(self, transfers: Sequence[Transfer]) -> None:
+        """Fetches several bundles of one session in one request."""
+        self._require_open()
+        ranges = [_range_of(transfer.pull, 0, transfer.pull.size) for transfer in transfers]
+        data = memoryview(self._fetch(transfers[0].pull.sid, ranges))
+        self._meters.add(Meter.PULLED_BYTES, len(data))
+        for transfer in transfers:
+            transfer.open_file.write(data[: transfer.pull.size])
+            data = data[transfer.pull.size :]
+        self.forget(transfers)
+
+    def _fetch_in_chunks(self, host: str, transfer: Transfer) -> bool:
+        """Fetches chunks for one turn; returns whether the transfer has ended: it is complete or too slow."""
+        pull, staged, begun = transfer.pull, transfer.open_file, time.monotonic()
+        earlier_s = transfer.seconds
+        while staged.size < pull.size:
+            self._require_open()
+            length = min(self._settings.chunk_bytes, transfer.rest)
+            try:
+                data = self._fetch(pull.sid, [_range_of(pull, staged.size, length)])
+            except TransientError:
+                self._record_failure(pull, staged.size)
+                raise
+            self._meters.add(Meter.PULLED_BYTES, len(data))
+            staged.write(data)
+            with self._guard:
+                self._rest[pull.job.index] = transfer.rest
+            turn_s = time.monotonic() - begun
+            transfer.seconds = earlier_s + turn_s
+            if transfer.seconds > self._settings.slow_start_s + staged.size / self._settings.min_bytes_per_s:
+                return True
+            if turn_s > _TURN_S and transfer.rest and self._has_others(host):
+                return False
+        return True
+
+    def _require_open(self) -> None:
+        if self._stop.is_set():
+            raise TransientError("the coordinator is closing; the bundle waits in its spool")
+
+    def _record_failure(self, pull: Pull, size: int) -> None:
+        """Records a failed transfer; refuses the bundle if repeated transfers fall below the least rate."""
+        now = time.monotonic()
+        with self._guard:
+            failures = self._failed.get(pull.job.index)
+            if failures is None or failures.lease != pull.lease:
+                failures = self._failed[pull.job.index] = _Failures(pull.lease, now)
+            failures.count += 1
+            failures.most_bytes = max(failures.most_bytes, size)
+        limit_s = self._settings.slow_start_s + failures.most_bytes / self._settings.min_bytes_per_s
+        if failures.count >= _FAILURES and now - failures.since > limit_s:
+            self._refuse(
+                pull,
+                f"not served: {failures.most_bytes} of {pull.size} bytes in {failures.count} transfers over "
+                f"{now - failures.since:.0f} s, while its worker was alive",
+            )
+
+    def _refuse_slow(self, transfer: Transfer) -> None:
+        transfer.is_refused = True
+        self._refuse(
+            transfer.pull,
+            f"too slow: {transfer.open_file.size} of {transfer.pull.size} bytes in {transfer.seconds:.0f} s; a worker "
+            f"has to serve {self._settings.min_bytes_per_s:.0f} bytes per second",
+        )
+
+    def _refuse(self, pull: Pull, detail: str) -> None:
+        self._forget_failures([pull])
+        self._refusals.refuse(pull, detail)
+
+    def _forget_failures(self, pulls: Sequence[Pull]) -> None:
+        with self._guard:
+            for pull in pulls:
+                self._failed.pop(pull.job.index, None)
+
+
+def _is_small(transfer: Transfer) -> bool:
+    is_first_turn = transfer.staged is None and not transfer.is_alone
+    return is_first_turn and transfer.pull.size <= _SMALL_BYTES and not isinstance(transfer.pull.job, BuildJob)
+
+
+def _range_of(pull: Pull, offset: int, length: int) -> BundleRange:
+    return BundleRange(pull.lease.job_id, pull.lease.fence, Chunk(offset, length))

@@ -1,0 +1,71 @@
+"""Messages between the validator and its child processes: orders, verdicts, limits. Sends nothing."""
+
+from __future__ import annotations
+
+import struct
+from typing import Annotated
+
+from pydantic import Field
+
+from coordinator.validation.scope import Scope
+from schemas.base import Line, Model, Sha256
+from schemas.dataset.rows import EpisodeSummary
+from schemas.job import Job
+from schemas.language.instruction import Instruction
+from schemas.scene import Target
+
+MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
+"""Maximum number and length of the findings of a verdict; the output of a child with a hostile bundle is untrusted."""
+HEADER = struct.Struct("!I")
+"""Header of an order: its length, bytes. The descriptors of the open bundles are sent with the header."""
+MAX_TASKS = 64
+"""Largest number of bundles in an order; the kernel sends at most 253 descriptors together."""
+
+
+class ValidatorLimits(Model):
+    """Resource limits of a child."""
+
+    memory_bytes: Annotated[int, Field(ge=256 << 20)] = 1536 << 20
+    """Limit of the address space (RLIMIT_AS), bytes."""
+    cpu_s: Annotated[int, Field(ge=1)] = 120
+    """CPU time per order, seconds; 1000 frames take 4 to 7 s, and a recording of states 2 ms."""
+    wall_s: Annotated[float, Field(gt=0)] = 300.0
+    """Wall time per order, seconds."""
+
+
+class ValidationTask(Model):
+    """Task of a child for one bundle, whose descriptor is sent with the order."""
+
+    job: Job | None = None
+    """Leased job; `None` if the bundle is the package of a scene."""
+    candidates: tuple[Target, ...] = ()
+    """Targets of the compiled scene that the episode may have; none skips the comparison."""
+    scope: Scope = Scope.ALL
+    """Part of the bundle that is read."""
+    sha256: Sha256 | None = None
+    """SHA-256 of the bundle, if it is known; otherwise the child computes it."""
+
+
+class ValidationOrder(Model):
+    """Tasks that a child executes one after another, in the order of the descriptors."""
+
+    tasks: Annotated[tuple[ValidationTask, ...], Field(min_length=1, max_length=MAX_TASKS)]
+    """Tasks."""
+
+
+class Verdict(Model):
+    """Result of a task: either a summary or findings."""
+
+    summary: EpisodeSummary | None = None
+    """Row of the episode; `None` if the bundle is invalid."""
+    language: Instruction | None = None
+    """Verified instruction of the episode, which is then compared with the scene; `None` for a template."""
+    findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
+    """Violations."""
+
+
+class Verdicts(Model):
+    """Reply of a child to an order: one line of JSON."""
+
+    verdicts: Annotated[tuple[Verdict, ...], Field(max_length=MAX_TASKS)]
+    """Results of the tasks, in their order."""

@@ -1,0 +1,40 @@
+"""`factory submit slurm` with a stub of sbatch: the folder of a run, and what remains after a refusal."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.acceptance.factory_cli import FactoryCli
+from tests.builders.fork_server import ForkServer
+
+_SBATCH = """#!/bin/bash
+if grep -q partition=cpu "${@: -1}"; then echo 7; else echo "no such partition" >&2; exit 1; fi
+"""
+
+
+@pytest.fixture
+def site(server: ForkServer, cache: Path, tmp_path: Path, plan: Path) -> FactoryCli:
+    """A login node whose Slurm accepts the partition `cpu` only."""
+    (tmp_path / "bin").mkdir()
+    sbatch = tmp_path / "bin" / "sbatch"
+    sbatch.write_text(_SBATCH)
+    sbatch.chmod(0o755)
+    return FactoryCli(server, tmp_path / "home", cache, {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
+
+
+@pytest.mark.parametrize("mode", ["shards", "workers"])
+def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
+    site: FactoryCli, plan: Path, tmp_path: Path, mode: str
+) -> None:
+    command = ("submit", "slurm", plan, "--out", tmp_path / "run", "--tasks", 2, "--mode", mode)
+    refused = site(*command, "--partition", "gpu", expect=1)
+    assert "no such partition" in refused.stderr
+    assert not (tmp_path / "run").exists()
+    submitted = site.json(*command, "--partition", "cpu")
+    assert set(submitted["jobs"].values()) == {7}
+    assert all(Path(script).is_file() for script in submitted["scripts"])
+    again = site(*command, "--partition", "cpu", expect=2)
+    assert "exists: choose another --out, or submit the scripts in" in again.stderr
