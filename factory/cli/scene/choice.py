@@ -71,7 +71,7 @@ def built_in_layout(name: str, seed: int) -> BuiltInLayout | None:
     if number is None:
         return BuiltInLayout(name, seed, None) if name in BUILTIN_CATEGORIES else None
     if seed not in (0, number):
-        raise UsageError(f"{name} is the layout of seed {number}, not {seed}; leave out --seed")
+        raise UsageError(f"{name} is the layout of seed {number}, not {seed}; remove --seed")
     return BuiltInLayout(family_of(name), number, name)
 
 
