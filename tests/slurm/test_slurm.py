@@ -18,6 +18,8 @@ from factory.submit.slurm import SlurmJob, write_scripts
 from schemas.dataset.meta import read_dataset_meta
 from tests.slurm.cluster import SlurmCluster, why_no_slurm
 
+pytestmark = pytest.mark.timeout(4_000)
+
 _STUB = """#!/bin/bash
 # drains on SIGTERM; runs until the file `finish` exists
 log={folder}/told-${{SLURM_ARRAY_TASK_ID:-0}}
