@@ -26,7 +26,7 @@ from factory.web.start import serve
 FOLDER = Path(__file__).parents[1] / "web"
 WINDOWS = ((360, "dark"), (1280, "light"), (3840, "dark"), (360, "light"), (1280, "dark"), (3840, "light"))
 """Widths in pixels and colour schemes."""
-COLOURS = 128
+COLOURS = 255
 """Number of colours of the pictures of docs/web, so that they stay small."""
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
