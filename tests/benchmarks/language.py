@@ -5,7 +5,6 @@ python -m tests.benchmarks.language office hospital full_warehouse warehouse_mul
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import sys
@@ -26,7 +25,7 @@ from schemas.language.graph import build_graph
 from schemas.language.reading import reader
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_geometry
 from tests.builders.language import CAMERA, changed, is_false_or_ambiguous, search_of
 
 _STARTS, _CHANGED = 200, 500
@@ -91,8 +90,7 @@ def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tu
 def measure(name: str, folder: Path) -> tuple[int, int]:
     """Prints the rows of one scene."""
     scene_name, _, seed = name.partition(":")
-    with build_scene(scene_name, int(seed or 0), folder).open("rb") as file:
-        scene = decode_scene(io.BytesIO(file.read()))
+    scene = read_geometry(build_scene(scene_name, int(seed or 0), folder))
     begin = time.process_time()
     language = SceneLanguage(build_graph(scene))
     said = f"{name}: {len(language.graph.objects)} objects, graph in {time.process_time() - begin:.2f} s"

@@ -31,7 +31,7 @@ from schemas.language.route.model import DrivenPath
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from workers.geometry.pose import Pose
 from workers.render.choose import open_renderer
 
@@ -197,7 +197,7 @@ def main() -> None:
     files = [*sorted((given.dataset / "scenes").glob("*.scene.zip")), *given.packages]
     with (given.out / "texts.tsv").open("w", encoding="utf-8") as texts:
         for place, file in enumerate(files):
-            scene = decode_scene(file.open("rb"))
+            scene = read_scene(file)
             name, rng = scene.info.name, np.random.default_rng((given.seed, place))
             sheets = SceneSheets(name, scene, rng)
             shown = list(sheets.goals(given.goals)) + list(_episodes(sheets, dataset, name, given.episodes))
