@@ -10,6 +10,7 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
+from coordinator.expansion.catalog import add_files
 from coordinator.expansion.draw import expand_layout
 from coordinator.ledger.builds import number_of_layout, open_builds
 from coordinator.ledger.opening import ledger_url_of, open_run
@@ -23,6 +24,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.tables.checkpoint import is_checkpoint_due
 from coordinator.transfer.contract import BundleValidator
 from coordinator.validation.validator import Validator
+from schemas.terms import family_of
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
         WorldError: another coordinator uses the directory, or the disk cannot be written.
     """
     url = ledger_url_of(root, options.ledger_url)
-    packages = {sha256: path for entry in terms.catalog.values() for sha256, path in entry.files.items()}
+    packages: dict[str, Path] = {}
+    for entry in terms.catalog.values():
+        add_files(packages, entry)
     checker = options.checker or Validator(options.settings.pullers, packages=packages)
     stack.callback(checker.close)
     archive = stack.enter_context(open_archive(root, options.store, take_over=options.take_over))
@@ -103,7 +107,11 @@ def _reconcile(
         ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned, options.shard
     )
     for name, entry in terms.catalog.items():
-        archive.add_scene(entry.path, name, entry.sha256)
+        archive.add_scene(entry.path, name, entry.sha256, entry.textures)
+        if entry.textures:
+            family = family_of(name)
+            terms.textures[family] = terms.textures.get(family, frozenset()).union(entry.textures)
+    archive.sweep_textures(frozenset().union(*terms.textures.values()))
     _adopt_layouts(ledger, terms, options.clock())
     reconciled = reconcile(archive, ledger.engine, terms, checker, options.clock())
     ledger.start_writer()

@@ -20,14 +20,11 @@ from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.scene import Target
+from schemas.support.approach import approach, ring, target_distances
 from schemas.support.numpy_types import Floats
-from schemas.support.planar import footprint_distances, gaps_to, squares, yaw_of
+from schemas.support.planar import footprint_distances, gaps_to, yaw_of
 from schemas.terms import SuccessMeasure
 
-_STEP = 2.0**-36
-"""Resolution of a point on a line, share of its length: 100 m have parts below 1e-8 m."""
-_NEWTON_STEPS = 6
-"""Steps after which Newton's method has found nearly all points on lines; bisection finds the others."""
 _OUTLINE_POINTS = 97
 
 
@@ -92,9 +89,7 @@ class Goal:
 
     def distances(self, points: ArrayLike) -> Floats:
         """Returns the distances (...) of points (..., 2) to the target by the success measure, metres."""
-        if self.footprint_m:
-            return footprint_distances(points, self.footprint_m)
-        return np.asarray(np.linalg.norm(np.asarray(points, float) - self._centre, axis=-1))
+        return target_distances(np.asarray(points, float), self._centre, self._vertices)
 
     def distance(self, x: float, y: float) -> float:
         """Returns the distance of one point to the target by the success measure, metres."""
@@ -122,40 +117,8 @@ class Goal:
             starts: (..., 2) points, metres.
             distance_m: one distance by the success measure, or one for each start (...), metres.
         """
-        start, limit = np.asarray(starts, float), np.asarray(distance_m, float)
-        away = start - self._centre
-        if not self.footprint_m:
-            distance = np.linalg.norm(away, axis=-1, keepdims=True)
-            return np.where(
-                distance > limit[..., None],
-                self._centre + away * (limit[..., None] / np.maximum(distance, 1e-9)),
-                start,
-            )
-        low, high = self._bracket(away, limit)
-        while (is_wide := high - low > _STEP).any():
-            middle = (low + high) / 2
-            is_near = self.distances(self._centre + away * middle[..., None]) <= limit
-            low, high = np.where(is_wide & is_near, middle, low), np.where(is_wide & ~is_near, middle, high)
-        is_there = (self.distances(start) <= limit)[..., None]
-        return np.where(is_there, start, self._centre + away * low[..., None])
-
-    def _bracket(self, away: Floats, limit: Floats) -> tuple[Floats, Floats]:
-        """Returns multiples of `_STEP` (...) between which lines (..., 2) from the centroid cross a distance (...).
-
-        They are two steps apart if Newton's method found the crossing, else 0 and 1; the bisection between them has the
-        same result. The distance is a convex function of the share of a line, so the method cannot pass the crossing.
-        """
-        vertices, share = np.asarray(self.footprint_m), np.ones(away.shape[:-1])
-        for _ in range(_NEWTON_STEPS):
-            gaps = gaps_to(self._centre + away * share[..., None], vertices)
-            distance = np.sqrt(squares(gaps))
-            slope = -(gaps * away).sum(axis=-1) / np.maximum(distance, 1e-9)
-            share = np.clip(share - (distance - limit) / np.maximum(slope, 1e-9), 0.0, 1.0)
-        found = np.round(share / _STEP) * _STEP
-        low, high = np.maximum(found - _STEP, 0.0), np.minimum(found + _STEP, 1.0)
-        is_low = self.distances(self._centre + away * low[..., None]) <= limit
-        is_high = (self.distances(self._centre + away * high[..., None]) > limit) | (high == 1.0)
-        return np.where(is_low & is_high, low, 0.0), np.where(is_low & is_high, high, 1.0)
+        limit = np.asarray(distance_m, float)
+        return approach(np.asarray(starts, float), limit, self._centre, self._vertices)
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
         """Returns length (at most 0 inside) and end of the shortest straight way from a point (2,) into the goal."""
@@ -174,9 +137,7 @@ class Goal:
             distance_m: one distance by the success measure, or one for each direction (N,), metres.
         """
         distance = np.asarray(distance_m, float)
-        if not self.footprint_m:
-            return np.asarray(self._centre + distance[..., None] * directions)
-        return self.approach(self._centre + (self.extent_m + distance)[..., None] * directions, distance)
+        return ring(directions, distance, self._centre, np.asarray(self.extent_m), self._vertices)
 
     def outline(self) -> Floats:
         """Returns the edge of the goal as a closed line (N, 2), for drawing."""
@@ -191,6 +152,10 @@ class Goal:
     @cached_property
     def _centre(self) -> Floats:
         return np.asarray(self.centre_m, float)
+
+    @cached_property
+    def _vertices(self) -> Floats | None:
+        return np.asarray(self.footprint_m, float) if self.footprint_m else None
 
 
 class TrackMeasure(NamedTuple):

@@ -7,21 +7,17 @@ Design: docs/design/data.md#archive.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
+from coordinator.archive.scenes import scene_file
 from coordinator.archive.staging import Staged
 from schemas.errors import FactoryError
 from schemas.storage.place import FilePlace, Place
 
 __all__ = ["Archive", "Staged", "scene_file"]
-
-
-def scene_file(name: str, sha256: str) -> str:
-    """Returns the file name of a compiled scene in the scene folder."""
-    return f"{name}-{sha256[:16]}.scene.zip"
 
 
 class Archive(AbstractContextManager["Archive", None], Protocol):
@@ -114,15 +110,31 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
     def free_bytes(self) -> int:
         """Returns the free space, in bytes, for an unprivileged user on the file system of the part files."""
 
-    def add_scene(self, source: Path, name: str, sha256: str) -> Place:
-        """Stores a compiled scene with the dataset. Does nothing if the scene is already stored.
+    def add_scene(self, source: Path, name: str, sha256: str, textures: Sequence[str] = ()) -> Place:
+        """Stores a compiled scene with the dataset, its textures first. Does nothing if the scene is already stored.
+
+        Args:
+            source: compiled package; the textures that the dataset does not have are in the folder beside it.
+            name: name of the scene.
+            sha256: expected SHA-256 of the package.
+            textures: SHA-256 of the files of its textures.
 
         Raises:
-            ArchiveCorrupt: the digest of the package differs from `sha256`.
+            ArchiveCorrupt: the digest of the package differs from `sha256`, or a texture is missing or damaged.
+            WorldError: the file cannot be stored; no incomplete file is published.
         """
+
+    def add_texture(self, source: Path, sha256: str) -> Place:
+        """Stores the file of a texture. Does nothing if a file of that digest is stored; raises as `add_scene`."""
 
     def scene_path(self, name: str, sha256: str) -> Place:
         """Returns the path of a compiled scene, whether or not it is stored yet."""
+
+    def texture_path(self, sha256: str) -> Place:
+        """Returns the path of the file of a texture, whether or not it is stored yet."""
+
+    def sweep_textures(self, needed: Collection[str]) -> None:
+        """Deletes the textures whose SHA-256 is not in `needed`, which an interruption has left."""
 
     def replacing(self, name: str) -> AbstractContextManager[Path]:
         """Yields a part file, which replaces a table of the dataset if the block exits without an error.

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import threading
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from coordinator.archive.contract import scene_file
 from coordinator.archive.packing import PackingArchive
+from coordinator.archive.scenes import SceneStore
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset.rows import file_name_of
-from schemas.errors import ArchiveCorrupt, FactoryError, WorldError
+from schemas.errors import FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
 from schemas.storage.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.storage.disk import (
-    copy_hashed,
     replacing,
     set_aside,
     set_copy_aside,
@@ -35,7 +35,7 @@ _SYNCING_THREADS = 8
 """Number of threads that sync the files of several episodes; the file system commits concurrent syncs together."""
 
 
-class DirectoryArchive(PackingArchive, Closing):
+class DirectoryArchive(PackingArchive, SceneStore, Closing):
     """Exclusively opened dataset directory: no other coordinator can open it until it is closed.
 
     Raises:
@@ -150,35 +150,19 @@ class DirectoryArchive(PackingArchive, Closing):
         """See `Archive.free_bytes`."""
         return self._staging.free_bytes()
 
-    def add_scene(self, source: Path, name: str, sha256: str) -> Path:
-        """Stores a compiled scene with the dataset. Does nothing if the scene is already stored.
+    def _keep(self, source: Path, place: Place) -> None:
+        assert isinstance(place, Path), place
+        with translated("write", place):
+            if not place.parent.is_dir():
+                place.parent.mkdir()
+                sync_directory(place.parent.parent)
+        with replacing(place, part=self._staging.part(place.name), durable=True) as part:
+            shutil.copyfile(source, part)
 
-        Args:
-            source: compiled package.
-            name: name of the scene.
-            sha256: expected SHA-256 of the package.
-
-        Raises:
-            ArchiveCorrupt: the digest of the package differs from `sha256`.
-        """
-        final = self.scene_path(name, sha256)
-        if final.exists():
-            return final
-        part = self._staging.part("scene")
-        try:
-            with translated("write", part.parent):
-                found = copy_hashed(source, part)
-                if found != sha256:
-                    raise ArchiveCorrupt(f"{source} has SHA-256 {found}, expected {sha256}: build the scene again")
-                part.replace(final)
-                sync_directory(final.parent)
-        finally:
-            part.unlink(missing_ok=True)
-        return final
-
-    def scene_path(self, name: str, sha256: str) -> Path:
-        """Returns the path of a compiled scene, whether or not it is stored yet."""
-        return self.root / SCENES / scene_file(name, sha256)
+    def _drop(self, place: Place) -> None:
+        assert isinstance(place, Path), place
+        with translated("delete from", place.parent):
+            place.unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:

@@ -19,13 +19,13 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.archive.contract import scene_file
 from coordinator.archive.packing import PackingArchive, in_threads
+from coordinator.archive.scenes import SceneStore
 from coordinator.archive.staging import Staged, Staging
 from schemas.dataset.rows import file_name_of
 from schemas.errors import ArchiveCorrupt, FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
-from schemas.storage.dataset_files import EPISODES, QUARANTINE, SCENES
+from schemas.storage.dataset_files import EPISODES, QUARANTINE
 from schemas.storage.disk import set_aside, translated
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.packed_path import PackedPath
@@ -38,7 +38,7 @@ _NAME = ".name"
 log = structlog.get_logger(__name__)
 
 
-class ObjectArchive(PackingArchive, Closing):
+class ObjectArchive(PackingArchive, SceneStore, Closing):
     """Exclusively opened dataset in object storage: no coordinator with another state directory can
     open it until it is closed.
 
@@ -172,20 +172,14 @@ class ObjectArchive(PackingArchive, Closing):
         """See `Archive.free_bytes`. The value is that of the state directory; object storage is not limited."""
         return self._staging.free_bytes()
 
-    def add_scene(self, source: Path, name: str, sha256: str) -> ObjectPath:
-        """See `Archive.add_scene`."""
-        final = self.scene_path(name, sha256)
-        if not final.exists():
-            found = digest_of(source)
-            if found != sha256:
-                raise ArchiveCorrupt(f"{source} has SHA-256 {found}, expected {sha256}: build the scene again")
-            with contextlib.suppress(FileExistsError):
-                self._put_new(final.key, source)
-        return final
+    def _keep(self, source: Path, place: Place) -> None:
+        assert isinstance(place, ObjectPath), place
+        with contextlib.suppress(FileExistsError):  # a lost response
+            self._put_new(place.key, source)
 
-    def scene_path(self, name: str, sha256: str) -> ObjectPath:
-        """See `Archive.scene_path`."""
-        return self.root / SCENES / scene_file(name, sha256)
+    def _drop(self, place: Place) -> None:
+        assert isinstance(place, ObjectPath), place
+        self._objects.delete(place.key)
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:

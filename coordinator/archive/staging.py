@@ -216,5 +216,7 @@ def _lock(path: Path, dataset: str) -> int:
 
 def _clear(directory: Path) -> None:
     for path in directory.iterdir():
-        if path.is_file() or path.is_symlink():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)  # an unpacked layout
+        else:
             path.unlink()

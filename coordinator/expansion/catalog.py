@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.scene import SceneInfo, decode_scene, read_scene_info
+from schemas.scene import SceneInfo, decode_geometry, read_info
+from schemas.scene.info import texture_file
 from schemas.storage.place import digest_of
 from schemas.terms import layout_number
 from schemas.view import LightFile
@@ -28,6 +30,8 @@ class SceneEntry:
     """Size of the package file, bytes."""
     path: Path
     """Path of the package file."""
+    textures: tuple[str, ...] = ()
+    """SHA-256 of the files of its textures, which are in the folder `textures` beside the package."""
     light: Path | None = None
     """Path of the light groups of the scene, if the plan varies the light."""
 
@@ -47,31 +51,41 @@ class SceneEntry:
             return None
         return LightFile(sha256=digest_of(self.light), size=self.light.stat().st_size)
 
-    @property
-    def files(self) -> dict[str, Path]:
-        """Files that workers fetch, by digest."""
-        light = {} if self.light is None or self.light_file is None else {self.light_file.sha256: self.light}
-        return {self.sha256: self.path, **light}
+    def texture_path(self, sha256: str) -> Path:
+        """Returns the path of the file of a texture."""
+        return self.path.parent / texture_file(sha256)
 
 
 Catalog = Mapping[str, SceneEntry]
 """Mapping of scene name to entry."""
 
 
+def add_files(files: MutableMapping[str, Path], entry: SceneEntry) -> None:
+    """Adds the files of a scene that workers fetch to a mapping by SHA-256: package, textures and light groups."""
+    files[entry.sha256] = entry.path
+    if entry.light is not None and entry.light_file is not None:
+        files[entry.light_file.sha256] = entry.light
+    for sha256 in entry.textures:
+        if sha256 not in files:
+            files[sha256] = entry.texture_path(sha256)
+
+
 def read_entry(path: Path) -> SceneEntry:
     """Reads digest and metadata of a package; the metadata of a layout, of which a plan has many, is not kept.
 
+    Does not read the files of its textures.
+
     Raises:
-        InvalidBundle: the file is not a package of this format version.
+        InvalidBundle: the file is not a package of a known format version.
     """
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         size = file.tell()
-        info = decode_scene(file).info
-    return SceneEntry(info if layout_number(info.name) is None else None, sha256, size, path)
+        info = decode_geometry(file).info
+    textures = tuple(sys.intern(texture.sha256) for texture in info.textures)  # layouts share most of them
+    return SceneEntry(info if layout_number(info.name) is None else None, sha256, size, path, textures)
 
 
 @functools.lru_cache(maxsize=_KEPT_INFOS)
 def _read_info(path: Path, sha256: str) -> SceneInfo:  # noqa: ARG001 - the key of the content
-    with path.open("rb") as file:
-        return read_scene_info(file)
+    return read_info(path)

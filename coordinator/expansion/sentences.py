@@ -17,7 +17,7 @@ from schemas.language.possible import Probe, explain_impossible
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
 from schemas.plan import Plan
-from schemas.scene import CompiledScene, Target, decode_scene
+from schemas.scene import CompiledScene, Target, read_geometry
 from schemas.support.numpy_types import Floats
 
 _KEPT_SCENES = 4
@@ -33,7 +33,7 @@ def scene_language(package: Path) -> SceneLanguage:
     Raises:
         InvalidBundle: the package is damaged.
     """
-    return SceneLanguage(build_graph(_decode(package)))
+    return SceneLanguage(build_graph(read_geometry(package)))
 
 
 def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
@@ -51,7 +51,7 @@ def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
     found = [f"language: {line}" for line in nouns]
     for number, cells in enumerate(each_scene(plan, catalog) if not found else ()):
         package = cells.entry.path
-        probes = list(_probes(plan, cells, _decode(package), scene_language(package)))
+        probes = list(_probes(plan, cells, read_geometry(package), scene_language(package)))
         why = explain_impossible(scene_language(package), plan.language, probes) if probes else ""
         found += [f"scenes[{number}] {cells.scene.name}: language: {why}"] if why else []
     return found
@@ -72,8 +72,3 @@ def _starts(scene: CompiledScene, target: Target) -> list[tuple[float, float]]:
     distances = np.linalg.norm(scene.spawns - np.asarray(target.centroid_m[:2]), axis=1)
     points: Floats = scene.spawns[(distances > _RANGE_M[0]) & (distances < _RANGE_M[1])]
     return [(float(x), float(y)) for x, y in points[:: max(1, math.ceil(len(points) / _STARTS))]]
-
-
-def _decode(package: Path) -> CompiledScene:
-    with package.open("rb") as file:
-        return decode_scene(file)

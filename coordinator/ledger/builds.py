@@ -19,7 +19,7 @@ from coordinator.ledger.transitions import is_in
 from schemas.errors import TransientError
 from schemas.layouts import LAYOUT_SEEDS, LayoutPlan
 from schemas.plan import Budget, Plan
-from schemas.protocol.messages import BuildOrder
+from schemas.protocol.messages import MAX_KNOWN_TEXTURES, BuildOrder
 from schemas.terms import FailReason
 
 _AFTER_EPISODES = 1.0
@@ -78,8 +78,13 @@ def _row(index: int, draw: int, layout: str, attempt: int, now: datetime) -> dic
     }
 
 
-def order_of(plan: Plan, row: BuildRow) -> BuildOrder:
+def order_of(plan: Plan, row: BuildRow, known: Collection[str] = ()) -> BuildOrder:
     """Returns the order of a build for a worker.
+
+    Args:
+        plan: plan of the run.
+        row: job of the build.
+        known: SHA-256 of textures that the worker need not send.
 
     Raises:
         TransientError: the file of category rules cannot be read now.
@@ -88,7 +93,13 @@ def order_of(plan: Plan, row: BuildRow) -> BuildOrder:
     if not isinstance(part, LayoutPlan):
         raise TypeError(f"{row.scene} is not a layout")
     rules = None if part.rules is None else _read_rules(Path(part.rules))
-    return BuildOrder(layout=part.name, family=part.family.name, seed=part.seeds[row.draw], rules=rules)
+    return BuildOrder(
+        layout=part.name,
+        family=part.family.name,
+        seed=part.seeds[row.draw],
+        rules=rules,
+        textures=tuple(sorted(known)[:MAX_KNOWN_TEXTURES]),
+    )
 
 
 def _read_rules(path: Path) -> str:

@@ -64,7 +64,9 @@ _ANNOUNCE = Transition(
 )
 _IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("announced"))
 _ARCHIVE = Transition(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
-_END_BUILD = Transition(Event.ARCHIVED, *UNDER_LEASE, _IS_ANNOUNCED[1], lease_until=None, losses=0)
+_END_BUILD = Transition(
+    Event.ARCHIVED, *UNDER_LEASE, _IS_ANNOUNCED[1], lease_until=None, losses=0, sha256=bindparam("package")
+)
 _ADOPT = Transition(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
 _LOSE = Transition(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
 _AFTER_TASK_FAILURE: dict[str, Any] = {
@@ -121,18 +123,19 @@ def archive(connection: Connection, lease: Lease, summary: BundleReceipt, now: d
 
 
 def record_package(
-    connection: Connection, lease: Lease, sha256: str, planned: Sequence[PlannedJob], now: datetime
+    connection: Connection, lease: Lease, announced: str, package: str, planned: Sequence[PlannedJob], now: datetime
 ) -> bool:
     """Records the package of a layout and inserts the episodes of the layout, if the lease of the build is in force.
 
     Args:
         connection: within a transaction.
         lease: lease of the build.
-        sha256: digest of the stored package, which is the announced one.
+        announced: digest of the announced file.
+        package: digest of the stored package.
         planned: first draws of the episodes of the layout.
         now: time of the record.
     """
-    row = _END_BUILD.make(connection, {**lease_parameters(lease), "announced": sha256}, now)
+    row = _END_BUILD.make(connection, {**lease_parameters(lease), "announced": announced, "package": package}, now)
     if row is None:
         return False
     insert_planned(connection, planned, now)

@@ -140,7 +140,7 @@ def adopt_package(
         build = _made(_FREE[JobState(build.state)], connection, build, {}, now)
     lease = lease_of(_take(connection, build, build.attempt, now))
     outcomes.announce(connection, Done(sid=REPAIRER, lease=lease, sha256=sha256, size=size), now, _LEASE_S)
-    if not outcomes.record_package(connection, lease, sha256, planned, now):
+    if not outcomes.record_package(connection, lease, sha256, sha256, planned, now):
         raise AssertionError("the ledger was changed by another writer")
 
 

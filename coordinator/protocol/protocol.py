@@ -48,6 +48,7 @@ from schemas.protocol.messages import (
     Refusal,
     RunKind,
 )
+from schemas.terms import family_of
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -100,6 +101,8 @@ class Terms:
     """Function that returns the states recording of a job."""
     memory: dict[str, HostMemory] = field(default_factory=dict)
     """Memory in the last heartbeat by host."""
+    textures: dict[str, frozenset[str]] = field(default_factory=dict)
+    """SHA-256 of the stored textures by family."""
     workers_validate: bool = False
     """Whether workers validate their bundles before they announce them."""
 
@@ -222,7 +225,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
         connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start, can_build=claim.can_build
     )
     if row is not None and row.tier == BUILD:
-        return ProtocolAnswer(ClaimReply(build=order_of(terms.plan, row), lease=lease_of(row)))
+        known = terms.textures.get(family_of(row.scene), frozenset())
+        return ProtocolAnswer(ClaimReply(build=order_of(terms.plan, row, known), lease=lease_of(row)))
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)

@@ -187,7 +187,7 @@ def join_shards(
         stack.callback(engine.dispose)
         open_run(engine, target.plan, target.catalog, CoordinatorSettings().lease_ttl_s, now)
         for name, entry in target.catalog.items():
-            archive.add_scene(entry.path, name, entry.sha256)
+            archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         for done, (place, state) in enumerate(sorted(shards, key=lambda one: one[1].shard.number), 1):
             numbers = state.shard.numbers(target.plan.episodes)
             copied, refused = _copy_episodes(archive, engine, target, place, numbers, checker)

@@ -41,13 +41,23 @@ from schemas.dataset.run_shard import RunShard
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
-from schemas.storage.dataset_files import ATTEMPTS_FILE, CARD_FILE, EPISODES, META_FILE, METADATA_FILE, SHARDS_FILE
+from schemas.scene.info import TEXTURES, texture_file
+from schemas.storage.dataset_files import (
+    ATTEMPTS_FILE,
+    CARD_FILE,
+    EPISODES,
+    META_FILE,
+    METADATA_FILE,
+    SCENES,
+    SHARDS_FILE,
+)
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.object_path import ObjectPath
-from schemas.storage.place import Place, relative_name
+from schemas.storage.place import Place, children, digest_of, relative_name
 
 _LEASE_TTL_S = 15.0
 _LISTED_CHARS = 500
+_SURPLUS = "no scene of the run needs this texture"
 
 
 @dataclass(frozen=True)
@@ -152,6 +162,15 @@ def _of_ledger(trouble: str) -> Iterator[Action]:
 def _of_scenes(dataset: RepairInput) -> Iterator[Action]:
     for name, why in dataset.scenes.items():
         yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
+    for place in _surplus_textures(dataset):
+        yield Action(kind=RepairKind.QUARANTINE, what=relative_name(place, dataset.root), why=_SURPLUS)
+
+
+def _surplus_textures(dataset: RepairInput) -> list[Place]:
+    """Returns the files of textures that no scene of the run needs."""
+    folder = dataset.root / SCENES
+    needed = {folder / texture_file(sha256) for entry in dataset.catalog.values() for sha256 in entry.textures}
+    return [place for place in children(folder / TEXTURES) if place not in needed]
 
 
 def _of(root: Place, survey: Survey) -> Iterator[Action]:
@@ -207,11 +226,15 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
 def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
     """Applies the actions: files first, then the ledger, then the tables. An interrupted repair can be repeated."""
     for name, why in dataset.scenes.items():
-        package = archive.scene_path(name, dataset.catalog[name].sha256)
-        if package.exists():
-            archive.quarantine(package, why)
+        entry = dataset.catalog[name]
+        for sha256 in entry.textures:
+            _set_aside_damaged(archive, archive.texture_path(sha256), sha256, why)
+            archive.add_texture(entry.texture_path(sha256), sha256)
+        _set_aside_damaged(archive, archive.scene_path(name, entry.sha256), entry.sha256, why)
     for name, entry in dataset.catalog.items():
-        archive.add_scene(entry.path, name, entry.sha256)
+        archive.add_scene(entry.path, name, entry.sha256, entry.textures)
+    for place in _surplus_textures(dataset):
+        archive.quarantine(place, _SURPLUS)
     for path, why in survey.quarantine:
         archive.quarantine(path, why)
     for quarantined, summary in survey.restore:
@@ -236,6 +259,11 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
         write_split_tables(archive, deep=True)
     finally:
         engine.dispose()
+
+
+def _set_aside_damaged(archive: Archive, place: Place, sha256: str, why: str) -> None:
+    if place.exists() and digest_of(place) != sha256:
+        archive.quarantine(place, why)
 
 
 def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:

@@ -11,10 +11,11 @@ class RepairKind(StrEnum):
     """Kind of a repair action."""
 
     REBUILD = "rebuild"  # the ledger is lost or damaged: rebuilt from plan, tables and archive
-    RESTORE = "restore"  # a scene package is missing or damaged: taken from the cache or compiled again; an episode in
-    # quarantine is intact and of the plan: moved back and recorded
+    RESTORE = "restore"  # a scene package or a texture is missing or damaged: taken from the cache or compiled
+    # again; an episode in quarantine is intact and of the plan: moved back and recorded
     ADOPT = "adopt"  # an intact episode without a ledger record: validated and recorded
-    QUARANTINE = "quarantine"  # a file that is not an intact episode of this plan: moved to the quarantine folder
+    QUARANTINE = "quarantine"  # a file that is not an intact episode of this plan, or a texture that no scene needs:
+    # moved to the quarantine folder
     REQUEUE = "requeue"  # a recorded episode without a file: collected again, with the same content
     REWRITE = "rewrite"  # a table that is missing or differs from the ledger: written again
 

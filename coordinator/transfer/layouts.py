@@ -6,7 +6,9 @@ The module transfers nothing. A package that cannot fulfil the plan is refused, 
 from __future__ import annotations
 
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, MutableMapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +16,7 @@ from pathlib import Path
 import structlog
 
 from coordinator.archive.contract import Archive, Staged
-from coordinator.expansion.catalog import SceneEntry, read_entry
+from coordinator.expansion.catalog import SceneEntry, add_files, read_entry
 from coordinator.expansion.draw import expand_layout
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
@@ -25,9 +27,12 @@ from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.errors import InvalidBundle
 from schemas.plan import Plan
 from schemas.protocol.messages import Fail, cut_detail
+from schemas.scene.complete import split_package
+from schemas.scene.files import faulty_textures
+from schemas.scene.info import TEXTURES, texture_file
 from schemas.storage.dataset_files import SCENES
-from schemas.storage.disk import translated
-from schemas.terms import FailReason
+from schemas.storage.disk import replacing, translated
+from schemas.terms import FailReason, family_of
 
 log = structlog.get_logger(__name__)
 
@@ -65,18 +70,25 @@ class LayoutStore:
             InvalidBundle: the file is not a package of the layout, or not the announced one.
             WorldError: the disk is full or unavailable; nothing has been recorded.
         """
+        if staged.is_linked and staged.sha256 != pull.sha256:
+            raise InvalidBundle("bundle refused", [f"SHA-256 {staged.sha256}, {pull.sha256} was announced"])
         self.check(staged.path)
-        entry = read_entry(staged.path)
-        if (entry.info.name, entry.sha256) != (build.layout, pull.sha256):
-            raise InvalidBundle(
-                "bundle refused",
-                [f"package {entry.sha256[:16]} of {entry.info.name}, expected {pull.sha256[:16]} of {build.layout}"],
-            )
-        faults = list(layout_faults(self.terms.plan, build.layout, entry))
-        if faults:
-            self._refuse(pull, build, "; ".join(faults))
-        else:
-            self._store(pull, build, entry)
+        with unpacked(staged.path) as package:
+            entry = read_entry(package)
+            if entry.info.name != build.layout:
+                raise InvalidBundle("bundle refused", [f"package of {entry.info.name}, expected {build.layout}"])
+            self._require_textures(package)
+            faults = list(layout_faults(self.terms.plan, build.layout, entry))
+            if faults:
+                self._refuse(pull, build, "; ".join(faults))
+            else:
+                self._store(pull, build, entry)
+
+    def _require_textures(self, package: Path) -> None:
+        """Checks that each texture of a layout is in its bundle or in the dataset."""
+        absent = [one for one in faulty_textures(package) if not self.archive.texture_path(one.sha256).exists()]
+        if absent:
+            raise InvalidBundle("bundle refused", [f"texture {one.file} is missing" for one in absent])
 
     def _refuse(self, pull: Pull, build: BuildJob, detail: str) -> None:
         report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.LAYOUT, detail=cut_detail(detail))
@@ -87,24 +99,33 @@ class LayoutStore:
         plan, layout = self.terms.plan, build.layout
         entry = replace(staged, path=self._keep(layout, staged))
         planned = tuple(expand_layout(plan, build.number, plan.spans[layout][0], entry))
-        self.packages[entry.sha256] = entry.path
+        add_files(self.packages, entry)
         self.catalog[layout] = entry  # before the commit, after which workers claim the episodes
         if self.writer.call(
-            lambda connection: outcomes.record_package(connection, pull.lease, entry.sha256, planned, self.clock())
+            lambda connection: outcomes.record_package(
+                connection, pull.lease, pull.sha256, entry.sha256, planned, self.clock()
+            )
         ):
             self._remove_others(layout, entry)
+            family = family_of(layout)
+            self.terms.textures[family] = self.terms.textures.get(family, frozenset()).union(entry.textures)
             log.info("layout_stored", layout=layout, worker=pull.sid, episodes=len(planned))
         elif self.catalog[layout] is entry:  # the lease was lost meanwhile
             del self.catalog[layout]
 
     def _keep(self, layout: str, staged: SceneEntry) -> Path:
         """Stores a package in the dataset, and returns the path of a local file with it."""
-        stored = self.archive.add_scene(staged.path, layout, staged.sha256)
+        stored = self.archive.add_scene(staged.path, layout, staged.sha256, staged.textures)
         if isinstance(stored, Path):
             return stored
         copy = self.state_dir / SCENES / stored.name
         with translated("write", copy.parent):
-            copy.parent.mkdir(exist_ok=True)
+            (copy.parent / TEXTURES).mkdir(parents=True, exist_ok=True)
+            for sha256 in staged.textures:
+                texture = copy.parent / texture_file(sha256)
+                if not texture.exists():
+                    with replacing(texture) as part:
+                        part.write_bytes(self.archive.texture_path(sha256).read_bytes())
             shutil.copyfile(staged.path, copy)
         return copy
 
@@ -113,6 +134,30 @@ class LayoutStore:
         for path in (self.state_dir / SCENES).glob(f"{layout}-*.scene.zip"):
             if path != entry.path:
                 path.unlink()
+
+
+@contextmanager
+def unpacked(bundle: Path) -> Iterator[Path]:
+    """Yields the package in the bundle of a build, with the textures of the bundle beside it, in a temporary folder.
+
+    Raises:
+        InvalidBundle: the bundle is damaged.
+        WorldError: the disk is full or unavailable.
+    """
+    with bundle.open("rb") as file:
+        parts = split_package(file)
+    with translated("write", bundle.parent):
+        folder = Path(tempfile.mkdtemp(prefix="layout-", dir=bundle.parent))
+    try:
+        with translated("write", folder):
+            package = folder / "layout.scene.zip"
+            package.write_bytes(parts.package)
+            (folder / TEXTURES).mkdir()
+            for texture, data in parts.textures.items():
+                (folder / texture.file).write_bytes(data)
+        yield package
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:

@@ -33,7 +33,7 @@ from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.errors import InvalidBundle
 from schemas.language.grammar import LANGUAGES, grammar
-from schemas.scene import decode_scene
+from schemas.scene.complete import require_sound
 
 
 def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
@@ -44,7 +44,7 @@ def verdict_of(task: ValidationTask, file: BinaryIO) -> Verdict:
         if size > MAX_BUNDLE_BYTES:
             return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
         if task.job is None:
-            decode_scene(file)
+            require_sound(file)
             return Verdict()
         with BundleReader(file) as bundle:
             findings = validate(bundle, task.job, task.candidates, scope=task.scope)

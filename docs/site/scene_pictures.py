@@ -24,7 +24,7 @@ from factory.scenes.pictures.sheet import draw_sheet, variants
 from factory.scenes.pictures.viewpoints import EYE, best_views
 from factory.support.settings import scene_cache
 from schemas.errors import LayoutError
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from schemas.terms import BUILTIN_CATEGORIES, PAPER_SCENES, layout_name
 from workers.render.choose import open_renderer
 
@@ -79,8 +79,7 @@ def layouts(family: str) -> Iterator[CompiledScene]:
         except LayoutError as error:
             print(error)
             continue
-        with package.open("rb") as file:
-            yield decode_scene(file)
+        yield read_scene(package)
 
 
 def draw_categories(scene: CompiledScene, family: str) -> None:

@@ -24,9 +24,9 @@ from factory.dataset.site import site_of
 from factory.web.start import serve
 
 FOLDER = Path(__file__).parents[1] / "web"
-WIDTHS_PX = (360, 1280, 3840)
-SCHEMES = ("light", "dark")
-COLOURS = 128
+WINDOWS = ((360, "dark"), (1280, "light"), (3840, "dark"), (360, "light"), (1280, "dark"), (3840, "light"))
+"""Widths in pixels and colour schemes."""
+COLOURS = 255
 """Number of colours of the pictures of docs/web, so that they stay small."""
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
@@ -69,7 +69,7 @@ def main() -> None:
     paths = _paths(given.dataset, given.evaluation)
     with (
         _browser() as browser,
-        serve(site_of(str(given.dataset)), "127.0.0.1:0", evaluations=[given.evaluation]) as url,
+        serve(site_of(str(given.dataset)), "127.0.0.1:0", None, evaluations=[given.evaluation]) as url,
     ):
         if given.docs:
             for name, shot in DOCS.items():
@@ -77,7 +77,7 @@ def main() -> None:
                 _reduce(FOLDER / f"{name}.png", shot.shown)
             return
         given.folder.mkdir(parents=True, exist_ok=True)
-        for name, width, scheme in product(paths, WIDTHS_PX, SCHEMES):
+        for (width, scheme), name in product(WINDOWS, paths):
             path = given.folder / f"{name}_{width}_{scheme}.png"
             _draw(browser, url, paths[name], Shot(name, width, 900, scheme), path, whole=True)
 

@@ -83,7 +83,8 @@ def make_sample(
         for planned in expand(plan, catalog):
             job = to_job(plan, catalog, planned, attempt=1)
             entry = catalog[job.scene]
-            stage.load(archive.add_scene(entry.path, job.scene, entry.sha256), entry.sha256)
+            archive.add_scene(entry.path, job.scene, entry.sha256, entry.textures)
+            stage.load(entry.path, entry.sha256)
             row = _try(archive, job, stage)
             tell()
             if row is not None:

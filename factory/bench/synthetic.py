@@ -94,7 +94,7 @@ def make_synthetic(
     planned, now = expand(plan, catalog), datetime.now(UTC)
     with open_archive(root) as archive:
         for name, entry in catalog.items():
-            archive.add_scene(entry.path, name, entry.sha256)
+            archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         engine = open_writer(ledger_url_of(root))
         try:
             open_run(engine, plan, catalog, _TTL_S, now, planned)

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from factory.support.settings import cache_directory, scene_path
 from schemas.errors import ArchiveCorrupt
-from schemas.scene import SceneInfo, decode_scene, read_scene_info
+from schemas.scene import CompiledScene, SceneInfo, read_complete, read_geometry, read_info, read_scene
+from schemas.scene.files import faulty_textures
+from schemas.scene.info import TEXTURES
 from schemas.storage.dataset_files import SCENES
 from schemas.storage.disk import translated
 from schemas.storage.place import Place, children, digest_of
@@ -35,12 +37,21 @@ class ScenePackage(NamedTuple):
     """SHA-256 of the package."""
 
     def read(self) -> bytes:
-        """Returns the bytes of the package.
+        """Returns the complete package, with its textures; raises the errors of `scene`."""
+        return read_complete(find_package_file(*self))
+
+    def scene(self) -> CompiledScene:
+        """Returns the scene.
 
         Raises:
             ArchiveCorrupt: No package has the digest.
+            InvalidBundle: The package or a texture is damaged or missing.
         """
-        return find_package_file(*self).read_bytes()
+        return read_scene(find_package_file(*self))
+
+    def geometry(self) -> CompiledScene:
+        """Returns the scene without the pixels of its textures; raises the errors of `scene`."""
+        return read_geometry(find_package_file(*self))
 
     def rays(self) -> SceneRays:
         """Returns the ray caster of the scene; those of the most recently used scenes are kept.
@@ -66,8 +77,7 @@ class ScenePackage(NamedTuple):
     @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - the keys are values, and few
     def info(self) -> SceneInfo:
         """Returns the metadata of the scene; raises the errors of `read`."""
-        with find_package_file(*self).open("rb") as file:
-            return read_scene_info(file)
+        return read_info(find_package_file(*self))
 
 
 @functools.lru_cache(maxsize=_KEPT_RAYS)
@@ -75,8 +85,7 @@ def _rays_of(package: ScenePackage) -> SceneRays:
     require_package("embreex", "a lidar")
     from workers.sensors.rays import SceneRays
 
-    with find_package_file(*package).open("rb") as file:
-        return SceneRays(decode_scene(file))
+    return SceneRays(package.geometry())
 
 
 @functools.lru_cache(maxsize=_KEPT_SCENES)
@@ -85,8 +94,7 @@ def _appearance_scene(package: ScenePackage, with_light: bool) -> AppearanceScen
     from workers.appearance import AppearanceScene
 
     path = find_package_file(*package)
-    with path.open("rb") as file:
-        scene = decode_scene(file)
+    scene = read_scene(path)
     if not with_light:
         return AppearanceScene(scene)
     with light_file(path, package.sha256).open("rb") as file:
@@ -143,7 +151,28 @@ def packages_by_scene(folder: Place) -> dict[str, Place]:
 
 
 def package_file(place: Place) -> Path:
-    """Returns the local file of a scene package; the digest in its name identifies a cached copy.
+    """Returns the local file of a scene package, with its textures beside it, which hosts share.
+
+    Raises:
+        FileNotFoundError: The package does not exist.
+        ArchiveCorrupt: A texture does not exist.
+        WorldError: The object store does not respond, or the cache cannot be written.
+    """
+    copy = package_copy(place)
+    for texture in faulty_textures(copy) if copy != place else ():
+        source = place.parent / texture.file
+        try:
+            _download(source, copy.parent / texture.file)
+        except FileNotFoundError as error:
+            raise ArchiveCorrupt(
+                f"texture {source} of {place} is missing; restore it with `factory repair`, or copy the folder "
+                f"{TEXTURES} with the packages"
+            ) from error
+    return copy
+
+
+def package_copy(place: Place) -> Path:
+    """Returns the local file of a scene package without its textures; the digest in its name identifies a cached copy.
 
     Raises:
         FileNotFoundError: The package does not exist.
@@ -151,13 +180,16 @@ def package_file(place: Place) -> Path:
     """
     if isinstance(place, Path):
         return place
-    folder = cache_directory() / "packages"
-    copy = folder / place.name
-    if copy.is_file() and f"-{digest_of(copy)[:16]}." in copy.name:
-        return copy
-    part = folder / f"{place.name}.{secrets.token_hex(8)}.part"
-    with translated("write", folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    copy = cache_directory() / "packages" / place.name
+    if not (copy.is_file() and f"-{digest_of(copy)[:16]}." in copy.name):
+        _download(place, copy)
+    return copy
+
+
+def _download(place: Place, copy: Path) -> None:
+    part = copy.with_name(f"{copy.name}.{secrets.token_hex(8)}.part")
+    with translated("write", copy.parent):
+        copy.parent.mkdir(parents=True, exist_ok=True)
     try:
         data = place.read_bytes()
         with translated("write", part):
@@ -165,4 +197,3 @@ def package_file(place: Place) -> Path:
             part.replace(copy)
     finally:
         part.unlink(missing_ok=True)
-    return copy

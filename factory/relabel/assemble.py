@@ -24,6 +24,7 @@ from factory.export.output import Output
 from schemas.dataset.meta import Relabelling
 from schemas.language.file import LanguageSpec
 from schemas.language.instruction import InstructionKind
+from schemas.scene.info import TEXTURES
 from schemas.storage.dataset_files import (
     ATTEMPTS_FILE,
     CARD_FILE,
@@ -58,7 +59,7 @@ def assemble(
     """
     source = Path(str(dataset.root))
     output.begin_finish([dataset.digest])
-    for folder in (EPISODES, SCENES, SPLITS_FOLDER):
+    for folder in (EPISODES, SCENES, f"{SCENES}/{TEXTURES}", SPLITS_FOLDER):
         for file in sorted((source / folder).glob("*")):
             if file.is_file() and not output.has(f"{folder}/{file.name}"):
                 output.link(file, f"{folder}/{file.name}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +30,6 @@ from schemas.language.route.model import RouteText
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
-from schemas.scene import decode_scene
 from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.disk import replacing
 from schemas.storage.place import Place
@@ -197,7 +195,7 @@ def prepared_scene(package: ScenePackage) -> SceneLanguage:
     Raises:
         ArchiveCorrupt: the package is missing or damaged.
     """
-    return SceneLanguage(build_graph(decode_scene(io.BytesIO(package.read()))))
+    return SceneLanguage(build_graph(package.geometry()))
 
 
 def instructions_of(

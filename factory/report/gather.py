@@ -18,7 +18,7 @@ from factory.stats.views import read_fits, read_view
 from factory.visualize.floor_map import FloorMap, map_of
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
-from schemas.scene import SceneInfo, decode_scene
+from schemas.scene import SceneInfo, read_geometry
 from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.storage.place import Place
 from schemas.storage.shard_index import episode_place
@@ -120,8 +120,7 @@ def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, F
         if name not in mapped | opened:
             continue
         try:
-            with find_package(root, name, sha256).path.open("rb") as file:
-                scene = decode_scene(file)
+            scene = read_geometry(find_package(root, name, sha256).path)
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             text = f"the map of {name} is missing, and its episodes in the instructions: {format_error(error, root)}"
             rows.add_damage(SCENES, text)

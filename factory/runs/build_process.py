@@ -14,10 +14,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import errno
 import faulthandler
+import hashlib
 import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Collection
 from pathlib import Path
 
 from factory.scenes.build import build_scene
@@ -25,7 +27,8 @@ from factory.scenes.rules import RuleBook, load_rules
 from factory.support.settings import scene_cache
 from schemas.errors import FactoryError, LayoutError
 from schemas.protocol.messages import BuildOrder
-from schemas.storage.disk import copy_hashed
+from schemas.scene.complete import complete_package
+from schemas.scene.files import read_texture
 from schemas.terms import FailReason
 from workers.process.messages import BuildTask, SimulationReport, SimulationReportKind, failure, to_line
 from workers.process.pipes import listen, take_stdout
@@ -51,8 +54,11 @@ def _serve(task: BuildTask) -> tuple[SimulationReport, bool]:
     """Executes one order; returns the report, and whether the process can serve another order."""
     started, part = time.monotonic(), Path(f"{task.bundle_path}.part")
     try:
-        package = _build(task.order)
-        sha256 = copy_hashed(package, part)
+        data = _complete(_build(task.order), task.order.textures)
+        with part.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
         part.rename(task.bundle_path)
     except LayoutError as error:
         return failure(FailReason.LAYOUT, str(error), seconds=time.monotonic() - started), True
@@ -66,13 +72,18 @@ def _serve(task: BuildTask) -> tuple[SimulationReport, bool]:
         return failure(FailReason.CRASH, repr(error), seconds=time.monotonic() - started), False
     finally:
         part.unlink(missing_ok=True)
-    size, seconds = task.bundle_path.stat().st_size, time.monotonic() - started
-    return SimulationReport(kind=SimulationReportKind.SUCCESS, sha256=sha256, size=size, seconds=seconds), True
+    sha256, seconds = hashlib.sha256(data).hexdigest(), time.monotonic() - started
+    return SimulationReport(kind=SimulationReportKind.SUCCESS, sha256=sha256, size=len(data), seconds=seconds), True
 
 
 def _build(order: BuildOrder) -> Path:
     rules = None if order.rules is None else _rules_of(order.rules)
     return build_scene(order.family, order.seed, scene_cache(), rules, called=order.layout)
+
+
+def _complete(package: Path, known: Collection[str]) -> bytes:
+    """Returns the package of a layout with the textures that the coordinator does not have."""
+    return complete_package(package.read_bytes(), lambda texture: read_texture(package, texture), known)
 
 
 def _rules_of(text: str) -> RuleBook:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
+from coordinator.expansion.catalog import Catalog, SceneEntry, add_files, read_entry
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.sentences import find_missing_instructions
@@ -23,9 +23,10 @@ from factory.scenes.build import build_scene, find_import, import_scene, load_ed
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
-from schemas.errors import InvalidPlan, UsageError
+from schemas.errors import ArchiveCorrupt, InvalidPlan, UsageError
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan, ScenePlan
+from schemas.scene.info import TEXTURES
 from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
@@ -88,6 +89,7 @@ def collect_scenes(
 
     Raises:
         UsageError: `packages` lacks a scene.
+        ArchiveCorrupt: A texture of a package is missing.
         InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene, or a layout
             cannot fulfil the plan with any of its seeds.
         KeyboardInterrupt: The builds were stopped.
@@ -97,7 +99,7 @@ def collect_scenes(
     if lacking:
         raise UsageError(
             f"{packages} has no package of {', '.join(lacking)}: give the folder `scenes` of a dataset of the plan, or "
-            "copy the packages that `factory scene build` or `factory scene import` prints"
+            f"copy the packages that `factory scene build` or `factory scene import` prints, with the folder {TEXTURES}"
         )
     require_files(plan, held)
     found: dict[str, Path] = {}
@@ -112,7 +114,21 @@ def collect_scenes(
             found[part.name] = _make(part, cache, partial(tell, part.name))
     builds = builds or LayoutBuilds()
     found |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
-    return with_light(plan, {part.name: read_entry(found[part.name]) for part in parts})
+    catalog = {part.name: read_entry(found[part.name]) for part in parts}
+    _require_textures(catalog)
+    return with_light(plan, catalog)
+
+
+def _require_textures(catalog: Catalog) -> None:
+    files: dict[str, Path] = {}
+    for entry in catalog.values():
+        add_files(files, entry)
+    missing = [path for path in files.values() if not path.exists()]
+    if missing:
+        raise ArchiveCorrupt(
+            f"texture {missing[0]} is missing ({len(missing)} of {len(files)} files of scenes): restore it with "
+            f"`factory repair`, or copy the folder {TEXTURES} with the packages"
+        )
 
 
 def scenes_before_run(plan: Plan, gates: Iterable[Plan]) -> frozenset[str] | None:

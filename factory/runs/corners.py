@@ -9,7 +9,7 @@ from coordinator.expansion.draw import PlannedJob, expand, to_job
 from coordinator.expansion.file import shrink
 from coordinator.expansion.summary import MOST_SUMMARISED
 from schemas.plan import Plan
-from schemas.scene import decode_scene
+from schemas.scene import read_geometry
 from schemas.terms import Tier
 from workers.planning import is_way_straight
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
@@ -40,8 +40,7 @@ def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
 
 def _share(plan: Plan, catalog: Catalog, far: list[PlannedJob]) -> float | None:
     """Returns the share for the far starts of one scene; `None` if its targets have no surveyed point in the range."""
-    with catalog[far[0].episode.scene].path.open("rb") as file:
-        place = prepare_scene(decode_scene(file))
+    place = prepare_scene(read_geometry(catalog[far[0].episode.scene].path))
     number = Counter(planned.episode.target_id for planned in far)
     first = {planned.episode.target_id: planned for planned in reversed(far)}
     found = [

@@ -20,8 +20,9 @@ from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION, MATERIALS_VERSION
-from schemas.errors import LayoutError, UsageError, WorldError
-from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
+from schemas.errors import InvalidBundle, LayoutError, UsageError, WorldError
+from schemas.scene import LAYOUT_FORMAT, SCENE_FORMAT, CompiledScene, encode_layout, encode_scene
+from schemas.scene.files import faulty_textures
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 
@@ -53,8 +54,10 @@ def package_path(
         known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a file"
         raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or rules_of(name)).model_dump_json()
-    made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
-    made_from += "" if _is_paper(name, seed, called) else f"\nmaterials {MATERIALS_VERSION}"
+    is_paper = _is_paper(name, seed, called)
+    package_format = SCENE_FORMAT if is_paper else LAYOUT_FORMAT
+    made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{package_format}\n{book}"
+    made_from += "" if is_paper else f"\nmaterials {MATERIALS_VERSION}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
     made_from += "" if called is None else f"\n{called}"
@@ -92,22 +95,44 @@ def build_scene(
         WorldError: the cache cannot be written.
     """
     path = package_path(name, seed, cache, rules, targets, called)
-    if not path.is_file():
+    if not _is_built(path):
         require_building()
         tell()
         try:
-            scene = _compile_builtin(name, seed, called, rules, targets)
+            scene = _compile_builtin(name, seed, called, rules, targets, cache)
         except WorldError as error:
             raise LayoutError(f"{name}, seed {seed}: {error}") from error
-        write_whole(path, encode_scene(scene) if _is_paper(name, seed, called) else encode_scene(scene, _LEVEL))
+        if _is_paper(name, seed, called):
+            write_whole(path, encode_scene(scene))
+        else:
+            _write_layout(path, scene)
     return path
 
 
+def _is_built(path: Path) -> bool:
+    """Returns whether the cache contains a package and its textures."""
+    try:
+        return path.is_file() and not faulty_textures(path)
+    except InvalidBundle:
+        return False
+
+
+def _write_layout(path: Path, scene: CompiledScene) -> None:
+    """Writes the textures that the cache does not have, then the package."""
+    layout = encode_layout(scene, _LEVEL)
+    for texture, data in layout.textures.items():
+        place = path.parent / texture.file
+        if not (place.is_file() and place.read_bytes() == data):
+            write_whole(place, data)
+    write_whole(path, layout.data)
+
+
 def _compile_builtin(
-    name: str, seed: int, called: str | None, rules: RuleBook | None, targets: TargetList | None
+    name: str, seed: int, called: str | None, rules: RuleBook | None, targets: TargetList | None, cache: Path
 ) -> CompiledScene:
     """Compiles a layout; the paper's four from USD files, whose digests their packages record."""
-    from factory.scenes.compile.compiler import compile_extraction, compile_stage  # only now: most scenes are cached
+    from factory.scenes.author.drawn import DrawnTextures  # only now: most scenes are cached
+    from factory.scenes.compile.compiler import compile_extraction, compile_stage
     from factory.scenes.light import LAYOUT_DETAIL
 
     source, book = f"built-in {name}, seed {seed}", rules or rules_of(name)
@@ -118,9 +143,16 @@ def _compile_builtin(
             return compile_stage(stage, name, source, book, targets, has_materials=False)
     required = {category for group in BUILTIN_CATEGORIES[name] for category in group}
     is_usual = rules is None and targets is None
-    content = author_content(BUILTIN_SCENES[name], seed)
     return compile_extraction(
-        name, content, called or name, source, book, targets, LAYOUT_DETAIL, required if is_usual else ()
+        name,
+        author_content(BUILTIN_SCENES[name], seed),
+        called or name,
+        source,
+        book,
+        targets,
+        LAYOUT_DETAIL,
+        required if is_usual else (),
+        draw=DrawnTextures(cache, AUTHOR_VERSION).pixels,
     )
 
 

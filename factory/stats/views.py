@@ -17,7 +17,7 @@ from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.instruction.referents import referents, referents_of
 from schemas.instruction.seen_objects import see_objects
 from schemas.measure import target_in_view
-from schemas.scene import SceneInfo, read_scene_info
+from schemas.scene import SceneInfo, read_info
 from schemas.storage.dataset_files import EPISODES, INSTRUCTIONS_FILE, SCENES
 from schemas.storage.place import Place
 from schemas.storage.shard_index import episode_place
@@ -108,8 +108,7 @@ def _read_infos(root: Place, rows: Rows, opened: Set[str]) -> dict[str, SceneInf
         if name not in opened:
             continue
         try:
-            with find_package_file(root, name, sha256).open("rb") as file:
-                found[sha256] = read_scene_info(file)
+            found[sha256] = read_info(find_package_file(root, name, sha256))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             rows.add_damage(SCENES, f"the episodes of {name} are skipped: {format_error(error, root)}")
     return found

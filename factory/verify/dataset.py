@@ -29,6 +29,7 @@ from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.job import episode_id
+from schemas.scene.info import TEXTURES, texture_file
 from schemas.storage.dataset_files import (
     ATTEMPTS_FILE,
     CARD_FILE,
@@ -41,7 +42,7 @@ from schemas.storage.dataset_files import (
     is_part,
 )
 from schemas.storage.episode_list import list_episodes
-from schemas.storage.place import Place, children, local_copy, relative_name, table_of
+from schemas.storage.place import Place, children, digest_of, local_copy, relative_name, table_of
 from schemas.terms import Recording
 
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
@@ -253,7 +254,7 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
     expected = {f"{name}-{sha256[:16]}.scene.zip": (name, sha256) for name, sha256 in meta.scenes.items()}
     for_people = {list_file_name(name) for name in meta.scenes}
     for entry in children(root / SCENES):
-        if entry.name not in expected and entry.name not in for_people:
+        if entry.name not in {*expected, *for_people, TEXTURES}:
             report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not list it")
     for file, (name, sha256) in expected.items():
         try:
@@ -268,7 +269,23 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
                 found[name] = scene
             else:
                 report.add(Kind.CHANGED, f"{SCENES}/{file}", f"SHA-256 {scene.sha256}, recorded {sha256}")
+    _check_textures(root, found.values(), report, are_all=len(found) == len(expected))
     return found
+
+
+def _check_textures(root: Place, scenes: Iterable[SceneEntry], report: VerifyReport, *, are_all: bool) -> None:
+    """Compares the files of the textures that scenes share with their digests, each once."""
+    needed = {f"{SCENES}/{texture_file(sha256)}": sha256 for scene in scenes for sha256 in scene.textures}
+    present = {f"{SCENES}/{TEXTURES}/{place.name}": place for place in children(root / SCENES / TEXTURES)}
+    for file in sorted(needed.keys() | present.keys()):
+        if file not in present:
+            report.add(Kind.MISSING, file, "is missing; restore it with `factory repair`")
+        elif file in needed:
+            sha256 = digest_of(present[file])
+            if sha256 != needed[file]:
+                report.add(Kind.DAMAGED, file, f"SHA-256 {sha256}; restore it with `factory repair`")
+        elif are_all:  # otherwise a package that cannot be read may need it
+            report.add(Kind.FOREIGN, file, "no scene of the dataset needs it")
 
 
 def _check_quotas(meta: DatasetMeta, rows: RowCheck, report: VerifyReport) -> None:

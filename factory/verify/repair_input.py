@@ -14,15 +14,16 @@ from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, requ
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.recovery.stray_files import count_plans
-from factory.dataset.packages import package_file
+from factory.dataset.packages import package_copy
 from factory.dataset.site import Site
 from factory.runs.catalog import collect_scenes, open_catalog
 from factory.runs.ledger import shard_of
 from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
+from schemas.scene.info import texture_file
 from schemas.storage.dataset_files import SCENES
-from schemas.storage.place import Place, local_copy
+from schemas.storage.place import Place, digest_of, local_copy
 
 MessageCallback = Callable[[str], None]
 
@@ -119,6 +120,7 @@ def _catalog(record: _Record, root: Place, cache: Path, tell: MessageCallback) -
             troubles[name] = found
         else:
             kept[name] = found
+    troubles |= _lacking_textures(root, kept)
     if troubles:
         kept |= _built_again(record, troubles, cache, tell)
     return kept, troubles
@@ -134,7 +136,25 @@ def _kept(path: Place, sha256: str) -> SceneEntry | str:
         return f"{path.name} is damaged: {error}"
     if entry.sha256 != sha256:
         return f"{path.name} has SHA-256 {entry.sha256}, recorded {sha256}"
-    return replace(entry, path=package_file(path))
+    return replace(entry, path=package_copy(path))
+
+
+def _lacking_textures(root: Place, kept: Mapping[str, SceneEntry]) -> dict[str, str]:
+    """Returns scenes whose builds give all missing and damaged textures, with the reasons; layouts share textures."""
+    faults: dict[str, str] = {}
+    for sha256 in dict.fromkeys(texture for entry in kept.values() for texture in entry.textures):
+        place = root / SCENES / texture_file(sha256)
+        try:
+            if digest_of(place) != sha256:
+                faults[sha256] = f"texture {place.name} is damaged"
+        except FileNotFoundError:
+            faults[sha256] = f"texture {place.name} is missing"
+    troubles: dict[str, str] = {}
+    for name, entry in kept.items():
+        own = [faults.pop(sha256) for sha256 in entry.textures if sha256 in faults]
+        if own:
+            troubles[name] = "; ".join(own)
+    return troubles
 
 
 def _built_again(

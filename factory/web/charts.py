@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 WIDTH, WIDE, HEIGHT = 600, 1200, 120
 """Widths of a line chart and of a column chart, and their height, units of the view box."""
-_LEFT, _TOP, _BOTTOM = 46, 8, 18
+_LEFT, _TOP, _BOTTOM = 58, 8, 18
 _MOST_POINTS = 600
 
 

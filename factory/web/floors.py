@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from factory.dataset.packages import ScenePackage, find_package_file
+from factory.dataset.packages import ScenePackage
 from factory.html.palette import css_variables, reason_colour
 from factory.visualize.floor_map import map_of
-from schemas.scene import SceneInfo, decode_scene
+from schemas.scene import SceneInfo
 
 _KEPT = 16
 
@@ -93,8 +93,7 @@ class FloorStore:
 
 
 def _draw(package: ScenePackage) -> Floor:
-    with find_package_file(*package).open("rb") as file:
-        scene = decode_scene(file)
+    scene = package.geometry()
     drawn = map_of(scene)
     west, east, south, north = drawn.bounds_m
     layers = (("floor", drawn.floor), ("low", drawn.low), ("wall", drawn.wall))

@@ -140,22 +140,36 @@ def encode_npy_zst(array: NDArray[np.generic], level: int = 1, *, checksum: bool
     return _codecs.compressor(level, checksum).compress(encode_npy(array))
 
 
-def decode_npy_zst(
-    name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | None], max_bytes: int
-) -> NDArray[np.generic]:
-    """Decodes the output of `encode_npy_zst`; rejects a frame that states a content size above `max_bytes`.
+def compress(data: bytes, level: int = 1) -> bytes:
+    """Returns one zstandard frame that states its content size and has a checksum."""
+    return _codecs.compressor(level, checksum=True).compress(data)
+
+
+def decompress(name: str, data: bytes, max_bytes: int) -> bytes:
+    """Returns the content of one zstandard frame; rejects a frame that states a content size above `max_bytes`.
 
     `max_output_size` does not limit a frame that states its content size. So the stated size is checked first, and the
     library then enforces it.
 
     Raises:
-        InvalidBundle: the frame is damaged, too large or followed by other bytes, or the array does not match.
+        InvalidBundle: the frame is damaged, too large or followed by other bytes.
     """
     try:
         stated = zstandard.get_frame_parameters(data).content_size
         if stated > max_bytes:  # an unknown size reads as 2**64 - 1
             raise InvalidBundle("array refused", [f"{name}: the zstd frame states {stated} bytes, limit {max_bytes}"])
-        raw = _codecs.decompressor().decompress(data, allow_extra_data=False)
+        return _codecs.decompressor().decompress(data, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise InvalidBundle("array refused", [f"{name}: damaged zstd frame ({error})"]) from error
-    return decode_npy(name, raw, dtype, shape)
+
+
+def decode_npy_zst(
+    name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | None], max_bytes: int
+) -> NDArray[np.generic]:
+    """Decodes the output of `encode_npy_zst`.
+
+    Raises:
+        InvalidBundle: the frame is damaged, larger than `max_bytes` or followed by other bytes, or the array does not
+            match.
+    """
+    return decode_npy(name, decompress(name, data, max_bytes), dtype, shape)

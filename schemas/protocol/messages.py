@@ -25,6 +25,8 @@ MAX_STATES_CHARS = 3 << 18
 """Largest length of the recorded states of an episode in a message, base64; most have 20 to 60 thousand characters."""
 MAX_RULES_CHARS = 1 << 18
 """Largest length of the category rules in a message, characters."""
+MAX_KNOWN_TEXTURES = 1024
+"""Largest number of textures in the order of a build; a family has about 150."""
 MAX_LEASES = 256
 """Largest number of leases in simulation, and of leases in the spool, in one heartbeat; a host with more leases sends
 several heartbeats."""
@@ -125,6 +127,8 @@ class BuildOrder(Model):
     """Random seed of the layout."""
     rules: Annotated[str, Field(max_length=MAX_RULES_CHARS)] | None = None
     """Text of the file of category rules; null for the rules of the family."""
+    textures: Annotated[tuple[Sha256, ...], Field(max_length=MAX_KNOWN_TEXTURES)] = ()
+    """SHA-256 of textures that the coordinator has, which the bundle of the worker omits."""
 
 
 class Attachment(Model):

@@ -24,30 +24,44 @@ def footprint_distances(points: ArrayLike, footprint_m: Sequence[tuple[float, fl
         points: world x, y, metres.
         footprint_m: vertices of the polygon, counter-clockwise; at least one.
     """
-    x, y, is_inside = _to_sides(np.asarray(points, float), np.asarray(footprint_m, float))
+    return polygon_distances(np.asarray(points, float), np.asarray(footprint_m, float))
+
+
+def polygon_distances(points: Floats, vertices: Floats) -> Floats:
+    """Returns the distances (...) of points (..., 2) to convex polygons; 0 on and inside them.
+
+    Args:
+        points: world x, y, metres.
+        vertices: (K, 2) vertices of one polygon, counter-clockwise, or (K, ..., 2) of a polygon for each point; a
+            polygon with fewer vertices repeats its last one.
+    """
+    x, y, is_inside = _to_sides(points, vertices)
     return np.asarray(np.sqrt(np.where(is_inside, 0.0, (x * x + y * y).min(axis=0))))
 
 
 def gaps_to(points: Floats, vertices: Floats) -> Floats:
-    """Returns the shortest vectors (..., 2) from points (..., 2) to a convex polygon (K, 2); 0 on and inside it."""
+    """Returns the shortest vectors (..., 2) from points to convex polygons as in `polygon_distances`; 0 inside them."""
     x, y, is_inside = _to_sides(points, vertices)
-    nearest = (x * x + y * y).argmin(axis=0)[None]
-    gaps = [np.take_along_axis(part, nearest, axis=0)[0] for part in (x, y)]
+    nearest = (x * x + y * y).argmin(axis=0).reshape(-1)
+    each = np.arange(nearest.size)
+    gaps = [part.reshape(len(part), -1)[nearest, each].reshape(is_inside.shape) for part in (x, y)]
     return np.where(is_inside[..., None], 0.0, np.stack(gaps, axis=-1))
 
 
 def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Floats, Bools]:
-    """Returns x and y (K, ...) of the vectors from points (..., 2) to the sides of a convex polygon, and whether each
+    """Returns x and y (K, ...) of the vectors from points (..., 2) to the sides of convex polygons, and whether each
     point is inside. The sides are the first axis, because reductions over a short last axis are slow.
     """
+    if vertices.ndim == 2:
+        vertices = vertices.reshape(len(vertices), *(1,) * (points.ndim - 1), 2)
     sides = np.concatenate((vertices[1:], vertices[:1])) - vertices
-    apart = (-1, *(1,) * (points.ndim - 1))
-    side_x, side_y, lengths = (part.reshape(apart) for part in (sides[:, 0], sides[:, 1], squares(sides)))
-    x, y = (vertices[:, k].reshape(apart) - points[None, ..., k] for k in (0, 1))
-    is_left = side_y * x - side_x * y >= 0
-    along = np.clip(-(x * side_x + y * side_y) / np.where(lengths > 0, lengths, 1.0), 0.0, 1.0)
-    is_inside = np.asarray(is_left.all(axis=0)) & (len(vertices) > 2)
-    return x + along * side_x, y + along * side_y, is_inside
+    side_x, side_y, lengths = sides[..., 0], sides[..., 1], squares(sides)
+    x, y = (vertices[..., k] - points[None, ..., k] for k in (0, 1))
+    is_inside = np.asarray((side_y * x - side_x * y >= 0).all(axis=0))
+    is_area = (lengths > 0).sum(axis=0) > 2  # a line has no inside
+    along = -(x * side_x + y * side_y) / np.where(lengths > 0, lengths, 1.0)
+    along = np.minimum(np.maximum(along, 0.0), 1.0)
+    return x + along * side_x, y + along * side_y, is_inside & is_area
 
 
 def squares(vectors: Floats) -> Floats:

@@ -18,7 +18,7 @@ from factory.support.settings import scene_cache
 from schemas.appearance.file import load_appearance
 from schemas.appearance.light_groups import decode_light_groups
 from schemas.config import CameraConfig
-from schemas.scene import decode_scene
+from schemas.scene import read_scene
 from schemas.storage.place import digest_of
 from workers.appearance import AppearanceScene, ShiftedRenderer, apply_appearance, draw_appearance
 from workers.geometry.pose import Pose
@@ -51,8 +51,8 @@ def main(folder: Path) -> None:
 
 def _place(name: str) -> AppearanceScene:
     package = build_scene(name, 0, scene_cache())
-    with package.open("rb") as file, light_file(package, digest_of(package)).open("rb") as light:
-        return AppearanceScene(decode_scene(file), decode_light_groups(light))
+    with light_file(package, digest_of(package)).open("rb") as light:
+        return AppearanceScene(read_scene(package), decode_light_groups(light))
 
 
 def _row(renderer: Renderer, place: AppearanceScene, pose: Pose, name: str) -> NDArray[np.uint8]:

@@ -1,7 +1,7 @@
-"""Measures the CPU time of inserting the episodes of many layouts into a ledger: `PACKAGE [LAYOUTS]`.
+"""Measures the CPU time of inserting the episodes of many layouts into a ledger: `PACKAGE [LAYOUTS] [LEDGER]`.
 
 PACKAGE is the package of a home, which is used for every layout; the first LAYOUTS of 10,000 are inserted, by default
-all. Builds nothing.
+all. LEDGER is a database that is kept, so that a run that was killed can be continued. Builds nothing.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from coordinator.ledger.engine import open_writer
-
-from coordinator.expansion.catalog import read_entry
+from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.draw import expand_layout
-from coordinator.ledger.builds import number_of_layout, open_builds
-from coordinator.ledger.opening import open_run
+from coordinator.ledger.builds import built_layouts, number_of_layout, open_builds
+from coordinator.ledger.database.engine import open_writer
+from coordinator.ledger.opening import holds_run, open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.repair import adopt_package
 from schemas.plan import Plan
@@ -40,22 +39,34 @@ def main() -> None:
             "task": {"success": "surface"},
         }
     )
+    if len(sys.argv) > 3:
+        expand(plan, entry, layouts, Path(sys.argv[3]))
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            expand(plan, entry, layouts, Path(folder) / "ledger.db")
+
+
+def expand(plan: Plan, entry: SceneEntry, layouts: int, ledger: Path) -> None:
+    """Inserts the episodes of the layouts that a ledger does not have yet, each layout in one transaction."""
     now = datetime.now(UTC)
-    with tempfile.TemporaryDirectory() as folder:
-        engine = open_writer(f"sqlite:///{folder}/ledger.db")
-        open_run(engine, plan, {}, 15.0, now)
-        _say("opened")
+    engine = open_writer(f"sqlite:///{ledger}")
+    with engine.connect() as connection:
+        built = dict.fromkeys(built_layouts(connection) if holds_run(connection) else (), entry)
+    open_run(engine, plan, built, 15.0, now)
+    _say(f"opened, {len(built)} layouts are there")
+    with engine.begin() as connection:
+        builds = open_builds(connection)[:layouts]
+    for number, build in enumerate(builds, start=1):
+        planned = tuple(expand_layout(plan, number_of_layout(plan, build), plan.spans[build.scene][0], entry))
         with engine.begin() as connection:
-            builds = open_builds(connection)[:layouts]
-        for build in builds:
-            planned = tuple(expand_layout(plan, number_of_layout(plan, build), plan.spans[build.scene][0], entry))
-            with engine.begin() as connection:
-                adopt_package(connection, build, entry.sha256, entry.size, planned, now)
-        _say(f"{len(builds)} layouts inserted")
-        with engine.connect() as connection:
-            progress = read_progress(connection, now)
-        _say(f"progress read, {progress.planned} episodes")
-        engine.dispose()
+            adopt_package(connection, build, entry.sha256, entry.size, planned, now)
+        if number % 1000 == 0:
+            _say(f"{number} layouts inserted")
+    _say(f"{len(builds)} layouts inserted")
+    with engine.connect() as connection:
+        progress = read_progress(connection, now)
+    _say(f"progress read, {progress.planned} episodes")
+    engine.dispose()
 
 
 def _say(what: str) -> None:

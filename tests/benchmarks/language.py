@@ -7,7 +7,6 @@ Packages are kept in MINIVLA_CACHE if it is set.
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import sys
@@ -28,7 +27,7 @@ from schemas.language.graph import build_graph
 from schemas.language.reading import reader
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_geometry
 from schemas.terms import family_of, layout_number
 from tests.builders.language import CAMERA, changed, is_false_or_ambiguous, search_of
 
@@ -94,8 +93,7 @@ def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tu
 def measure(name: str, folder: Path) -> tuple[int, int]:
     """Prints the rows of one scene."""
     called = None if layout_number(name) is None else name
-    with build_scene(family_of(name), layout_number(name) or 0, folder, called=called).open("rb") as file:
-        scene = decode_scene(io.BytesIO(file.read()))
+    scene = read_geometry(build_scene(family_of(name), layout_number(name) or 0, folder, called=called))
     begin = time.process_time()
     language = SceneLanguage(build_graph(scene))
     said = f"{name}: {len(language.graph.objects)} objects, graph in {time.process_time() - begin:.2f} s"

@@ -34,7 +34,7 @@ from schemas.language.route.model import DrivenPath
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.language.view import look
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from workers.geometry.pose import Pose
 from workers.render.choose import open_renderer
 
@@ -217,8 +217,7 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     for file, dataset in _scenes(given.sources):
-        with file.open("rb") as package:
-            scene = decode_scene(package)
+        scene = read_scene(file)
         rng = np.random.default_rng((given.seed, *scene.info.name.encode()))
         sheets = SceneSheets(scene, rng, given.font)
         shown = list(sheets.goals(given.goals))

@@ -21,7 +21,7 @@ from schemas.rig.cameras import PinholeCamera
 from schemas.rig.mount import Mount
 from schemas.rig.noise import CameraNoise, ColourNoise, LidarNoise, StereoDepthNoise, StructuredLightNoise
 from schemas.rig.ranging import Lidar3d
-from schemas.scene import decode_scene
+from schemas.scene import read_scene
 from workers.geometry.pose import Pose
 from workers.render.choose import open_renderer
 from workers.sensors import NoiseKey, sense_colour, sense_depth, sense_lidar
@@ -57,8 +57,7 @@ def report(name: str, work: Callable[[], object], share: float = 1) -> None:
 
 def measure(name: str, folder: Path) -> None:
     """Prints the rows of one scene."""
-    with build_scene(name, 0, folder).open("rb") as file:
-        scene = decode_scene(file)
+    scene = read_scene(build_scene(name, 0, folder))
     x, y = map(float, scene.spawns[len(scene.spawns) // 2])
     pose, row = Pose.planar(x, y, 0.5), np.array([[x, y, 0, np.cos(0.25), 0, 0, np.sin(0.25)]])
     sys.stdout.write(f"{name}\n")

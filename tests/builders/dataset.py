@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import io
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,9 +18,11 @@ from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt, summary_of
 from schemas.plan import Plan
-from schemas.scene import Instance, Target, encode_scene
+from schemas.scene import CompiledScene, Instance, Target, encode_scene
+from schemas.scene.complete import split_package
 from schemas.terms import Split, Tier
 from tests.builders.bundle import GOAL_M, TARGET_ID, BundleParts, job_for, parts_for
+from tests.builders.layout_package import MadeLayout, layout_scene
 from tests.builders.plan import small_plan
 from tests.builders.scene import box_room
 
@@ -42,11 +45,19 @@ def chair() -> Target:
 @functools.cache
 def office_package() -> bytes:
     """Returns a compiled scene named office that contains the chair."""
-    scene = box_room()
+    return encode_scene(_with_chair(box_room()))
+
+
+def office_scene() -> CompiledScene:
+    """Returns a scene with two textures, named office, that contains the chair."""
+    return _with_chair(layout_scene("office"))
+
+
+def _with_chair(scene: CompiledScene) -> CompiledScene:
     instances = (Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),)
     info = scene.info.model_copy(update={"name": "office", "targets": (chair(),), "instances": instances})
     sees = np.ones((len(scene.spawns), 1), np.uint8)
-    return encode_scene(dataclasses.replace(scene, info=info, spawn_sees=sees))
+    return dataclasses.replace(scene, info=info, spawn_sees=sees)
 
 
 def make_dataset(
@@ -62,15 +73,15 @@ def make_dataset(
 ) -> Plan:
     """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned.
 
-    `package` replaces the scene, `change` the content of each episode, and `plan` the plan.
+    `package`, which is complete, replaces the scene, `change` the content of each episode, and `plan` the plan.
     """
     plan = plan or small_plan(planned or episodes)
-    package = package or office_package()
+    package, textures = split_package(io.BytesIO(package or office_package()))
     sha256 = hashlib.sha256(package).hexdigest()
-    source = root.with_name(f"{root.name}.scene")
-    source.write_bytes(package)
+    layout = MadeLayout(package, textures)
+    source = layout.write(root.with_name(f"{root.name}.scene"))
     with open_archive(root) as archive:
-        archive.add_scene(source, "office", sha256)
+        archive.add_scene(source, "office", sha256, layout.names)
         rows = [
             archive_episode(
                 archive, change(episode_of(plan, index, sha256, len(package), splits[(index - 1) % len(splits)]))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Instance, SceneInfo, Target
+from schemas.scene import CompiledScene, Instance, SceneInfo, Target
 from schemas.terms import TIER_RANGE_M, Tier
 
 Vector3 = tuple[float, float, float]
@@ -86,7 +86,7 @@ def build_scene(
     grid = _Grid.around(boxes, floor_height_m)
     spawns = grid.spawns()
     targets = [_target(index, box, grid, spawns) for index, box in enumerate(boxes) if box.category]
-    layers = np.empty((0, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3), np.uint8) if textures is None else textures
+    layers = () if textures is None else tuple(textures)
     triangles = [_triangles(box) for box in boxes]
     solids = [corners for box, corners in zip(boxes, triangles, strict=True) if box.solid]
     collider_vertices, collider_triangles = _collider(solids)

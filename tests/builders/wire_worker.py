@@ -14,7 +14,16 @@ from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.job import Job
 from schemas.protocol.identity import TlsFiles
-from schemas.protocol.keys import RANGE_FIELDS, Verb, alive_key, bundle_key, parse_bundle_ranges, verb_key
+from schemas.protocol.keys import (
+    RANGE_FIELDS,
+    Chunk,
+    Verb,
+    alive_key,
+    bundle_key,
+    parse_bundle_ranges,
+    scene_selector,
+    verb_key,
+)
 from schemas.protocol.messages import (
     Ack,
     Beat,
@@ -123,6 +132,12 @@ class WireWorker(Closing):
         self.spool[lease.job_id, lease.fence] = done, bundle
         reply = self.ask(Verb.DONE, done, Ack)
         return isinstance(reply, Ack) and reply.accepted
+
+    def fetch_scene(self, sha256: str, chunk: Chunk) -> bytes:
+        """Returns a part of a file that the coordinator serves."""
+        selector = scene_selector(self.run, sha256, chunk)
+        replies = self._session.get(selector, zenoh.handlers.FifoChannel(4), timeout=5.0)
+        return next(reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None)
 
     def fail(self, lease: Lease, reason: FailReason) -> bool:
         reply = self.ask(Verb.FAIL, Fail(sid=self.sid, lease=lease, reason=reason, detail="as asked"), Ack)

@@ -17,6 +17,7 @@ from coordinator.archive.opening import open_archive
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
+from tests.builders.layout_package import make_layout
 from tests.builders.object_server import ObjectServer
 
 _HOLD = """
@@ -207,6 +208,45 @@ def test_scene_is_kept_once_under_its_digest(kind: Kind, tmp_path: Path) -> None
         assert archive.add_scene(source, "office", sha256) == place
         assert place.read_bytes() == b"package"
         assert place.name == f"office-{sha256[:16]}.scene.zip"
+
+
+def test_scenes_share_their_textures_which_are_stored_once(kind: Kind, tmp_path: Path) -> None:
+    one, other = make_layout("home_00001", shades=(40, 200)), make_layout("home_00002", shades=(90, 200))
+    with kind.open() as archive:
+        archive.add_scene(one.write(tmp_path / "one/home.scene.zip"), "home_00001", one.sha256, one.names)
+        sent = other.write(tmp_path / "other/home.scene.zip")
+        shared = next(texture for texture in other.textures if texture in one.textures)
+        (sent.parent / shared.file).unlink()  # the archive has it
+        archive.add_scene(sent, "home_00002", other.sha256, other.names)
+        names = [f"{texture.sha256}.npy.zst" for texture in {*one.textures, *other.textures}]
+        assert kind.names("scenes/textures") == sorted(names)
+        assert archive.texture_path(shared.sha256).read_bytes() == one.textures[shared]
+        assert parts_of(kind) == []
+
+
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"x")], ids=["missing", "damaged"])
+def test_scene_without_a_whole_texture_is_not_stored(
+    kind: Kind, tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
+    layout = make_layout("home_00001")
+    source = layout.write(tmp_path / "home.scene.zip")
+    damage(tmp_path / list(layout.textures)[1].file)
+    with kind.open() as archive:
+        with pytest.raises(ArchiveCorrupt, match="build the scene again"):
+            archive.add_scene(source, "home_00001", layout.sha256, layout.names)
+        assert not archive.scene_path("home_00001", layout.sha256).exists()
+        assert parts_of(kind) == []
+
+
+def test_textures_that_no_scene_needs_are_swept(kind: Kind, tmp_path: Path) -> None:
+    layout = make_layout("home_00001")
+    source = layout.write(tmp_path / "home.scene.zip")
+    needed, surplus = layout.textures
+    with kind.open() as archive:
+        archive.add_scene(source, "home_00001", layout.sha256, layout.names)
+        archive.sweep_textures({needed.sha256})
+        assert archive.texture_path(needed.sha256).exists()
+        assert not archive.texture_path(surplus.sha256).exists()
 
 
 def test_scene_with_another_digest_is_refused(kind: Kind, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from factory.scenes.author import BUILTIN_SCENES
 from factory.scenes.rules import builtin_rules
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.errors import WorldError
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from schemas.terms import (
     BUILTIN_CATEGORIES,
     FAR_FLOOR_M,
@@ -58,8 +58,7 @@ def called(name: str) -> str | None:
 
 @pytest.fixture(scope="module")
 def scene(package: Path) -> CompiledScene:
-    with package.open("rb") as file:
-        return decode_scene(file)
+    return read_scene(package)
 
 
 def test_the_package_is_at_its_expected_path_and_small(package: Path, scene: CompiledScene) -> None:

@@ -21,7 +21,7 @@ from coordinator.validation.messages import ValidationTask
 from coordinator.validation.validator_child import verdict_of
 from factory.dataset.reader import Dataset
 from factory.scenes.formats import extract_scene
-from factory.scenes.importer import extract_stage
+from factory.scenes.importer.extract import extract_stage
 from factory.scenes.limits import StageLimits
 from factory.scenes.stage_file import kind_of_file
 from factory.verify.dataset import verify

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,12 +21,14 @@ from factory.scenes.build import package_path
 from schemas.dataset.meta import read_dataset_meta
 from schemas.plan import Plan
 from schemas.protocol.messages import ClaimReply
-from schemas.scene import encode_scene
+from schemas.scene import read_scene
+from schemas.scene.files import faulty_textures
 from schemas.support.child import python_module
 from schemas.terms import FailReason
-from tests.builders.scene import Box, build_scene, room_walls
+from tests.builders.layout_package import make_layout
 from tests.builders.wire_worker import WireWorker, until
 from tests.builders.worker import WorkerThread, settings_for
+from workers.client.scene_cache import SceneCache
 
 PLAN = Plan.model_validate(
     {
@@ -43,9 +44,8 @@ FIRST, SECOND = "office_00005", "office_00006"
 
 
 def package(layout: str, category: str = "chair") -> bytes:
-    """Returns the package of a layout: a room with one object."""
-    box = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category=category)
-    return encode_scene(build_scene((*room_walls((-4.0, -3.0), (4.0, 3.0)), box), name=layout), level=1)
+    """Returns the bundle of a build: the complete package of a room with one object."""
+    return make_layout(layout, category).complete()
 
 
 class Clock:
@@ -135,12 +135,14 @@ def test_a_package_that_cannot_fulfil_the_plan_is_followed_by_the_next_seed(tmp_
         assert retried.build is not None
         assert retried.build.seed == 7
         deliver(worker, retried, package(FIRST))
+        # a worker repeats the announcement, because the coordinator ignores one while the refused transfer ends
+        until(lambda: not worker.beat().drop and not worker.spool)
         worker.job()
     assert "no reachable 'chair'" in read_dataset_meta(root).refused_seeds[FIRST][0]
     assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
 
 
-@pytest.mark.parametrize("data", [b"no package", package("office_00006")], ids=["damaged", "of another layout"])
+@pytest.mark.parametrize("data", [b"no package", package("office_00007")], ids=["damaged", "of another layout"])
 def test_a_file_that_is_not_the_package_of_the_layout_counts_against_the_host(tmp_path: Path, data: bytes) -> None:
     with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
         deliver(worker, build_claim(worker), data)
@@ -149,12 +151,72 @@ def test_a_file_that_is_not_the_package_of_the_layout_counts_against_the_host(tm
         assert not list((tmp_path / "data/scenes").glob("*.zip"))
 
 
+def test_textures_that_the_coordinator_has_are_not_sent_again(tmp_path: Path) -> None:
+    root, shared = tmp_path / "data", make_layout(FIRST).textures.keys() & make_layout(SECOND).textures.keys()
+    with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
+        first = build_claim(worker)
+        assert first.build is not None
+        assert first.build.textures == ()
+        deliver(worker, first, package(first.build.layout))
+        until(lambda: core.progress().layouts.get("archived") == 1)
+        second = build_claim(worker)
+        assert second.build is not None
+        assert set(second.build.textures) == {texture.sha256 for texture in shared}
+        deliver(worker, second, make_layout(second.build.layout).complete(second.build.textures))
+        until(lambda: core.progress().layouts.get("archived") == 2)
+    for layout in (FIRST, SECOND):
+        (path,) = (root / "scenes").glob(f"{layout}-*.scene.zip")
+        assert path.read_bytes() == make_layout(layout).package
+        assert faulty_textures(path) == []
+    assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
+    with coordinator(root) as core:  # knows the stored textures after a restart, too
+        assert core.progress().layouts == {"archived": 2}
+        assert len(list((root / "scenes/textures").iterdir())) == 2
+
+
+def test_a_layout_without_a_texture_that_the_coordinator_lacks_counts_against_the_host(tmp_path: Path) -> None:
+    with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
+        claim = build_claim(worker)
+        assert claim.build is not None
+        layout = make_layout(claim.build.layout)
+        deliver(worker, claim, layout.complete({next(iter(layout.textures)).sha256}))
+        until(lambda: bool(core.progress().hosts))
+        assert core.progress().attempts == {"invalid": 1}
+        assert not list((tmp_path / "data/scenes").rglob("*.z*"))
+        assert not list((tmp_path / "data/.staging").iterdir())
+
+
+def test_what_an_interruption_left_of_a_layout_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
+        build_claim(worker)
+    make_layout(FIRST).write(root / "scenes" / "part.scene.zip").unlink()
+    make_layout(FIRST).write(root / ".staging" / "layout-x" / "layout.scene.zip")
+    assert len(list((root / "scenes/textures").iterdir())) == 2
+    with coordinator(root):
+        assert not list((root / "scenes/textures").iterdir())
+        assert not list((root / ".staging").iterdir())
+
+
+def test_workers_fetch_a_layout_with_its_textures(tmp_path: Path) -> None:
+    with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
+        claim = build_claim(worker)
+        assert claim.build is not None
+        layout = make_layout(claim.build.layout)
+        deliver(worker, claim, layout.complete())
+        job, _ = worker.job()
+        assert (job.scene_sha256, job.scene_bytes) == (layout.sha256, len(layout.package))
+        cache = SceneCache(tmp_path / "cache", 1 << 30)
+        path = cache.ensure_scene(job.scene_sha256, job.scene_bytes, worker.fetch_scene, lambda: None)
+        assert read_scene(path).info.name == job.scene
+
+
 def test_a_layout_stored_without_a_commit_is_recorded_at_the_next_start(tmp_path: Path) -> None:
     root = tmp_path / "data"
     with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
         build_claim(worker)
-    data = package(FIRST)
-    (root / "scenes" / f"{FIRST}-{hashlib.sha256(data).hexdigest()[:16]}.scene.zip").write_bytes(data)
+    layout = make_layout(FIRST)
+    layout.write(root / "scenes" / f"{FIRST}-{layout.sha256[:16]}.scene.zip")
     with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
         assert core.progress().layouts == {"archived": 1, "pending": 1}
         assert worker.job()[0].scene == FIRST
@@ -190,7 +252,7 @@ def test_a_killed_builder_does_not_change_the_episodes(tmp_path: Path, monkeypat
     monkeypatch.setenv("MINIVLA_CACHE", str(tmp_path))
     (tmp_path / "scenes").mkdir()
     for layout, seed, category in ((FIRST, 5, "plant"), (FIRST, 7, "chair"), (SECOND, 6, "chair")):
-        package_path("office", seed, tmp_path / "scenes", called=layout).write_bytes(package(layout, category))
+        make_layout(layout, category).write(package_path("office", seed, tmp_path / "scenes", called=layout))
     whole = content_digests(tmp_path / "whole", *python_module("factory.runs.build_process"))
     killed = content_digests(tmp_path / "killed", sys.executable, "-c", _DIES_ONCE, str(tmp_path / "died"))
     assert (tmp_path / "died").exists()

@@ -24,7 +24,7 @@ from schemas.rig.file import load_rig
 from schemas.rig.motion import WheelOdometry
 from schemas.rig.mount import Mount
 from schemas.rig.ranging import Lidar3d
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from schemas.terms import PAPER_SCENES
 from tests.builders.scene import box_room
 from tests.builders.shared import locked
@@ -57,8 +57,7 @@ VLP16 = Lidar3d(
 def scene(request: pytest.FixtureRequest, shared: Path, cache: Path) -> CompiledScene:
     with locked(shared / f"{request.param}-0.lock"):
         package = build_package(request.param, 0, cache / "scenes")
-    with package.open("rb") as file:
-        return decode_scene(file)
+    return read_scene(package)
 
 
 def starts(scene: CompiledScene, count: int) -> Floats:

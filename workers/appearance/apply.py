@@ -123,7 +123,7 @@ def _repaint(scene: CompiledScene, changes: tuple[SurfaceChange, ...]) -> Compil
             number = chosen[np.argmax(layer_of[chosen])]
             layers[part] = layer_of[number]
             uvs[first : first + count] = planar_uvs(scene.positions[first : first + count], float(tile_of[number]))
-    textures = np.concatenate((scene.textures, *(draw_pattern(name)[None] for name in patterns)))
+    textures = (*scene.textures, *map(draw_pattern, patterns))
     if len(textures) > MAX_TEXTURES:
         raise WorldError(
             f"scene {scene.info.name} has {len(scene.textures)} of {MAX_TEXTURES} textures, so that {len(patterns)} of "
@@ -142,7 +142,7 @@ def _with_clutter(scene: CompiledScene, clutter: tuple[ClutterObject, ...]) -> C
         if beneath is None:
             raise WorldError(f"scene {scene.info.name} has no floor at ({thing.x_m:g}, {thing.y_m:g}) m")
         pieces += [_shadow(scene, thing, beneath), _body(scene, thing, beneath, instance.id)]
-    vertices = {
+    vertices: dict[str, Any] = {
         name: np.concatenate([getattr(scene, name), *(piece[name] for piece in pieces)])
         for name in ("positions", "uvs", "colours", "light_uvs")
     }

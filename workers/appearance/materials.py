@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.appearance import MaterialRanges, SurfaceChange
 from schemas.appearance.colour_names import dominant_name, linear_of, name_indices, srgb_of
-from schemas.scene import CompiledScene
+from schemas.scene import TEXTURE_SIZE_PX, CompiledScene
 from schemas.support.numpy_types import Floats, Ints
 from schemas.terms import COLOUR_NAMES
 from workers.appearance.factor_stream import FactorStream
@@ -191,9 +191,11 @@ def _texels(scene: CompiledScene, triangle: Ints, weights: Floats) -> Floats:
     rows = np.flatnonzero(layers >= 0)
     corners = scene.uvs.reshape(-1, 3, 2)[triangle[rows]].astype(np.float64)
     uv = (corners * weights[rows][..., None]).sum(axis=1) % 1.0
-    side = scene.textures.shape[1]
+    side = TEXTURE_SIZE_PX
     down, right = (np.minimum((part * side).astype(np.int64), side - 1) for part in (1 - uv[:, 1], uv[:, 0]))
-    found[rows] = linear_of(scene.textures[layers[rows], down, right] / 255)
+    for layer in np.unique(layers[rows]):
+        own = layers[rows] == layer
+        found[rows[own]] = linear_of(scene.textures[layer][down[own], right[own]] / 255)
     return found
 
 

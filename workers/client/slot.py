@@ -20,6 +20,7 @@ from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
 from workers.client.heartbeat import make_done
 from workers.client.host import Backoff, Host
+from workers.client.scene_cache import Fetch, Wait
 from workers.process.messages import BuildTask, SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
 
@@ -160,13 +161,13 @@ class Slot:
         self._host.spool.clear(lease)
 
     def _attempt(self, job: Job, lease: Lease, given: ClaimReply) -> SimulationReport:
-        host = self._host
+        host, fetching = self._host, self._fetching(lease)
         try:
-            scene = self._fetch(job.scene_sha256, job.scene_bytes, lease)
+            scene = host.scenes.ensure_scene(job.scene_sha256, job.scene_bytes, *fetching)
             light = job.view.light
-            lamps = self._fetch(light.sha256, light.size, lease) if light is not None else None
+            lamps = host.scenes.ensure(light.sha256, light.size, *fetching) if light is not None else None
             more = None if given.evaluation is None else given.evaluation.attachment
-            attached = self._fetch(more.sha256, more.size, lease) if more is not None else None
+            attached = host.scenes.ensure(more.sha256, more.size, *fetching) if more is not None else None
         except FactoryError as error:
             if isinstance(error, LeaseLost):
                 raise
@@ -207,15 +208,15 @@ class Slot:
                 step = report.step
                 host.leases.note_step(lease, step)
 
-    def _fetch(self, sha256: str, size: int, lease: Lease) -> Path:
-        """Returns the path of the file with that digest, a scene or the attachment of an evaluation task."""
+    def _fetching(self, lease: Lease) -> tuple[Fetch, Wait]:
+        """Returns the functions that fetch a part of a file, and wait for another fetch, while a lease is in force."""
         host = self._host
 
         def wait() -> None:
             self._check(lease)
             time.sleep(_POLL_S)
 
-        def fetch(chunk: Chunk) -> bytes:
+        def fetch(sha256: str, chunk: Chunk) -> bytes:
             backoff = Backoff(0.1, 2.0)
             while True:
                 self._check(lease)
@@ -224,7 +225,7 @@ class Slot:
                     return data
                 host.phase.stopping.wait(backoff.fail())
 
-        return host.scenes.ensure(sha256, size, fetch, wait)
+        return fetch, wait
 
     def _check(self, lease: Lease) -> None:
         if self._host.phase.stopping.is_set():

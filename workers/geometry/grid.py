@@ -90,16 +90,10 @@ class Grid:
         return self._least_clearance(x, y, yaw) - DISC_RADIUS_M
 
     def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
-        x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
-        along = np.asarray(DISC_OFFSETS_M)
-        discs = np.stack(
-            [
-                x[..., None] + along * portable.cos(yaw)[..., None],
-                y[..., None] + along * portable.sin(yaw)[..., None],
-            ],
-            axis=-1,
-        )
-        return np.asarray(self.clearance_at(discs).min(axis=-1))
+        x, y, yaw = (np.asarray(values, float) for values in (x, y, yaw))
+        cos, sin = portable.cos(yaw), portable.sin(yaw)  # before the broadcast: often all poses have a few headings
+        discs = [self.clearance_at(stacked(x + along * cos, y + along * sin)) for along in DISC_OFFSETS_M]
+        return np.asarray(np.minimum(np.minimum(discs[0], discs[1]), discs[2]))
 
     def is_pose_free(self, x: float, y: float, yaw: float, margin_m: float = 0.0) -> bool:
         """Returns whether the footprint of a base_link pose with `margin_m` around it is free."""
@@ -156,13 +150,23 @@ class Grid:
         camera and a person, but not desks. The target's box and one cell around it never block it.
         """
         points = np.atleast_2d(np.asarray(xy, float))
-        centre = np.asarray(target.centroid_m[:2])
-        owner, samples = self._samples(points, np.broadcast_to(centre, points.shape))
-        reach = np.asarray(target.size_m[:2]) / 2 + self.resolution_m
+        centre, reach = np.asarray(target.centroid_m[:2]), np.asarray(target.size_m[:2]) / 2
+        return self.see_boxes(points, np.broadcast_to(centre, points.shape), np.broadcast_to(reach, points.shape))
+
+    def see_boxes(self, points: Floats, centres: Floats, reaches: Floats) -> Bools:
+        """Returns for points (N, 2) whether each has a line of sight to its target, as `have_sight`.
+
+        Args:
+            points: x, y, metres.
+            centres: (N, 2) centres of the targets' boxes, metres.
+            reaches: (N, 2) half the extents of the boxes, metres.
+        """
+        owner, samples = self._samples(points, centres)
         hiding = np.flatnonzero(self.values_at(self.occupancy, samples, FREE) == HIDING)
-        own = (np.abs(samples[hiding] - centre) <= reach).all(axis=1)
+        of_hiding = owner[hiding]
+        own = (np.abs(samples[hiding] - centres[of_hiding]) <= reaches[of_hiding] + self.resolution_m).all(axis=1)
         seen = np.ones(len(points), bool)
-        seen[owner[hiding[~own]]] = False
+        seen[of_hiding[~own]] = False
         return seen
 
     def has_sight(self, xy: ArrayLike, target: Target) -> bool:
@@ -197,5 +201,10 @@ def are_within(points: Floats, boxes: Floats) -> Bools:
 
 def body_centre(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
     """Returns the body centre (..., 2) of base_link poses, world frame, metres."""
-    x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
-    return np.stack([x + BODY_CENTRE_M * portable.cos(yaw), y + BODY_CENTRE_M * portable.sin(yaw)], axis=-1)
+    x, y, yaw = (np.asarray(values, float) for values in (x, y, yaw))
+    return stacked(x + BODY_CENTRE_M * portable.cos(yaw), y + BODY_CENTRE_M * portable.sin(yaw))
+
+
+def stacked(x: Floats, y: Floats) -> Floats:
+    """Returns points (..., 2) from their coordinates, which broadcast."""
+    return np.stack(np.broadcast_arrays(x, y), axis=-1)

@@ -66,7 +66,9 @@ class Simulation:
         """
         self.kill()
         try:
-            self._process = JsonlProcess(self._command, one_core(child_environment(os.environ)), _parse)
+            self._process = JsonlProcess(
+                self._command, one_core(child_environment(os.environ), many_scenes=True), _parse
+            )
         except OSError as error:
             raise WorldError(f"cannot start a simulation with `{' '.join(self._command)}`: {error}") from error
         self._silence_s, self._limit_s = 0.0, self._start_s

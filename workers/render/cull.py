@@ -43,11 +43,12 @@ class PartBounds:
         """Returns the bounding boxes of the parts of a scene."""
         count = len(scene.part_first)
         centre, half = np.zeros((count, 3)), np.full((count, 3), -np.inf)
-        for part in np.flatnonzero(scene.part_count):
-            first = scene.part_first[part]
-            corners = scene.positions[first : first + scene.part_count[part]].astype(np.float64)
-            low, high = corners.min(axis=0), corners.max(axis=0)
-            centre[part], half[part] = (low + high) / 2, (high - low) / 2
+        parts = np.flatnonzero(scene.part_count)
+        if len(parts):
+            rows = [np.arange(first, first + size) for first, size in zip(*_spans(scene, parts), strict=True)]
+            corners, starts = scene.positions[np.concatenate(rows)], np.cumsum([0, *map(len, rows[:-1])])
+            low, high = (reduce.reduceat(corners, starts).astype(np.float64) for reduce in (np.minimum, np.maximum))
+            centre[parts], half[parts] = (low + high) / 2, (high - low) / 2
         return cls(centre, half)
 
     def corners(self, chosen: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -61,6 +62,10 @@ class PartBounds:
     def facts(self) -> NDArray[np.float64]:
         """(7, P) centre, half extents and 1, the right operand of the product with `reach_of_planes`."""
         return np.ascontiguousarray(np.column_stack((self.centre, self.half, np.ones(len(self.centre)))).T)
+
+
+def _spans(scene: CompiledScene, parts: NDArray[np.intp]) -> tuple[list[int], list[int]]:
+    return scene.part_first[parts].tolist(), scene.part_count[parts].tolist()
 
 
 def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,6 +30,7 @@ from workers.render.compose import compose_image
 from workers.render.cull import edges_of
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
+from workers.render.gl_textures import TextureStore
 from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
 
@@ -82,6 +83,7 @@ class GlRenderer(Closing):
         self._sky = SkyPainter(None)
         with self._context:
             self._programs = Programs(self._context)
+            self._textures = TextureStore(self._context)
             self._targets = {(size, size): GlTarget(self._context, size, size)}
             self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
             self._context.front_face = "cw"  # because `onto_target` mirrors the image
@@ -256,7 +258,7 @@ class GlRenderer(Closing):
         return _look(scene, self._image(), optical_pose(pose, self._camera))
 
     def _prepare(self, scene: CompiledScene) -> GpuScene:
-        return GpuScene(self._context, self._programs, scene)
+        return GpuScene(self._context, self._programs, self._textures, scene)
 
 
 def _look(scene: GpuScene, image: Perspective, optical: OpticalPose) -> _View:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.scene import CompiledScene
+from schemas.support.vectors import cross
 from workers.geometry.camera import OpticalPose, Perspective
 from workers.render.cull import PartBounds, reach_of_planes
 
@@ -126,13 +127,21 @@ class Occluders:
         return np.flatnonzero(size)
 
 
+def _are_large(triangles: F64) -> NDArray[np.bool_]:
+    """Returns for triangles (N, 3, 3) whether a rectangle of twice their area may be large enough."""
+    sides, others = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return np.asarray(np.linalg.norm(cross(sides, others), axis=1) > _LEAST_AREA_M2 / 2)
+
+
 def _rectangles(first: NDArray[np.float64], second: NDArray[np.float64]) -> F64:
-    """Returns (R, 4, 3) corners of the pairs of triangles that form a rectangle, in the order of the first triangle.
+    """Returns (R, 4, 3) corners of the large pairs of triangles that form a rectangle, in the order of the first one.
 
     Args:
         first: (N, 3, 3) corners of the first triangles.
         second: (N, 3, 3) corners of the second triangles.
     """
+    large = np.flatnonzero(_are_large(first))  # the first triangle is half of the rectangle
+    first, second = first[large], second[large]
     same: NDArray[np.bool_] = np.asarray((np.abs(first[:, :, None] - second[:, None]) < _SAME_M).all(axis=3))
     is_pair = same.sum(axis=(1, 2)) == 2
     first, second, same = first[is_pair], second[is_pair], same[is_pair]

@@ -7,7 +7,7 @@ per vertex.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Camera
-from schemas.scene import CompiledScene
+from schemas.scene import CompiledScene, Layer
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import OpticalPose, Perspective, optical_pose, view_matrix
@@ -175,7 +175,7 @@ def _light_at_vertices(scene: CompiledScene) -> NDArray[np.float64]:
     return np.asarray(scene.light_map[texels[:, 1], texels[:, 0]] / 255.0)
 
 
-def _write_textures(textures: NDArray[np.uint8], folder: Path) -> Iterator[Path]:
+def _write_textures(textures: Sequence[Layer], folder: Path) -> Iterator[Path]:
     for layer, pixels in enumerate(textures):
         path = folder / f"{layer}.png"
         Image.fromarray(pixels).resize((_TEXTURE_PX, _TEXTURE_PX), Image.Resampling.BOX).save(path)

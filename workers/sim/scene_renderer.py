@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.appearance.light_groups import LightGroups, decode_light_groups
 from schemas.fingerprint import Fingerprint
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from schemas.support.closing import Closing
 from schemas.support.extras import require_package
 from schemas.support.stage_timer import StageTimer, no_stage_timer
@@ -114,14 +114,13 @@ class SceneRenderer(Closing):
             InvalidBundle: the package or the light groups are damaged or have another format version.
         """
         if sha256 not in self._loaded:
-            with path.open("rb") as file:
-                self._loaded[sha256] = prepare_scene(decode_scene(file))
+            while len(self._loaded) >= _KEPT_SCENES:  # before reading, so that no further scene is in memory
+                self._loaded.popitem(last=False)
+            self._loaded[sha256] = prepare_scene(read_scene(path))
         if light is not None and self._loaded[sha256].light is None:
             with light.open("rb") as file:
                 self._loaded[sha256] = replace(self._loaded[sha256], light=decode_light_groups(file))
         self._loaded.move_to_end(sha256)
-        while len(self._loaded) > _KEPT_SCENES:
-            self._loaded.popitem(last=False)
         return self._loaded[sha256]
 
     def loaded(self, sha256: str) -> LoadedScene:

@@ -25,6 +25,7 @@ from factory.support.settings import scene_cache
 from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.protocol.identity import Role
+from schemas.scene.files import copy_package
 from schemas.storage.disk import translated
 from schemas.storage.mounts import mount_of
 from schemas.support.child import python_module
@@ -140,4 +141,4 @@ def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
 def _copy_scenes(catalog: Catalog, folder: Path) -> None:
     folder.mkdir(parents=True)
     for name, entry in catalog.items():
-        shutil.copyfile(entry.path, folder / scene_file(name, entry.sha256))
+        copy_package(entry.path, folder / scene_file(name, entry.sha256))

@@ -22,7 +22,7 @@ from schemas.bundle import BundleReader
 from schemas.errors import UsageError
 from schemas.rig import Imu, WheelOdometry
 from schemas.rig.file import load_rig
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_geometry
 from schemas.storage.disk import translated
 from schemas.storage.place import Place
 
@@ -59,8 +59,7 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
         require_mp4()
     with path.open("rb") as file, EpisodeBundle(file, root) as bundle:
         job = bundle.meta.job
-        with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
-            scene = decode_scene(package)
+        scene = read_geometry(find_package(root, job.scene, job.scene_sha256).path)
         with translated("create", target.parent):
             target.parent.mkdir(parents=True, exist_ok=True)
         facts: dict[str, object] = {

@@ -15,7 +15,7 @@ from factory.runs.catalog import find_package
 from factory.visualize.rerun import view_episode
 from schemas.errors import UsageError
 from schemas.job import episode_id
-from schemas.scene import decode_scene
+from schemas.scene import read_geometry
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 
@@ -40,8 +40,7 @@ def command(root: Place, episode: str, out: Path | None, stride: int, as_json: b
     except KeyError as error:
         raise UsageError(f"{error.args[0]}; see `factory jobs list {root}`") from error
     job = chosen.meta.job
-    with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
-        scene = decode_scene(package)
+    scene = read_geometry(find_package(root, job.scene, job.scene_sha256).path)
     frames = range(0, len(chosen), stride)
     with chosen, Bars() as progress:
         task = progress.add_task("frames", total=len(frames))

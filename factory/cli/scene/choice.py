@@ -18,7 +18,7 @@ from factory.runs.catalog import find_imported
 from factory.scenes.stage_file import SCENE_SUFFIXES, find_fault, kind_of_file
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_scene
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, family_of, layout_number
 
@@ -77,7 +77,7 @@ def built_in_layout(name: str, seed: int) -> BuiltInLayout | None:
 
 def chosen_scene(scene: str, seed: int) -> CompiledScene:
     """Returns the scene with a name or in a file; raises the errors of `scene_package`."""
-    return open_scene(scene_package(scene, seed))
+    return read_scene(scene_package(scene, seed))
 
 
 def scene_package(scene: str, seed: int) -> Path:
@@ -99,12 +99,6 @@ def scene_package(scene: str, seed: int) -> Path:
         fault = find_fault(path) or f"{scene} is not a scene package"
         raise UsageError(f"{fault}; import the scene with `factory scene import` and give the package")
     return path if path.is_file() else _package_called(scene, seed)
-
-
-def open_scene(path: Path) -> CompiledScene:
-    """Reads a package."""
-    with path.open("rb") as file:
-        return decode_scene(file)
 
 
 def _package_called(name: str, seed: int) -> Path:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from factory.cli.common.output import print_json, print_table, print_text, stderr
-from factory.cli.scene.choice import open_scene
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError, WorldError
+from schemas.scene import read_geometry
 from schemas.support.suggest import did_you_mean
 from schemas.terms import layout_name
 
@@ -46,7 +46,7 @@ def survey_family(family: str, layouts: int, first_seed: int, as_json: bool) -> 
         while len(facts) < layouts and (seed := next(seeds, None)) is not None:
             progress.update(f"surveying {family}: {len(facts)} of {layouts} layouts, seed {seed}")
             try:
-                scene = open_scene(build_scene(family, seed, scene_cache(), called=layout_name(family, seed)))
+                scene = read_geometry(build_scene(family, seed, scene_cache(), called=layout_name(family, seed)))
             except WorldError as error:
                 failed[seed] = str(error)
                 continue

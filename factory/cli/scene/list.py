@@ -18,7 +18,7 @@ from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError
 from schemas.layouts import LayoutPlan
 from schemas.plan import ScenePlan
-from schemas.scene import read_scene_info
+from schemas.scene import read_info
 from schemas.storage.place import Place
 from schemas.terms import BUILTIN_CATEGORIES, family_of
 
@@ -99,8 +99,7 @@ def _imported() -> list[dict[str, Any]]:
 
 def _facts(package: Path) -> dict[str, str]:
     try:
-        with package.open("rb") as file:
-            info = read_scene_info(file)
+        info = read_info(package)
     except (FactoryError, OSError) as error:
         return {"summary": f"cannot be read: {' '.join(str(error).split())}", "targets": "-"}
     return {"summary": info.source, "targets": describe_counts(Counter(target.category for target in info.targets))}

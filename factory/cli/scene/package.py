@@ -15,9 +15,9 @@ from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_toml import plan_to_toml
 from factory.cli.common.output import print_text
-from factory.cli.scene.choice import open_scene
 from schemas.config import TaskConfig
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
+from schemas.scene import read_geometry
 from schemas.terms import Split, SuccessMeasure
 
 _IN_WORDS = ("targets", "instances", "no_target", "notes")
@@ -29,11 +29,12 @@ def describe_package(path: Path) -> dict[str, Any]:
     """Returns the facts of a scene package as JSON data."""
     from factory.scenes.inspection import list_other_things
 
-    scene = open_scene(path)
+    scene = read_geometry(path)
     info = scene.info
     return {
         "package": str(path),
         "bytes": path.stat().st_size,
+        "shared_texture_bytes": sum(texture.size for texture in info.textures),
         "triangles": len(scene.positions) // 3,
         "collider_triangles": len(scene.collider_triangles),
         "textures": info.texture_count,

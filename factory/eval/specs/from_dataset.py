@@ -21,7 +21,7 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.instruction.referents import ids_in_view
 from schemas.measure import Goal
-from schemas.scene import Instance, decode_scene
+from schemas.scene import Instance, read_scene
 from schemas.storage.place import Place
 from schemas.terms import Split
 from workers.geometry.pose import Pose
@@ -54,8 +54,7 @@ class Places:
     def load(self, name: str, sha256: str, with_light: bool = False) -> LoadedScene:
         """Returns a loaded scene, with its light groups if wanted; raises `ArchiveCorrupt` if the dataset lacks it."""
         if sha256 not in self._loaded:
-            with self.path(name, sha256).open("rb") as file:
-                self._loaded[sha256] = prepare_scene(decode_scene(file))
+            self._loaded[sha256] = prepare_scene(read_scene(self.path(name, sha256)))
         if with_light and self._loaded[sha256].light is None:
             with light_file(self.path(name, sha256), sha256).open("rb") as file:
                 self._loaded[sha256] = replace(self._loaded[sha256], light=decode_light_groups(file))

@@ -27,7 +27,7 @@ from factory.runs.catalog import find_package
 from schemas.dataset.meta import DatasetMeta
 from schemas.errors import UsageError
 from schemas.rig import Camera, Rig
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import CompiledScene, read_geometry
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 
@@ -192,5 +192,4 @@ class _Recording:
 
 @functools.lru_cache(maxsize=2)
 def _scene_of(root: Place, name: str, sha256: str) -> CompiledScene:
-    with find_package(root, name, sha256).path.open("rb") as package:
-        return decode_scene(package)
+    return read_geometry(find_package(root, name, sha256).path)

@@ -31,7 +31,7 @@ from factory.export.vlnce.episode import (
     words_of,
 )
 from factory.runs.catalog import find_package
-from schemas.scene import CompiledScene, SceneInfo, decode_scene
+from schemas.scene import CompiledScene, SceneInfo, read_info, read_scene
 from schemas.storage.place import Place
 
 PIECE_FILE = "episode.json"
@@ -137,16 +137,14 @@ def _write_scene(out: Output, root: Place, name: str, sha256: str) -> None:
     target = f"scene_datasets/{scene_file(name)}"
     if out.has(target):
         return
-    with find_package(root, name, sha256).path.open("rb") as package:
-        scene = decode_scene(package)
+    scene = read_scene(find_package(root, name, sha256).path)
     with out.replacing(target) as part:
         part.write_bytes(encode_glb(scene))
 
 
 @functools.lru_cache(maxsize=64)
 def _scene_of(root: Place, name: str, sha256: str) -> SceneInfo:
-    with find_package(root, name, sha256).path.open("rb") as package:
-        return decode_scene(package).info
+    return read_info(find_package(root, name, sha256).path)
 
 
 def encode_glb(scene: CompiledScene) -> bytes:

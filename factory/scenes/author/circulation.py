@@ -245,9 +245,13 @@ def _width(spec: RoomSpec, depth: float) -> float:
 
 def _floor_of(areas: Sequence[Rectangle]) -> float:
     """Returns the sum of the areas; 0 if one of them has no extent, because the floor is smaller than its halls."""
-    if any(area.width <= 0 or area.depth <= 0 for area in areas):
-        return 0.0
-    return sum(area.width * area.depth for area in areas)
+    total = 0.0
+    for x0, y0, x1, y1 in areas:  # one loop over the corners, because a floor is divided thousands of times
+        width, depth = x1 - x0, y1 - y0
+        if width <= 0 or depth <= 0:
+            return 0.0
+        total += width * depth
+    return total
 
 
 def _moved(area: Rectangle, floor: Rectangle) -> Rectangle:

@@ -5,24 +5,22 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import zlib
 from collections.abc import Iterable, Sequence
 from functools import cache
 
 import numpy as np
 from PIL import Image
 
+from factory.scenes.author.drawn import draw_pixels
 from factory.scenes.author.geometry import merge
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, linear_rgb
 from factory.scenes.author.placement import FloorPlan, PropPlacement
-from factory.scenes.author.textures import draw_texture
-from factory.scenes.importer import Extraction, Surface
+from factory.scenes.importer import Extraction, Surface, TextureRecipe
 from factory.scenes.importer.collect import Collector, Piece
 from factory.scenes.importer.polygons import triangulate
 from factory.scenes.limits import USUAL_LIMITS
 from schemas.support.numpy_types import Floats
 
-_TEXTURE_SEED = 0
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -46,7 +44,7 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
             known[placement.model.name] = _pieces(placement.model.pieces)
         _place(scene, path, known[placement.model.name], _to_world(placement))
     names = sorted({part.surface.texture for part in scene.parts} - {""})
-    images = {name: encode_texture(name) for name in names}
+    images = {name: TextureRecipe(name) for name in names}
     return scene.extraction(1.0, {name: hashlib.sha256(made_from.encode()).hexdigest()}, images)
 
 
@@ -60,10 +58,9 @@ def by_material(pieces: Iterable[PropPiece]) -> dict[str, list[PropPiece]]:
 
 @cache
 def encode_texture(name: str) -> bytes:
-    """Returns a texture as PNG, the same for all layouts; each has a separate generator, so that a new texture does not
-    change the others."""
-    rng, buffer = np.random.default_rng([_TEXTURE_SEED, zlib.crc32(name.encode())]), io.BytesIO()
-    Image.fromarray(draw_texture(name, rng)).save(buffer, "PNG", compress_level=1)
+    """Returns a texture as PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(draw_pixels(TextureRecipe(name))).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()
 
 

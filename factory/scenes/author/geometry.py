@@ -14,6 +14,7 @@ import numpy as np
 
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Ints
+from schemas.support.vectors import cross
 
 Vector = tuple[float, float, float]
 
@@ -232,7 +233,7 @@ def _project(mesh: AuthoredMesh) -> Floats:
     starts = np.concatenate([[0], np.cumsum(mesh.counts)[:-1]])
     following = np.arange(len(corners)) + 1
     following[starts + mesh.counts - 1] = starts
-    normals = np.add.reduceat(np.cross(corners, corners[following]), starts)
+    normals = np.add.reduceat(cross(corners, corners[following]), starts)
     axis = np.repeat(np.abs(normals).argmax(axis=1), mesh.counts)
     st = corners[:, :2].copy()
     st[axis == 0] = corners[axis == 0][:, 1:]

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,8 @@ from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
 from factory.scenes.compile.shade import target_colour, triangle_areas
 from factory.scenes.compile.substance import materials_of
-from factory.scenes.compile.textures import TextureBook, load_textures
-from factory.scenes.formats import extract_scene
-from factory.scenes.importer import Extraction, Part
-from factory.scenes.importer.assets import read_asset
+from factory.scenes.compile.textures import DrawFunction, TextureBook, load_textures
+from factory.scenes.importer import Extraction, Part, TextureRecipe
 from factory.scenes.light import USUAL_DETAIL, LightDetail
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.navigation.collider import solid_triangles, weld
@@ -111,6 +110,8 @@ def compile_stage(
         UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
         WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
     """
+    from factory.scenes.formats import extract_scene  # OpenUSD and readers of other formats, which layouts do not need
+
     content = extract_scene(path, limits)
     return compile_extraction(path.name, content, name, source, rules, chosen, has_materials=has_materials)
 
@@ -125,6 +126,7 @@ def compile_extraction(
     detail: LightDetail = USUAL_DETAIL,
     required: Collection[str] = (),
     has_materials: bool = True,
+    draw: DrawFunction | None = None,
 ) -> CompiledScene:
     """Compiles an extracted stage.
 
@@ -138,6 +140,7 @@ def compile_extraction(
         detail: resolution of the light map, and number of rays.
         required: categories that must have a reachable target; checked before the light is computed.
         has_materials: whether to record the materials of objects.
+        draw: function that returns the pixels of the textures of an authored scene.
 
     Raises:
         UsageError: `chosen` names prims that the stage does not have.
@@ -147,7 +150,7 @@ def compile_extraction(
     notes = list(extraction.notes)
     parts = with_floor(_without_outliers(file, extraction, notes), extraction.floor_m)
     parts = with_ceiling(parts, extraction.ceiling_m)
-    shown = _show(file, extraction, parts, (rules, chosen), has_materials, notes)
+    shown = _show(file, extraction, parts, (rules, chosen), has_materials, notes, draw)
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
         solid = solid_triangles(
@@ -210,6 +213,7 @@ def _show(
     wishes: tuple[RuleBook, TargetList | None],
     has_materials: bool,
     notes: list[str],
+    draw: DrawFunction | None,
 ) -> _Shown:
     visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
     clear = sum(not part.is_collider for part in parts) - len(visible)
@@ -219,14 +223,22 @@ def _show(
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes
     users = {part.surface.texture: part.path for part in reversed(visible)}
-    images = extraction.images
-    book = load_textures(_texture_areas(visible), lambda name: images.get(name) or read_asset(name), users)
+    book = load_textures(_texture_areas(visible), partial(_read_texture, extraction), users, draw)
     notes += book.notes
     found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
     candidates = apply_candidate_edits(found, visible, chosen)
     owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
     ids = number_objects(owners)
     return _Shown(visible, candidates, owners, ids, book, chosen, rules.uncoloured, has_materials)
+
+
+def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:
+    """Returns a texture of the content, or else of a file."""
+    if name in extraction.images:
+        return extraction.images[name]
+    from factory.scenes.importer.assets import read_asset  # OpenUSD
+
+    return read_asset(name)
 
 
 @contextmanager

@@ -17,12 +17,12 @@ from factory.scenes.importer import Part
 from factory.scenes.navigation.reach import Terrain, tiers_of
 from factory.scenes.targets.candidates import Candidate
 from factory.scenes.targets.footprint import footprint_of
-from schemas.config import TaskConfig
-from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Floats
-from schemas.terms import SuccessMeasure
+from schemas.terms import SuccessMeasure, Tier
 
+TiersOfPaths = tuple[tuple[Tier, ...], tuple[Tier, ...]]
+"""Tiers from which a target is reachable by straight driving, and by any path."""
 HIGHEST_BOTTOM_M = 2.0
 """Maximum height of the bottom of a target above the floor, metres."""
 
@@ -49,33 +49,43 @@ def list_targets(
         floor_m: height of the floor, metres.
         notes: receives a note for each candidate that is omitted.
     """
-    seen: Counter[str] = Counter()
+    named = _named_targets(candidates, ids, shapes)
+    tiers = {success: tiers_of(terrain, [one for one, _ in named], success, spawns) for success in SuccessMeasure}
+    by_centroid, by_surface = tiers[SuccessMeasure.CENTROID], tiers[SuccessMeasure.SURFACE]
     targets = []
+    for (target, bottom_m), centroid, surface in zip(named, by_centroid, by_surface, strict=True):
+        bottom = bottom_m - floor_m
+        if not -1.0 < bottom < HIGHEST_BOTTOM_M:
+            notes.append(f"{target.target_id}: omitted, it hangs {bottom:.2f} m over the floor ({target.prim_path})")
+        elif not (centroid or surface):
+            notes.append(f"{target.target_id}: omitted, no pose within its success region fits ({target.prim_path})")
+        else:
+            targets.append(_with_tiers(target, centroid or ((), ()), surface or ((), ())))
+    return tuple(targets)
+
+
+def _named_targets(
+    candidates: Sequence[Candidate], ids: Mapping[str, int], shapes: Mapping[str, Floats]
+) -> list[tuple[Target, float]]:
+    """Returns the candidates as targets, each with the height of its bottom, metres."""
+    seen: Counter[str] = Counter()
+    named = []
     for candidate in candidates:
         seen[candidate.category] += 1
         name = f"{candidate.category}_{seen[candidate.category]:03d}"
         target = _target(candidate, name, ids[candidate.path], shapes[candidate.path])
-        bottom = float(candidate.box[0, 2]) - floor_m
-        if not -1.0 < bottom < HIGHEST_BOTTOM_M:
-            notes.append(f"{target.target_id}: omitted, it hangs {bottom:.2f} m over the floor ({candidate.path})")
-            continue
-        tiers = {
-            success: tiers_of(terrain, target, Goal.of(target, TaskConfig(success=success)), spawns)
-            for success in SuccessMeasure
-        }
-        if not any(tiers.values()):
-            notes.append(f"{target.target_id}: omitted, no pose within its success region fits ({candidate.path})")
-            continue
-        straight, connected = tiers[SuccessMeasure.CENTROID] or ((), ())
-        by_surface = tiers[SuccessMeasure.SURFACE] or ((), ())
-        found = {
-            "straight_tiers": straight,
-            "connected_tiers": connected,
-            "surface_straight_tiers": by_surface[0],
-            "surface_connected_tiers": by_surface[1],
-        }
-        targets.append(target.model_copy(update=found))
-    return tuple(targets)
+        named.append((target, float(candidate.box[0, 2])))
+    return named
+
+
+def _with_tiers(target: Target, centroid: TiersOfPaths, surface: TiersOfPaths) -> Target:
+    found = {
+        "straight_tiers": centroid[0],
+        "connected_tiers": centroid[1],
+        "surface_straight_tiers": surface[0],
+        "surface_connected_tiers": surface[1],
+    }
+    return target.model_copy(update=found)
 
 
 def _target(candidate: Candidate, name: str, instance_id: int, shape: Floats) -> Target:

@@ -14,6 +14,7 @@ from factory.scenes.importer import Part, Surface
 from factory.scenes.navigation.floor import find_floor_height
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Singles
+from schemas.support.vectors import cross
 from workers.geometry.rays import Caster
 
 _CEILING_PATH = "/AddedCeiling"
@@ -82,7 +83,7 @@ def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> b
     ways = np.column_stack((flat * portable.cos(turn), flat * portable.sin(turn), rise)).astype(np.float32)
     eyes = np.column_stack((spawns, np.full(len(spawns), floor_m + _EYE_M))).astype(np.float32)
     origins, directions = np.repeat(eyes, _DIRECTIONS, axis=0), np.tile(ways, (len(eyes), 1))
-    is_upper = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ _SIDES > 0
+    is_upper = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ _SIDES > 0
     free = np.ones(len(origins), bool)
     for side in (triangles[is_upper], triangles[~is_upper]):
         free[free] = _leave(Caster(side), origins[free], directions[free])

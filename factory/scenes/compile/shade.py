@@ -15,7 +15,9 @@ from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
 from schemas.appearance.colour_names import dominant_name, linear_of, srgb_of
+from schemas.scene import TEXTURE_SIZE_PX
 from schemas.support.numpy_types import Floats
+from schemas.support.vectors import cross
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
@@ -28,7 +30,7 @@ def triangle_areas(triangles: Floats) -> Floats:
 
 
 def _crosses(triangles: Floats) -> Floats:
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def texture_layer(part: Part, book: TextureBook) -> int:
@@ -103,7 +105,7 @@ def _sample(part: Part, book: TextureBook, triangles: NDArray[np.int64], rng: np
     layer = texture_layer(part, book)
     if layer >= 0 and part.uvs is not None:
         uv = np.einsum("nk,nkc->nc", weights, part.uvs[triangles]) % 1.0
-        side = book.layers.shape[1]
+        side = TEXTURE_SIZE_PX
         columns = np.minimum((uv[:, 0] * side).astype(int), side - 1)
         rows = np.minimum(((1 - uv[:, 1]) * side).astype(int), side - 1)
         linear = linear * linear_of(book.layers[layer][rows, columns] / 255)

@@ -13,25 +13,27 @@ from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from factory.scenes.importer import TextureRecipe
 from schemas.appearance.colour_names import linear_of
-from schemas.scene import TEXTURE_SIZE_PX
+from schemas.scene import TEXTURE_SIZE_PX, Layer
 
 MAX_LAYERS = 64
 _MAX_SOURCE_PX = 16384
 _PALETTES = ("P", "PA", "LA", "RGBA")
 
-Picture = NDArray[np.uint8]
+
+DrawFunction = Callable[[TextureRecipe], Layer]
+"""Function that returns the pixels (512, 512, 3) of a texture."""
 
 
 @dataclass(frozen=True)
 class TextureBook:
     """Texture layers of a scene, with the layer of each texture path."""
 
-    layers: Picture
-    """(L, 512, 512, 3) sRGB, top row first."""
+    layers: tuple[Layer, ...]
+    """Layers, each (512, 512, 3), sRGB, top row first."""
     layer_of: Mapping[str, int]
     """Texture path -> layer index."""
     mean_of: Mapping[str, tuple[float, float, float]]
@@ -40,36 +42,49 @@ class TextureBook:
 
 
 def load_textures(
-    areas: Mapping[str, float], read: Callable[[str], bytes | None], users: Mapping[str, str] = MappingProxyType({})
+    areas: Mapping[str, float],
+    read: Callable[[str], bytes | TextureRecipe | None],
+    users: Mapping[str, str] = MappingProxyType({}),
+    draw: DrawFunction | None = None,
 ) -> TextureBook:
     """Decodes the textures of a scene.
 
     Args:
         areas: area that each texture path covers, square metres; the largest get a layer.
-        read: function that returns the bytes of a path, or `None`.
+        read: function that returns the bytes of a path, a texture to draw, or `None`.
         users: one prim that uses each texture, for the notes.
+        draw: function that returns the pixels of a texture to draw; a scene from a file has none.
     """
     notes: list[str] = []
-    pictures: dict[str, Picture] = {}
+    pictures: dict[str, Layer] = {}
     digest_of: dict[str, str] = {}
     for path in sorted(areas):
         data = read(path)
-        digest = hashlib.sha256(data or b"").hexdigest()
-        picture = pictures[digest] if digest in pictures else _decode(path, data, users.get(path, ""), notes)
+        digest = hashlib.sha256(repr(data).encode() if isinstance(data, TextureRecipe) else data or b"").hexdigest()
+        if digest in pictures:
+            picture: Layer | None = pictures[digest]
+        elif isinstance(data, TextureRecipe):
+            picture = _drawn(data, draw)
+        else:
+            picture = _decode(path, data, users.get(path, ""), notes)
         if picture is not None:
             pictures[digest], digest_of[path] = picture, digest
     kept = _largest(areas, digest_of, notes)
-    layers = [pictures[digest] for digest in kept]
-    shape = (0, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3)
     return TextureBook(
-        layers=np.stack(layers) if layers else np.zeros(shape, np.uint8),
+        layers=tuple(pictures[digest] for digest in kept),
         layer_of={path: kept.index(digest) for path, digest in digest_of.items() if digest in kept},
         mean_of={path: _mean(pictures[digest]) for path, digest in digest_of.items()},
         notes=tuple(notes),
     )
 
 
-def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Picture | None:
+def _drawn(recipe: TextureRecipe, draw: DrawFunction | None) -> Layer:
+    if draw is None:
+        raise ValueError(f"texture {recipe.name} is to be drawn, but no function for it was given")
+    return draw(recipe)
+
+
+def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Layer | None:
     name = f"{user}: texture {path.rpartition('/')[2]}".removeprefix(": ")
     if data is None:
         notes.append(f"{name} is missing, shown in one colour; put it where the material looks for it")
@@ -82,7 +97,7 @@ def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Pictu
 
 
 @lru_cache(maxsize=MAX_LAYERS)
-def _read(data: bytes) -> Picture:
+def _read(data: bytes) -> Layer:
     """Returns the pixels of an image, read-only. The layouts that a process builds share textures."""
     with Image.open(io.BytesIO(data)) as image:
         if max(image.size) > _MAX_SOURCE_PX:
@@ -115,6 +130,6 @@ def _largest(areas: Mapping[str, float], digest_of: Mapping[str, str], notes: li
     return sorted(by_area)
 
 
-def _mean(picture: Picture) -> tuple[float, float, float]:
+def _mean(picture: Layer) -> tuple[float, float, float]:
     small = linear_of(picture[::4, ::4].reshape(-1, 3) / 255).mean(axis=0)
     return (float(small[0]), float(small[1]), float(small[2]))

@@ -16,8 +16,9 @@ from factory.scenes.formats.sdf.worlds import read_sdf
 from factory.scenes.formats.shapes import BROKEN, ROOT, place_content
 from factory.scenes.formats.units import resolve_units
 from factory.scenes.formats.urdf import read_urdf
-from factory.scenes.importer import Extraction, extract_stage
+from factory.scenes.importer import Extraction
 from factory.scenes.importer.collect import Collector
+from factory.scenes.importer.extract import extract_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.stage_file import kind_of_file, require_stage
 from schemas.errors import UsageError, WorldError

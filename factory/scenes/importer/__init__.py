@@ -1,6 +1,8 @@
-"""Imports USD stages: visible and collision geometry as arrays in metres, z up. Only this package reads USD."""
+"""Imports USD stages: visible and collision geometry as arrays in metres, z up. Only this package reads USD.
 
-from factory.scenes.importer.extract import extract_stage
-from factory.scenes.importer.model import Extraction, Part, Surface
+Importing the package loads the models only; `extract` loads OpenUSD.
+"""
 
-__all__ = ["Extraction", "Part", "Surface", "extract_stage"]
+from factory.scenes.importer.model import Extraction, Part, Surface, TextureRecipe
+
+__all__ = ["Extraction", "Part", "Surface", "TextureRecipe"]

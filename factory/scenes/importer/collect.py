@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from factory.scenes.importer.model import Extraction, Part, Surface
+from factory.scenes.importer.model import Extraction, Part, Surface, TextureRecipe
 from factory.scenes.limits import StageLimits
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
@@ -96,14 +96,14 @@ class Collector:
         self,
         metres_per_unit: float,
         digests: Mapping[str, str],
-        images: Mapping[str, bytes] = MappingProxyType({}),
+        images: Mapping[str, bytes | TextureRecipe] = MappingProxyType({}),
     ) -> Extraction:
         """Returns the content.
 
         Args:
             metres_per_unit: length of the unit of the file, metres.
             digests: SHA-256 of the content of each file, by its path relative to the root file.
-            images: encoded images inside other files, by name.
+            images: encoded images inside other files, and textures to draw, by name.
         """
         ceiling_m = self.limits.ceiling_m
         added = [] if ceiling_m is None else [f"ceiling {ceiling_m}"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from schemas.support.numpy_types import Floats
 
@@ -58,6 +59,13 @@ class Part:
     """Whether the part is authored for collision only and is not visible."""
 
 
+class TextureRecipe(NamedTuple):
+    """Texture of an authored scene, which is drawn; equal values give equal pixels."""
+
+    name: str
+    """Name of the texture."""
+
+
 @dataclass(frozen=True)
 class Extraction:
     """Content of a stage, in the order of its prims."""
@@ -81,5 +89,5 @@ class Extraction:
     """Height of a floor to add, metres."""
     ceiling_m: float | None = None
     """Height above the floor of a ceiling to add, metres."""
-    images: Mapping[str, bytes] = field(default_factory=dict)
-    """Encoded images that are part of another file, by their name in `Surface.texture`."""
+    images: Mapping[str, bytes | TextureRecipe] = field(default_factory=dict)
+    """Encoded images that are part of another file, and textures to draw, by their name in `Surface.texture`."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Floats, Ints
+from schemas.support.vectors import cross
 
 _NONE = np.zeros((0, 3), np.int64)
 
@@ -73,7 +74,7 @@ def _cut_faces(points: Floats, indices: Ints, starts: Ints, size: int) -> tuple[
 def _normals(polygons: Floats) -> Floats:
     """Returns area-weighted normals (F, 3) of polygons (F, n, 3)."""
     centred = polygons - polygons.mean(axis=1, keepdims=True)
-    normals: Floats = np.cross(centred, np.roll(centred, -1, axis=1)).sum(axis=1)
+    normals: Floats = cross(centred, np.roll(centred, -1, axis=1)).sum(axis=1)
     return normals
 
 
@@ -82,7 +83,7 @@ def _concave(polygons: Floats) -> NDArray[np.bool_]:
     normals = _normals(polygons)
     area = np.linalg.norm(normals, axis=1)
     edges = np.roll(polygons, -1, axis=1) - polygons
-    turns = np.einsum("fnk,fk->fn", np.cross(edges, np.roll(edges, -1, axis=1)), normals)
+    turns = np.einsum("fnk,fk->fn", cross(edges, np.roll(edges, -1, axis=1)), normals)
     concave: NDArray[np.bool_] = (area > 1e-14) & (turns < -1e-9 * (area**2)[:, None]).any(axis=1)
     return concave
 
@@ -91,9 +92,9 @@ def _ears(polygon: Floats) -> Ints:
     """Returns the triangles (T, 3), as corner indices, of one concave polygon (n, 3), with its winding."""
     normal = _normals(polygon[None])[0]
     normal /= np.linalg.norm(normal)
-    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
-    flat = np.stack([polygon @ across, polygon @ np.cross(normal, across)], axis=1)
+    flat = np.stack([polygon @ across, polygon @ cross(normal, across)], axis=1)
     ends = np.array([len(flat)], np.uint32)
     ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3).astype(np.int64)
     a, b, c = flat[ears[:, 0]], flat[ears[:, 1]], flat[ears[:, 2]]
@@ -116,4 +117,4 @@ def bounds_volume(points: Floats, triangles: Ints) -> bool:
     if not is_closed(welded.reshape(-1)[triangles]):
         return False
     a, b, c = np.moveaxis(points[triangles] - points[0], 1, 0)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
+    return float(np.einsum("ij,ij->", a, cross(b, c))) > 0

@@ -16,19 +16,20 @@ from factory.scenes.light.curves import Bends, find_bends
 from factory.scenes.light.irradiance import Rays, lamp_light, sky_light
 from factory.scenes.light.lamps import Lamps, find_lamps
 from factory.scenes.light.smooth import even_out, fill_hidden, smooth_charts
-from factory.scenes.light.texels import Texels, lay_texels
+from factory.scenes.light.texels import TexelGrid, Texels, lay_texels
 from factory.scenes.light.tone import tone
 from factory.scenes.light.unwrap import unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
 from workers.geometry.rays import Caster
 
-_COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (8, 8), (4, 4)
 FINE_SKY, FINE_LAMPS = (16, 64), (12, 24)
 _EVEN_STEPS = (1, 2)
 """Distances over which noise is averaged, texels."""
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
 """Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
+_FLOOR_M, _LEVEL = 0.1, 0.9
+"""Least distance from the floor, metres, and greatest vertical part of the normal, of charts without contact shade."""
 _MIDDLE_GREY = 0.5
 """Mean reflectance without exposure correction."""
 
@@ -43,11 +44,13 @@ class LightDetail:
     """Rays to the surroundings."""
     lamps: Rays = FINE_LAMPS
     """Rays to the lamps."""
+    coarse: float = 0.25
+    """Texels per metre of the coarse pass, relative to the usual number."""
 
 
 USUAL_DETAIL = LightDetail()
-LAYOUT_DETAIL = LightDetail(0.7, (16, 32), (12, 12))
-"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0215)."""
+LAYOUT_DETAIL = LightDetail(0.6, (16, 16), (8, 8), 0.18)
+"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0218)."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,13 @@ def bake_light(
     np.maximum.at(glow, charts.of_triangle, brightness)
     bounds = np.array((triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))))
     caster, lamps = Caster(triangles), find_lamps(charts, glow, bounds, floor_m)
-    layout = unwrap(charts, detail.density * _interest(caster, charts, bends, lamps), bends.least_texels())
+    gain = detail.density * _interest(caster, charts, bends, lamps, detail.coarse)
+    layout = unwrap(charts, gain, bends.least_texels())
     texels = lay_texels(charts, bends, layout)
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
     cast, known = _cast_light(caster, texels.cast(), lamps, owner, detail)
-    touch = contact_shade(triangles, floor_m, texels.points.mean(axis=1), texels.axes[:, 2])
+    touch = _contact(triangles, floor_m, texels)
     filled = fill_hidden(np.concatenate((cast, texel_maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
     emitting = texel_mask(layout.shape, texels, glow[texels.chart] > 0)
@@ -112,16 +116,17 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detai
     return np.where(bent, cast, smooth), np.where(bent, known, is_near)
 
 
-def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Floats:
+def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps, coarse: float) -> Floats:
     """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
-    layout = unwrap(charts, np.full(len(charts.area), _COARSE))
-    texels = lay_texels(charts, bends, layout).cast()
+    layout = unwrap(charts, np.full(len(charts.area), coarse))
+    grid = lay_texels(charts, bends, layout)
+    texels, chart = grid.cast(), grid.chart[~grid.is_spare]
     _, open_spots = sky_light(caster, texels, _COARSE_SKY)
     whole, free = lamp_light(caster, texels, open_spots, lamps, _COARSE_LAMPS)
     shown = open_spots.any(axis=1)
     is_seen, is_lit = np.zeros(len(charts.area), bool), np.zeros(len(charts.area), bool)
-    np.logical_or.at(is_seen, texels.chart, shown)
-    np.logical_or.at(is_lit, texels.chart, shown & (whole * free > 0))
+    is_seen[chart[shown]] = True
+    is_lit[chart[shown & (whole * free > 0)]] = True
     return np.where(is_lit, 1.0, np.where(is_seen, _DARK_GAIN, _HIDDEN_GAIN))
 
 
@@ -133,7 +138,18 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
     return np.asarray(total / np.bincount(charts.of_triangle))
 
 
-def texel_maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
+def _contact(triangles: Floats, floor_m: float, texels: TexelGrid) -> Floats:
+    """Returns (N,) the contact shade of all texels; places only those of charts that may be on the floor."""
+    charts = texels.charts
+    height, shade = charts.anchors[..., 2] - floor_m, np.ones(len(texels.chart))
+    is_near = (height.min(axis=1) < _FLOOR_M) & (height.max(axis=1) > -_FLOOR_M)
+    rows = np.flatnonzero((is_near & (texels.bends.is_bent | (charts.axes[:, 2, 2] > _LEVEL)))[texels.chart])
+    near = texels.place(rows)
+    shade[rows] = contact_shade(triangles, floor_m, near.middles, near.axes[:, 2])
+    return shade
+
+
+def texel_maps(shape: tuple[int, int], texels: Texels | TexelGrid, *values: Floats) -> Floats:
     """Writes values (N,) of the texels into maps (K, H, W), zero elsewhere."""
     flat = np.zeros((len(values), *shape))
     for each, target in zip(values, flat, strict=True):
@@ -141,7 +157,7 @@ def texel_maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Float
     return flat
 
 
-def texel_mask(shape: tuple[int, int], texels: Texels, chosen: Bools) -> Bools:
+def texel_mask(shape: tuple[int, int], texels: Texels | TexelGrid, chosen: Bools) -> Bools:
     """Writes values (N,) of the texels into a mask (H, W), false elsewhere."""
     mask = np.zeros(shape, bool)
     mask[texels.cell] = chosen

@@ -9,7 +9,7 @@ import structlog
 
 from factory.scenes.cached import write_whole
 from schemas.appearance.light_groups import LIGHT_FORMAT, encode_light_groups
-from schemas.scene import decode_scene
+from schemas.scene import read_scene
 from schemas.storage.disk import translated
 from schemas.support.extras import require_package
 from workers.client.host_lock import exclusive_lock
@@ -40,8 +40,7 @@ def bake_once(package: Path, sha256: str, folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(folder / f"{sha256}.lock", lambda: time.sleep(_POLL_S)):
             if not path.is_file():
-                with package.open("rb") as file:
-                    scene = decode_scene(file)
+                scene = read_scene(package)
                 structlog.get_logger(__name__).info("light_groups_baked", scene=scene.info.name, path=str(path))
                 write_whole(path, encode_light_groups(bake_light_groups(scene, sha256)))
     return path

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from factory.scenes.light.patches import find_patches
 from schemas.support.numpy_types import Floats, Ints
+from schemas.support.vectors import cross
 
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
@@ -45,9 +46,9 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
         triangles: (T, 3, 3) corners, world metres.
         groups: (T,) group of each triangle; triangles of different groups are not joined.
     """
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    areas = np.linalg.norm(cross, axis=1) / 2
-    normals = np.where(areas[:, None] > 1e-14, cross / np.maximum(2 * areas[:, None], 1e-30), (0.0, 0.0, 1.0))
+    product = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    areas = np.linalg.norm(product, axis=1) / 2
+    normals = np.where(areas[:, None] > 1e-14, product / np.maximum(2 * areas[:, None], 1e-30), (0.0, 0.0, 1.0))
     offsets = np.einsum("tk,tk->t", normals, triangles[:, 0])
     plane = np.column_stack(
         (groups, np.rint(normals / _NORMAL_STEP), np.floor(offsets / _PLANE_STEP_M + _PLANE_SHIFT))
@@ -104,4 +105,4 @@ def _frames(triangles: Floats, normals: Floats) -> Floats:
     along = np.where(length > 1e-9, along / np.maximum(length, 1e-30), spare)
     along -= np.einsum("ck,ck->c", along, normals)[:, None] * normals
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return np.stack((along, np.cross(normals, along), normals), axis=1)
+    return np.stack((along, cross(normals, along), normals), axis=1)

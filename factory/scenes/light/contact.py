@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from schemas.support.numpy_types import Floats
+from schemas.support.numpy_types import Bools, Floats
 
 _SECTION_M = 0.02
 _STEP_M = 0.015
@@ -32,10 +32,23 @@ def contact_shade(triangles: Floats, floor_m: float, points: Floats, normals: Fl
     shade = np.ones(len(points))
     feet = _section(triangles, floor_m + _SECTION_M)
     rows = np.flatnonzero((np.abs(points[:, 2] - floor_m) < _NEAR_M) & (normals[:, 2] > _UP))
+    rows = rows[_are_near(points[rows, :2], feet)] if len(feet) else rows
     if len(feet) and len(rows):
         gap, _ = cKDTree(feet).query(points[rows, :2], distance_upper_bound=_REACH_M)
         shade[rows] = 1 - _DEPTH * np.exp(-np.where(np.isfinite(gap), gap, 1e3) / _FADE_M)
     return shade
+
+
+def _are_near(points: Floats, feet: Floats) -> Bools:
+    """Returns whether points (N, 2) may be within `_REACH_M` of feet (K, 2): in or beside a square with one."""
+    low = np.minimum(points.min(axis=0, initial=np.inf), feet.min(axis=0)) - _REACH_M
+    of_points, of_feet = (np.floor((places - low) / _REACH_M).astype(np.int64) for places in (points, feet))
+    size = np.maximum(of_points.max(axis=0, initial=0), of_feet.max(axis=0)) + 2
+    has_feet = np.zeros(size, bool)
+    for right in (-1, 0, 1):
+        for up in (-1, 0, 1):
+            has_feet[of_feet[:, 0] + right, of_feet[:, 1] + up] = True
+    return np.asarray(has_feet[of_points[:, 0], of_points[:, 1]])
 
 
 def _section(triangles: Floats, height_m: float) -> Floats:

@@ -15,6 +15,7 @@ from factory.scenes.light.charts import Charts, number_rows
 from factory.scenes.light.patches import SQUARE, interpolate
 from schemas.support import portable
 from schemas.support.numpy_types import Floats, Ints
+from schemas.support.vectors import cross
 
 _ROUND_COS = math.cos(math.radians(46.0))
 """Cosine of the maximum smooth angle: the sides of an octagon are smooth, those of a hexagon are not."""
@@ -58,9 +59,9 @@ def corner_normals(triangles: Floats, groups: Ints) -> Floats:
         triangles: (T, 3, 3) corners, world metres.
         groups: (T,) group of each triangle; normals are not smoothed across groups.
     """
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    length = np.linalg.norm(cross, axis=1)
-    flat = cross / np.maximum(length, 1e-30)[:, None]
+    product = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    length = np.linalg.norm(product, axis=1)
+    flat = product / np.maximum(length, 1e-30)[:, None]
     places = np.column_stack((np.repeat(groups, 3), np.rint(triangles.reshape(-1, 3) / _WELD_M))).astype(np.int64)
     rows, others = _pairs(number_rows(places))
     here, there = flat[rows // 3], flat[others // 3]
@@ -89,7 +90,7 @@ def _pairs(vertex: Ints) -> tuple[Ints, Ints]:
 def _angles(triangles: Floats) -> Floats:
     """Returns (T, 3) the inner angle at each corner, radians."""
     after, before = (np.roll(triangles, shift, axis=1) - triangles for shift in (-1, 1))
-    sine = np.linalg.norm(np.cross(after, before), axis=2)
+    sine = np.linalg.norm(cross(after, before), axis=2)
     return portable.arctan2(sine, np.einsum("tkc,tkc->tk", after, before))
 
 

@@ -63,7 +63,9 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
     filled = fill_hidden(smooth, is_near, owner)
     info = LightGroupsInfo(scene_sha256=sha256, groups=tuple(_describe(lamps, rows) for rows in members))
     is_strong = [group.kind != SCREENS for group in info.groups]
-    bounced = texel_maps(layout.shape, texels, *_indirect(lamps, members, is_strong, texels.points.mean(axis=1)))
+    bounced = texel_maps(
+        layout.shape, texels, *_indirect(lamps, members, is_strong, texels.place(np.arange(len(texels.chart))).middles)
+    )
     shares = _shares(filled[0], filled[1:], bounced, is_near)
     _light_lamps(shares, members, lamps, charts, owner, glow)
     return LightGroups(info, _quantised(shares))
@@ -130,8 +132,8 @@ def _glow(scene: CompiledScene, charts: Charts, cell: tuple[Ints, Ints], chart: 
     emits[chart[~is_full]] = False
     layer = np.repeat(scene.part_texture, scene.part_count // 3)
     grey = scene.colours.reshape(-1, 3, 3).mean(axis=(1, 2)) / _FULL
-    if len(scene.textures):
-        tones = scene.textures[:, ::8, ::8].mean(axis=(1, 2, 3)) / _FULL
+    if scene.textures:
+        tones = np.stack([pixels[::8, ::8] for pixels in scene.textures]).mean(axis=(1, 2, 3)) / _FULL
         grey = grey * np.where(layer >= 0, tones[np.maximum(layer, 0)], 1.0)
     glow = np.zeros(len(charts.area))
     np.maximum.at(glow, charts.of_triangle, np.clip(grey**2.2, 0.01, 1.0))

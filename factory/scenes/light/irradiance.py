@@ -25,6 +25,8 @@ _COVER_M, _COVERED_SHARE = 0.03, 0.7
 """Distance of a cover, metres, and share of a spot's rays that meet it above which the spot is covered."""
 _CHUNK = 1 << 13
 """Number of texels per batch; the working set of a batch fits the processor cache."""
+_LAMP_CHUNK = 1 << 12
+"""The same for the light of lamps, which has values for each lamp near a texel."""
 
 Rays = tuple[int, int]
 """Number of rays of a texel on a flat chart and on a curved chart, multiples of `SPOTS`."""
@@ -44,7 +46,7 @@ def _sequence(count: int) -> Floats:
 
 def sky_light(caster: Caster, texels: Texels, rays: Rays) -> tuple[Floats, Bools]:
     """Returns (N,) the openness of the half-space above each texel, 0..1, and (N, SPOTS) the spots that count."""
-    opening, open_spots = np.zeros(len(texels.chart)), np.zeros((len(texels.chart), SPOTS), bool)
+    opening, open_spots = np.zeros(len(texels.pattern)), np.zeros((len(texels.pattern), SPOTS), bool)
     for is_bent, count in zip((False, True), rays, strict=True):
         rows = np.flatnonzero(texels.is_bent == is_bent)
         for first in range(0, len(rows), _CHUNK):
@@ -83,32 +85,33 @@ def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles
 def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, rays: Rays) -> tuple[Floats, Floats]:
     """Returns (N,) the unoccluded light of the lamps at each texel, and the share of it that reaches its spots that
     count."""
-    middle = texels.points.mean(axis=1)
-    cells = np.column_stack((np.floor(middle / _CELL_M), texels.is_bent))
-    cell = number_rows(cells.astype(np.int64))
+    middle = texels.middles
+    cell = number_rows(np.column_stack((np.floor(middle / _CELL_M), texels.is_bent)).astype(np.int64))
     order = np.argsort(cell, kind="stable")
     ends = np.flatnonzero(np.diff(cell[order])) + 1
+    near = np.stack([nearest_lamps(lamps, middle[rows].mean(axis=0), _LAMPS_A_CELL) for rows in np.split(order, ends)])
     whole, free = np.zeros(len(order)), np.ones(len(order))
-    for rows in np.split(order, ends):
-        near = nearest_lamps(lamps, middle[rows].mean(axis=0), _LAMPS_A_CELL)
-        count = rays[int(texels.is_bent[rows[0]])]
-        for first in range(0, len(rows), _CHUNK):
-            run = rows[first : first + _CHUNK]
-            whole[run], free[run] = _lit(caster, texels, run, open_spots[run], near, count)
+    for is_bent, count in zip((False, True), rays, strict=True):
+        rows = order[texels.is_bent[order] == is_bent]
+        for first in range(0, len(rows), _LAMP_CHUNK):
+            run = rows[first : first + _LAMP_CHUNK]
+            whole[run], free[run] = _lit(caster, texels, run, open_spots[run], lamps, near[cell[run]].T, count)
     return whole, free
 
 
 def _lit(
-    caster: Caster, texels: Texels, run: Ints, open_spots: Bools, lamps: Lamps, count: int
+    caster: Caster, texels: Texels, run: Ints, open_spots: Bools, lamps: Lamps, near: Ints, count: int
 ) -> tuple[Singles, Singles]:
-    """Samples lamps by their unoccluded light, and points on them, and tests visibility."""
+    """Samples the lamps `near` (L, N) by their unoccluded light, and points on them, and tests visibility."""
     spots, normals = texels.points[run], np.ascontiguousarray(texels.axes[run, 2].T, np.float32)
-    reached = light_from(lamps, np.ascontiguousarray(spots.mean(axis=1).T, np.float32), normals).cumsum(axis=0)
+    points = np.ascontiguousarray(texels.middles[run].T, np.float32)
+    reached = light_from(lamps, near, points, normals).cumsum(axis=0)
     whole, free = reached[-1], np.zeros(len(run), np.float32)
     rows = np.flatnonzero((whole > 1e-6) & open_spots.any(axis=1))
     if not len(rows):
         return whole, free
     pattern, reached, is_open = texels.pattern[run[rows]], reached[:, rows], open_spots[rows]
+    near, each = near[:, rows], np.arange(len(rows))
     origins = np.ascontiguousarray(spots[rows].swapaxes(0, 1), np.float32)
     numbers = np.asarray(_sequence(count), np.float32)
     shift = np.asarray((pattern + 0.5) / PATTERNS, np.float32)
@@ -117,7 +120,8 @@ def _lit(
     way, met = np.empty((len(rows), 3), np.float32), np.zeros(len(rows))
     for ray in range(count):
         wanted = reached[-1] * ((ray + shift) / np.float32(count))
-        lamp = np.minimum((reached < wanted).sum(axis=0, dtype=np.int16), len(lamps.power) - 1)
+        place = np.minimum((reached < wanted).sum(axis=0, dtype=np.int16), len(near) - 1)
+        lamp = near[place, each]
         along, across = (numbers[:, ray, side].take(pattern) for side in (0, 1))
         spot = ray % SPOTS
         gap = [

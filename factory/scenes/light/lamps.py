@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts
-from schemas.support.numpy_types import Floats, Singles
+from schemas.support.numpy_types import Floats, Ints, Singles
 
 _SMALLEST_M2 = 0.05
 _MOST = 512
@@ -78,25 +78,26 @@ def _hung(bounds: Floats, floor_m: float) -> Lamps:
     return Lamps(corner, sides, np.tile((0.0, 0.0, -1.0), (len(x), 1)), np.full(len(x), _HUNG_SIDE_M**2))
 
 
-def nearest_lamps(lamps: Lamps, place: Floats, most: int) -> Lamps:
-    """Returns the `most` lamps with the strongest effect near a position (3,), in a stable order."""
+def nearest_lamps(lamps: Lamps, place: Floats, most: int) -> NDArray[np.intp]:
+    """Returns the numbers of the `most` lamps with the strongest effect near a position (3,), ascending."""
     gap = lamps.centre - place
     weight = lamps.power / (np.einsum("lk,lk->l", gap, gap) + 1.0)
-    return lamps.chosen(np.sort(np.argsort(-weight, kind="stable")[:most]))
+    return np.sort(np.argsort(-weight, kind="stable")[:most])
 
 
-def light_from(lamps: Lamps, points: Singles, normals: Singles) -> Singles:
-    """Returns (L, N) the unoccluded light of each lamp at N points with given normals.
+def light_from(lamps: Lamps, near: Ints, points: Singles, normals: Singles) -> Singles:
+    """Returns (L, N) the unoccluded light of some lamps at N points with given normals.
 
     Args:
-        lamps: L lamps.
+        lamps: all lamps.
+        near: (L, N) numbers of the lamps of each point.
         points: (3, N) positions, metres.
         normals: (3, N) unit vectors.
     """
-    centre, facing = (np.asarray(values.T[:, :, None], np.float32) for values in (lamps.centre, lamps.normal))
-    x, y, z = centre[0] - points[0], centre[1] - points[1], centre[2] - points[2]
+    centre, facing = (np.asarray(values.T, np.float32) for values in (lamps.centre, lamps.normal))
+    x, y, z = (centre[k].take(near) - points[k] for k in range(3))
     squared = x * x + y * y + z * z + np.float32(_NEAR_M2)
     arriving = np.maximum(x * normals[0] + y * normals[1] + z * normals[2], 0)
-    leaving = np.maximum(-(x * facing[0] + y * facing[1] + z * facing[2]), 0)
-    power = np.asarray(lamps.power[:, None], np.float32)
+    leaving = np.maximum(-(x * facing[0].take(near) + y * facing[1].take(near) + z * facing[2].take(near)), 0)
+    power = np.asarray(lamps.power, np.float32).take(near)
     return np.asarray(power * arriving * leaving / (squared * squared), np.float32)

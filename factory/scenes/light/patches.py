@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.support.numpy_types import Floats, Ints
+from schemas.support.vectors import cross
 
 _WELD_M = 1e-4
 _RECTANGULAR = 0.98
@@ -94,8 +95,8 @@ def _map_pairs(patches: Patches, triangles: Floats, rows: Ints, charts: Ints) ->
     """Maps pairs of triangles (N, 2) that share exactly one edge and do not form a rectangle."""
     one, other = triangles[rows[:, 0]], triangles[rows[:, 1]]
     meets = np.linalg.norm(one[:, :, None] - other[:, None], axis=3) < _WELD_M
-    area = np.linalg.norm(np.cross(one[:, 1] - one[:, 0], one[:, 2] - one[:, 0]), axis=1) / 2
-    area += np.linalg.norm(np.cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0]), axis=1) / 2
+    area = np.linalg.norm(cross(one[:, 1] - one[:, 0], one[:, 2] - one[:, 0]), axis=1) / 2
+    area += np.linalg.norm(cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0]), axis=1) / 2
     fits = (meets.sum(axis=(1, 2)) == 2) & (meets.any(axis=2).sum(axis=1) == 2) & (meets.any(axis=1).sum(axis=1) == 2)
     chosen = np.flatnonzero(fits & (area < _RECTANGULAR * patches.extent[charts].prod(axis=1)))
     rows, one, other, meets = rows[chosen], one[chosen], other[chosen], meets[chosen]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts
 from factory.scenes.light.curves import Bends
@@ -29,11 +31,10 @@ _DITHER = np.array((0.7548776662466927, 0.5698402909980532))
 
 @dataclass(frozen=True)
 class Texels:
-    """N texels on surfaces."""
+    """N texels with their places on surfaces."""
 
     cell: tuple[Ints, Ints]
     """Rows and columns in the light map."""
-    chart: Ints
     points: Floats
     """(N, SPOTS, 3) positions just above the surface, metres; equal on curved charts."""
     axes: Floats
@@ -42,47 +43,75 @@ class Texels:
     """(N,) index of the ray pattern; 0 for texels of curved charts, whose values are not averaged."""
     is_bent: Bools
     """(N,) whether the texel is on a curved chart."""
+
+    @cached_property
+    def middles(self) -> Floats:
+        """(N, 3) mean positions, metres."""
+        return np.asarray(self.points.mean(axis=1))
+
+
+@dataclass(frozen=True)
+class TexelGrid:
+    """All texels of a light map, without their places, of which only some are needed."""
+
+    charts: Charts
+    bends: Bends
+    layout: Unwrap
+    cell: tuple[Ints, Ints]
+    """Rows and columns in the light map."""
+    chart: Ints
+    """(N,) chart of each texel."""
+    local: Ints
+    """(N, 2) column and row in the rectangle of the chart."""
     is_spare: Bools
     """(N,) whether the texel is interpolated from its neighbours: every second texel of large flat charts."""
 
     def cast(self) -> Texels:
         """Returns the texels that cast rays."""
-        rows = np.flatnonzero(~self.is_spare)
-        others = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name != "cell"}
-        return Texels(cell=(self.cell[0][rows], self.cell[1][rows]), **others)
+        return self.place(np.flatnonzero(~self.is_spare))
+
+    def place(self, rows: NDArray[np.intp]) -> Texels:
+        """Returns some texels with their places."""
+        chart, local, size = self.chart[rows], self.local[rows], self.layout.size[self.chart[rows]]
+        is_bent, axes = self.bends.is_bent[chart], self.charts.axes[chart]
+        bent = np.flatnonzero(is_bent)
+        share = np.where(size[bent] > 1, local[bent] / np.maximum(size[bent] - 1, 1), 0.5)
+        axes[bent] = _frames(self.bends.normals(chart[bent], share))
+        pattern = (PATTERNS * ((local * _DITHER).sum(axis=1) % 1.0)).astype(np.int64)
+        return Texels(
+            cell=(self.cell[0][rows], self.cell[1][rows]),
+            points=_points(self.charts, chart, local, size, is_bent) + _LIFT_M * axes[:, None, 2],
+            axes=axes,
+            pattern=np.where(is_bent, 0, pattern),
+            is_bent=is_bent,
+        )
 
 
-def lay_texels(charts: Charts, bends: Bends, layout: Unwrap) -> Texels:
+def lay_texels(charts: Charts, bends: Bends, layout: Unwrap) -> TexelGrid:
     """Distributes the texels of each chart over its square; the outermost are just inside its edges."""
     counts = layout.size.prod(axis=1)
     chart = np.repeat(np.arange(len(counts)), counts)
     within = np.arange(len(chart)) - np.repeat(np.cumsum(counts) - counts, counts)
-    wide = layout.size[chart, 0]
-    local = np.column_stack((within % wide, within // wide))
-    place, is_bent = layout.place[chart] + local, bends.is_bent[chart]
-    axes, bent = charts.axes[chart], np.flatnonzero(is_bent)
-    steps = np.maximum(layout.size[chart] - 1, 1)
-    share = np.where(layout.size[chart] > 1, local / steps, 0.5)
-    axes[bent] = _frames(bends.normals(chart[bent], share[bent]))
-    pattern = (PATTERNS * ((local * _DITHER).sum(axis=1) % 1.0)).astype(np.int64)
-    is_large = (layout.size.min(axis=1) >= _LARGE)[chart]
-    return Texels(
-        cell=(place[:, 1], place[:, 0]),
-        chart=chart,
-        points=_points(charts, chart, local, layout.size[chart], is_bent) + _LIFT_M * axes[:, None, 2],
-        axes=axes,
-        pattern=np.where(is_bent, 0, pattern),
-        is_bent=is_bent,
-        is_spare=is_large & ~is_bent & (local.sum(axis=1) % 2 == 1),
-    )
+    down, right = np.divmod(within, layout.size[chart, 0])
+    local = np.column_stack((right, down))
+    place = layout.place[chart] + local
+    is_dense = (layout.size.min(axis=1) >= _LARGE) & ~bends.is_bent
+    is_spare = is_dense[chart] & ((right + down) % 2 == 1)
+    return TexelGrid(charts, bends, layout, (place[:, 1], place[:, 0]), chart, local, is_spare)
 
 
 def _points(charts: Charts, chart: Ints, local: Ints, size: Ints, is_bent: Bools) -> Floats:
     """Returns (N, SPOTS, 3) positions on the surface, metres."""
-    steps = np.maximum(size - 1, 1)[:, None]
-    share = np.where(size[:, None] > 1, (local[:, None] + np.where(is_bent[:, None, None], 0.0, _OFFSETS)) / steps, 0.5)
-    inset = np.where(is_bent, _BENT_INSET, _INSET)[:, None, None] / steps
-    return interpolate(charts.anchors, chart, np.clip(share, inset, 1 - inset))
+    points = np.empty((len(chart), SPOTS, 3))
+    for rows, offsets, least in (
+        (np.flatnonzero(~is_bent), _OFFSETS, _INSET),
+        (np.flatnonzero(is_bent), np.zeros((1, 2)), _BENT_INSET),
+    ):
+        steps = np.maximum(size[rows] - 1, 1)[:, None]
+        share = np.where(size[rows][:, None] > 1, (local[rows][:, None] + offsets) / steps, 0.5)
+        inset = least / steps
+        points[rows] = interpolate(charts.anchors, chart[rows], np.clip(share, inset, 1 - inset))
+    return points
 
 
 def _frames(normals: Floats) -> Floats:

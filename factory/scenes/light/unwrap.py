@@ -84,12 +84,14 @@ def _sizes(extent: Floats, density: Floats, most: int) -> Ints:
 
 def _pack(size: Ints, width: int) -> tuple[Ints, int]:
     """Shelf packing, highest charts first. Returns positions and the height used."""
-    place = np.zeros_like(size)
+    order = np.lexsort((-size[:, 0], -size[:, 1]))
     column = row = shelf = 0
-    for chart in np.lexsort((-size[:, 0], -size[:, 1])).tolist():
-        wide, high = size[chart]
+    places = []
+    for wide, high in size[order].tolist():
         if column + wide > width:
             column, row, shelf = 0, row + shelf, 0
-        place[chart] = column, row
-        column, shelf = column + int(wide), max(shelf, int(high))
+        places.append((column, row))
+        column, shelf = column + wide, max(shelf, high)
+    place = np.zeros_like(size)
+    place[order] = places
     return place, row + shelf

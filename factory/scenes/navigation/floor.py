@@ -9,6 +9,7 @@ import numpy as np
 
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
+from schemas.support.vectors import cross
 
 FLOOR_TOLERANCE_M = 0.03
 """Maximum vertical distance of a floor surface from the height of the floor, metres."""
@@ -19,7 +20,7 @@ _MIN_SHARE = 0.4
 
 def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:
     """Returns the heights and areas of level, upward-facing triangles; the areas of all others are 0."""
-    crosses = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    crosses = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     doubled = np.linalg.norm(crosses, axis=1)
     level = crosses[:, 2] > 0.98 * doubled
     return triangles[:, :, 2].mean(axis=1), np.where(level, doubled / 2, 0.0)

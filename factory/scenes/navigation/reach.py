@@ -5,16 +5,18 @@ Pure and deterministic: tests lattices of poses on the occupancy grid. Does not 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factory.scenes.navigation.goals import Goals, Rows, batches
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
-from schemas.terms import FAR_FLOOR_M, TIER_RANGE_M, Tier
+from schemas.terms import FAR_FLOOR_M, TIER_RANGE_M, SuccessMeasure, Tier
 from workers.geometry.grid import Grid, are_within, body_centre
 
 ARRIVAL_RADIUS_M = 0.97
@@ -50,81 +52,117 @@ class Terrain:
 
 
 def tiers_of(
-    terrain: Terrain, target: Target, goal: Goal, spawns: Floats
-) -> tuple[tuple[Tier, ...], tuple[Tier, ...]] | None:
-    """Returns the tiers from which a target is reachable by straight driving, and by any path; `None` if it is not.
+    terrain: Terrain, targets: Sequence[Target], success: SuccessMeasure, spawns: Floats
+) -> list[tuple[tuple[Tier, ...], tuple[Tier, ...]] | None]:
+    """Returns for each target the tiers from which it is reachable by straight driving, and by any path; `None` for one
+    that is not reachable.
 
     Args:
         terrain: floor of the scene.
-        target: target to reach.
-        goal: its success region; its measure applies to the distances of the tiers, too.
+        targets: targets to reach.
+        success: measure of the success region and of the distances of the tiers.
         spawns: (S, 2) surveyed points, metres.
     """
-    if not _is_reachable(terrain, target, goal):
-        return None
-    straight, connected = _ring_tiers(terrain, target, goal)
-    is_far = goal.distances(spawns) >= FAR_FLOOR_M[0]  # the path along the floor is at least as long
-    if (is_far & _sees(terrain, spawns, target, goal)).any():
-        straight.append(Tier.FAR)
-    if is_far.any():
-        connected.append(Tier.FAR)
-    return tuple(straight), tuple(connected)
+    goals = [Goal.of(target, TaskConfig(success=success)) for target in targets]
+    found: list[tuple[tuple[Tier, ...], tuple[Tier, ...]] | None] = [None] * len(targets)
+    for batch in batches(goals):
+        every = Goals.of([targets[row] for row in batch], [goals[row] for row in batch])
+        rows = np.flatnonzero(_are_reachable(terrain, every))
+        reachable = every.chosen(rows)
+        straight, connected = _ring_tiers(terrain, reachable)
+        is_far = reachable.distances(spawns) >= FAR_FLOOR_M[0]  # the path along the floor is at least as long
+        straight[Tier.FAR] = np.asarray(_see(terrain, spawns, reachable, is_far).any(axis=1))
+        connected[Tier.FAR] = np.asarray(is_far.any(axis=1))
+        for place, row in enumerate(batch[rows].tolist()):
+            found[row] = _chosen(straight, place), _chosen(connected, place)
+    return found
 
 
-def _is_reachable(terrain: Terrain, target: Target, goal: Goal) -> bool:
-    """Returns whether a pose in the success region is free, on the connected floor and in sight of the target."""
+def _chosen(tiers: dict[Tier, Bools], place: int) -> tuple[Tier, ...]:
+    return tuple(tier for tier, holds in tiers.items() if holds[place])
+
+
+def _are_reachable(terrain: Terrain, goals: Goals) -> Bools:
+    """Returns whether a pose in the success region is free, on the connected floor and in sight of each target."""
     yaw = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+    found = np.zeros(len(goals.centres), bool)
     for share in _ARRIVAL_SHARES:  # most targets are reachable at the first distance
-        points = _rings(goal, np.array([share * ARRIVAL_RADIUS_M]))
-        points = points[terrain.grid.have_sight(points, target)]
-        headings = _toward(goal, points)[:, None] + yaw
-        if terrain.fits(points[:, None, 0], points[:, None, 1], headings, 0.0).any():
-            return True
-    return False
+        rows = np.flatnonzero(~found)
+        owner, points = _ring(terrain, goals, rows, share * ARRIVAL_RADIUS_M)
+        headings = _toward(goals.centres[owner], points)[:, None] + yaw
+        fits = terrain.fits(points[:, None, 0], points[:, None, 1], headings, 0.0).any(axis=1)
+        found[owner[fits]] = True
+    return found
 
 
-def _ring_tiers(terrain: Terrain, target: Target, goal: Goal) -> tuple[list[Tier], list[Tier]]:
-    """Returns the tiers (near, mid) from which a target is reachable by straight driving, and by any path.
+def _ring_tiers(terrain: Terrain, goals: Goals) -> tuple[dict[Tier, Bools], dict[Tier, Bools]]:
+    """Returns by tier (near, mid) whether each target is reachable by straight driving, and by any path.
 
     Start poses face the target, fit with the spawn margin, are on the connected floor and see the target.
     """
-    straight, connected = [], []
+    straight, connected = {}, {}
     for tier, (low, high) in TIER_RANGE_M.items():
-        points = _rings(goal, np.linspace(low, high, _RINGS))
-        starts = points[terrain.can_start(points, _toward(goal, points))]
-        starts = starts[terrain.grid.have_sight(starts, target)]
-        if len(starts) >= MIN_STARTS:
-            connected.append(tier)
-            ends = goal.approach(starts, ARRIVAL_RADIUS_M)
-            lines = terrain.grid.are_lines_free(starts, ends, terrain.config.approach_clearance_m)
-            if int(lines.sum()) >= MIN_STARTS:
-                straight.append(tier)
+        seen, driven = np.zeros((2, len(goals.centres)), np.int64)
+        for distance in np.linspace(low, high, _RINGS):  # most targets have enough starts on the first ring
+            rows = np.flatnonzero(driven < MIN_STARTS)
+            owner, points = _ring(terrain, goals, rows, float(distance), starts=True)
+            are_free = _can_drive(terrain, points, goals.chosen(owner))
+            seen += np.bincount(owner, minlength=len(seen))
+            driven += np.bincount(owner[are_free], minlength=len(seen))
+        connected[tier], straight[tier] = seen >= MIN_STARTS, driven >= MIN_STARTS
     return straight, connected
+
+
+def _ring(
+    terrain: Terrain, goals: Goals, rows: Rows, distance_m: float, *, starts: bool = False
+) -> tuple[Rows, Floats]:
+    """Returns points (N, 2) at a distance from some goals that see their target, and the goal of each.
+
+    Args:
+        terrain: floor of the scene.
+        goals: goals of targets.
+        rows: numbers of the goals.
+        distance_m: distance from the targets, metres.
+        starts: whether to return only points at which a robot that faces the target can start.
+    """
+    angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = goals.chosen(rows).ring(circle, distance_m).reshape(-1, 2)
+    owner = np.repeat(rows, _BEARINGS)
+    if starts:
+        fit = terrain.can_start(points, _toward(goals.centres[owner], points))
+        owner, points = owner[fit], points[fit]
+    seen = terrain.grid.see_boxes(points, goals.centres[owner], goals.reaches[owner])
+    return owner[seen], points[seen]
+
+
+def _can_drive(terrain: Terrain, starts: Floats, goals: Goals) -> Bools:
+    """Returns for starts (N, 2) whether the straight line to the success region of N targets is free."""
+    ends = goals.approach(starts, ARRIVAL_RADIUS_M)
+    return terrain.grid.are_lines_free(starts, ends, terrain.config.approach_clearance_m)
 
 
 def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...], task: TaskConfig) -> NDArray[np.uint8]:
     """Returns (S, T): 1 where a spawn has a free straight path to the success region of a target and sees it."""
-    columns = [_sees(terrain, spawns, target, Goal.of(target, task)) for target in targets]
-    return np.array(columns, np.uint8).reshape(len(targets), len(spawns)).T.copy()
-
-
-def _sees(terrain: Terrain, spawns: Floats, target: Target, goal: Goal) -> Bools:
-    distance = goal.distances(spawns)
-    rows = np.flatnonzero((distance >= SEE_RANGE_M[0]) & (distance <= SEE_RANGE_M[1]))
-    rows = rows[terrain.grid.have_sight(spawns[rows], target)]
-    ends = goal.approach(spawns[rows], ARRIVAL_RADIUS_M)
-    sees = np.zeros(len(spawns), bool)
-    sees[rows] = terrain.grid.are_lines_free(spawns[rows], ends, terrain.config.approach_clearance_m)
+    goals = [Goal.of(target, task) for target in targets]
+    sees = np.zeros((len(spawns), len(targets)), np.uint8)
+    for batch in batches(goals):
+        some = Goals.of([targets[row] for row in batch], [goals[row] for row in batch])
+        sees[:, batch] = _see(terrain, spawns, some, np.ones((len(batch), len(spawns)), bool)).T
     return sees
 
 
-def _rings(goal: Goal, distances: Floats) -> Floats:
-    """Returns points (R * B, 2) at distances from a goal's target."""
-    angle = 2 * np.pi * np.arange(_BEARINGS) / _BEARINGS
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return goal.ring(np.tile(circle, (len(distances), 1)), np.repeat(distances, _BEARINGS))
+def _see(terrain: Terrain, spawns: Floats, goals: Goals, wanted: Bools) -> Bools:
+    """Returns (T, S) whether a spawn has a free straight path to a target and sees it, where `wanted` (T, S)."""
+    distance = goals.distances(spawns)
+    rows, columns = np.nonzero(wanted & (distance >= SEE_RANGE_M[0]) & (distance <= SEE_RANGE_M[1]))
+    seen = terrain.grid.see_boxes(spawns[columns], goals.centres[rows], goals.reaches[rows])
+    rows, columns = rows[seen], columns[seen]
+    sees = np.zeros(wanted.shape, bool)
+    sees[rows, columns] = _can_drive(terrain, spawns[columns], goals.chosen(rows))
+    return sees
 
 
-def _toward(goal: Goal, points: Floats) -> Floats:
-    """Returns the headings (N,) from points to the centroid, radians."""
-    return np.asarray(np.arctan2(goal.centre_m[1] - points[:, 1], goal.centre_m[0] - points[:, 0]))
+def _toward(centres: Floats, points: Floats) -> Floats:
+    """Returns the headings (N,) from points (N, 2) to centroids (N, 2), radians."""
+    return np.asarray(np.arctan2(centres[:, 1] - points[:, 1], centres[:, 0] - points[:, 0]))

@@ -73,7 +73,7 @@ def alone(scene: CompiledScene, instance_id: int) -> CompiledScene:
         part_count=counts,
         part_instance=scene.part_instance[parts],
         part_texture=np.where(scene.part_texture[parts] < 0, -1, texture).astype(np.int16),
-        textures=scene.textures[layers] if len(scene.textures) else scene.textures,
+        textures=tuple(scene.textures[layer] for layer in layers) if scene.textures else (),
     )
 
 

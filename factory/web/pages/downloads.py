@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import shutil
 import tempfile
 import threading
@@ -17,14 +16,13 @@ from starlette.responses import FileResponse, Response
 
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode
-from factory.dataset.packages import ScenePackage, find_package_file
+from factory.dataset.packages import ScenePackage
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.lerobot.v30 import LeRobotExporter
 from factory.export.mcap.exporter import McapExporter, McapOptions
 from factory.visualize.film import draw_film, film_rate, write_mp4
 from factory.web.context import context_of
 from factory.web.pages.find import find_episode
-from schemas.scene import decode_scene
 
 _AT_ONCE = 1
 """Number of downloads that are made at a time; further ones wait."""
@@ -63,8 +61,7 @@ def _copy_bundle(episode: Episode, folder: Path) -> Path:
 def _make_film(episode: Episode, folder: Path) -> Path:
     root = episode.path.parents[1]
     with episode.path.open("rb") as file, EpisodeBundle(file, root, ranges=episode.ranges) as bundle:
-        with find_package_file(*bundle.package).open("rb") as package:
-            scene = decode_scene(package)
+        scene = bundle.package.geometry()
         stride, rate = film_rate(bundle.meta.job.task.control_hz)
         path = folder / f"{episode.episode_id}.mp4"
         write_mp4(path, draw_film(bundle, scene, stride), rate)
@@ -82,7 +79,7 @@ def _make_rerun(episode: Episode, folder: Path) -> Path:
     job = episode.meta.job
     package = ScenePackage(episode.path.parents[1], job.scene, job.scene_sha256)
     path = folder / f"{episode.episode_id}.rrd"
-    view_episode(episode, decode_scene(io.BytesIO(package.read())), path, _RERUN_STRIDE)
+    view_episode(episode, package.geometry(), path, _RERUN_STRIDE)
     return path
 
 

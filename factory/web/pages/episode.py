@@ -185,7 +185,10 @@ def _plots(episode: Episode, hz: int) -> list[tuple[str, str]]:
         ("token of v", "token", tokens[:, 0]),
         ("token of w", "token", tokens[:, 1]),
     )
-    return [(title, draw_lines(title, unit, values, end_s)) for title, unit, values in series]
+    return [
+        (title if unit == "token" else f"{title}, {unit}", draw_lines(title, unit, values, end_s))
+        for title, unit, values in series
+    ]
 
 
 def _steps(episode: Episode, last: int) -> list[StepView]:

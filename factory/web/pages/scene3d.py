@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import io
 import threading
 
 import numpy as np
@@ -18,7 +17,6 @@ from factory.web.context import context_of, page
 from factory.web.pages.find import find_episode
 from factory.web.pages.scenes import package_named
 from schemas.errors import UsageError
-from schemas.scene import decode_scene
 from schemas.support.planar import yaw_of
 
 _KEPT = 2
@@ -68,4 +66,4 @@ def _poses(episode: Episode) -> str:
 
 @functools.lru_cache(maxsize=_KEPT)
 def _encode(package: ScenePackage) -> bytes:
-    return encode_glb(decode_scene(io.BytesIO(package.read())))
+    return encode_glb(package.scene())

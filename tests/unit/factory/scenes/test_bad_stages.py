@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 from factory.scenes.compile.compiler import compile_stage
-from factory.scenes.importer import Extraction, extract_stage
+from factory.scenes.importer import Extraction
+from factory.scenes.importer.extract import extract_stage
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import CategoryRule, RuleBook
 from schemas.errors import WorldError
@@ -178,7 +179,7 @@ SPOILING = """
 import sys
 from pathlib import Path
 import numpy as np
-from factory.scenes.importer import extract_stage
+from factory.scenes.importer.extract import extract_stage
 from schemas.errors import WorldError
 good = Path(sys.argv[1]).read_bytes()
 rng = np.random.default_rng(0)
@@ -259,7 +260,7 @@ def test_a_texture_outside_the_folder_is_not_read(tmp_path: Path, secret: Path, 
     assert "--allow-outside" in note
     assert str(tmp_path) not in note
     allowed = compile_stage(path, "room", "test", limits=StageLimits(allow_outside=True))
-    assert allowed.textures.tolist()[0][0][0] == [77, 77, 77]
+    assert allowed.textures[0][0, 0].tolist() == [77, 77, 77]
 
 
 def test_a_refused_texture_shows_its_fallback(tmp_path: Path, secret: Path) -> None:

@@ -11,8 +11,9 @@ from PIL import Image
 
 from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.compile.textures import load_textures
-from factory.scenes.importer import Extraction, extract_stage
+from factory.scenes.importer import Extraction
 from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.extract import extract_stage
 from tests.builders.stage import StageText, room_body
 
 TEXT = StageText()

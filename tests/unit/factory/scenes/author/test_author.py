@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from factory.scenes.author import (
     AUTHOR_VERSION,
@@ -21,10 +22,12 @@ from factory.scenes.author import (
     author_scene,
     lay_out_scene,
 )
+from factory.scenes.author.drawn import draw_pixels
 from factory.scenes.author.geometry import bounds, triangle_count
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.placement import FloorPlan
 from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
+from factory.scenes.importer import TextureRecipe
 from factory.scenes.rules import builtin_rules
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 from tests.builders.layouts import layouts_of
@@ -145,7 +148,7 @@ def test_authoring_into_the_same_directory_replaces_the_scene(shelves: Path) -> 
 
 
 def test_content_of_a_layout_equals_what_the_importer_reads_from_its_usd(office: Path) -> None:
-    from factory.scenes.importer import extract_stage
+    from factory.scenes.importer.extract import extract_stage
 
     imported, direct = extract_stage(office), author_content(PAPER_LAYOUTS["office"], 0)
     expected = {part.path: part for part in imported.parts}
@@ -161,8 +164,10 @@ def test_content_of_a_layout_equals_what_the_importer_reads_from_its_usd(office:
         assert np.allclose(part.surface.colour, other.surface.colour, atol=1e-6)
         assert np.allclose(part.surface.emission, other.surface.emission, atol=1e-6)
         assert part.surface.emits == other.surface.emits
-    for name, data in direct.images.items():
-        assert (office.parent / "textures" / f"{name}.png").read_bytes() == data
+    for name, recipe in direct.images.items():
+        assert isinstance(recipe, TextureRecipe)
+        with Image.open(office.parent / "textures" / f"{name}.png") as written:
+            assert np.array_equal(np.asarray(written), draw_pixels(recipe))
 
 
 def test_office_is_authored_in_centimetres_and_z_up(office: Path) -> None:

@@ -186,7 +186,7 @@ def test_textures_are_upright_in_the_package(tmp_path: Path) -> None:
     (row,) = np.flatnonzero(scene.part_texture == 0)
     run = slice(scene.part_first[row], scene.part_first[row] + scene.part_count[row])
     assert (scene.uvs[run][:, 1] == (scene.positions[run][:, 2] > 1.5)).all()
-    assert scene.textures[0, 0, 0, 0] > 150
+    assert scene.textures[0][0, 0, 0] > 150
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,10 @@ def test_an_image_keeps_its_rows_and_colours() -> None:
     halves = np.zeros((8, 8, 3), np.uint8)
     halves[:4], halves[4:] = (200, 0, 0), (0, 0, 200)
     book = load_textures({"a.png": 1.0}, {"a.png": png(halves)}.get)
-    assert book.layers.shape == (1, 512, 512, 3)
-    assert book.layers[0, 10, 10].tolist() == [200, 0, 0]
-    assert book.layers[0, -10, 10].tolist() == [0, 0, 200]
+    (layer,) = book.layers
+    assert layer.shape == (512, 512, 3)
+    assert layer[10, 10].tolist() == [200, 0, 0]
+    assert layer[-10, 10].tolist() == [0, 0, 200]
 
 
 def test_equal_images_share_a_layer() -> None:
@@ -39,7 +40,7 @@ def test_equal_images_share_a_layer() -> None:
 @pytest.mark.parametrize("data", [None, b"no picture", flat(0, 0, 0)[:40]], ids=["missing", "garbage", "cut off"])
 def test_an_unreadable_texture_is_noted(data: bytes | None) -> None:
     book = load_textures({"dir/a.png": 1.0}, lambda path: data)
-    assert book.layers.shape[0] == 0
+    assert book.layers == ()
     assert "a.png" in book.notes[0]
     assert "dir/" not in book.notes[0]
 

@@ -88,7 +88,7 @@ def test_a_room_of_gltf_compiles_to_a_package_with_a_red_chair(tmp_path: Path) -
     scene = compile_stage(write_room(tmp_path, ".glb"), "room", "room.glb")
     (target,) = scene.info.targets
     assert (target.category, target.colour) == ("chair", "red")
-    assert scene.textures[0, 0, 0].tolist() == [40, 90, 200]
+    assert scene.textures[0][0, 0].tolist() == [40, 90, 200]
     assert scene.light_map.size  # the light is estimated without lamps in the file
     assert any("1 lights of the file are not used" in note for note in scene.info.notes)
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factory.scenes.importer import Extraction, Part, extract_stage
+from factory.scenes.importer import Extraction, Part
+from factory.scenes.importer.extract import extract_stage
 from schemas.errors import UsageError, WorldError
 from tests.builders.stage import StageText, room_body
 

@@ -9,7 +9,7 @@ import pytest
 
 from factory.scenes.compile.shade import target_colour
 from factory.scenes.compile.textures import load_textures
-from factory.scenes.importer import extract_stage
+from factory.scenes.importer.extract import extract_stage
 from factory.scenes.rules import builtin_rules
 from factory.scenes.targets.candidates import find_candidates, footprint_width
 from tests.builders.stage import StageText, Vector3

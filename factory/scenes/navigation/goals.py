@@ -1,0 +1,72 @@
+"""Success regions of many targets at once. Pure functions. Knows no obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.measure import Goal
+from schemas.scene import Target
+from schemas.support.approach import approach, ring, target_distances
+from schemas.support.numpy_types import Floats
+
+_AT_ONCE = 32
+"""Number of targets whose arrays are computed together; they fit the processor cache."""
+
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Success regions of T targets by one measure; the results have the bits of those of each `Goal`."""
+
+    centres: Floats
+    """(T, 2) centroids, metres."""
+    reaches: Floats
+    """(T, 2) half the extents of the targets' boxes, metres."""
+    extents: Floats
+    """(T,) largest distance of a vertex from the centroid, metres."""
+    vertices: Floats | None
+    """(K, T, 2) vertices of the footprints, the last one repeated; `None` measures from the centroids."""
+
+    @classmethod
+    def of(cls, targets: Sequence[Target], goals: Sequence[Goal]) -> Goals:
+        """Returns the goals of targets, all by the same measure."""
+        most = max((len(goal.footprint_m) for goal in goals), default=0)
+        padded = [(*goal.footprint_m, *goal.footprint_m[-1:] * (most - len(goal.footprint_m))) for goal in goals]
+        return cls(
+            centres=np.array([goal.centre_m for goal in goals]).reshape(-1, 2),
+            reaches=np.array([target.size_m[:2] for target in targets]).reshape(-1, 2) / 2,
+            extents=np.array([goal.extent_m for goal in goals]),
+            vertices=np.array(padded).transpose(1, 0, 2) if most else None,
+        )
+
+    def chosen(self, rows: Rows) -> Goals:
+        """Returns the goals of some targets, one for each row."""
+        vertices = None if self.vertices is None else self.vertices[:, rows]
+        return Goals(self.centres[rows], self.reaches[rows], self.extents[rows], vertices)
+
+    def ring(self, directions: Floats, distance_m: float) -> Floats:
+        """Returns the points (T, N, 2) at a distance from each target, on rays with directions (N, 2)."""
+        vertices = None if self.vertices is None else self.vertices[:, :, None]
+        return ring(directions, np.asarray(distance_m), self.centres[:, None], self.extents[:, None], vertices)
+
+    def approach(self, starts: Floats, distance_m: float) -> Floats:
+        """Returns the points (T, 2) at which the line from one start to each target comes within a distance."""
+        return approach(starts, np.asarray(distance_m), self.centres, self.vertices)
+
+    def distances(self, points: Floats) -> Floats:
+        """Returns the distances (T, N) of points (N, 2) to each target, metres."""
+        vertices = None if self.vertices is None else self.vertices[:, :, None]
+        spread = np.broadcast_to(points, (len(self.centres), *points.shape))
+        return target_distances(spread, self.centres[:, None], vertices)
+
+
+def batches(goals: Sequence[Goal]) -> Iterator[Rows]:
+    """Yields the numbers of all goals in batches of similar numbers of vertices."""
+    order = np.argsort([len(goal.footprint_m) for goal in goals], kind="stable")
+    for first in range(0, len(order), _AT_ONCE):
+        yield order[first : first + _AT_ONCE]

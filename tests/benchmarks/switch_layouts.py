@@ -1,0 +1,52 @@
+"""Measures how long a simulation takes to switch between layouts, and its memory: `PACKAGE...`.
+
+Each package is loaded in turn, twice, as an attempt does it: read, collider, grid, upload to the renderer, physics and
+the first frame. Packages are files of a scene cache, with their textures beside them. Builds nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from factory.bench.machine import resident_mib
+from schemas.config import CameraConfig, RobotConfig, TaskConfig
+from workers.geometry.pose import Pose
+from workers.physics.world import World
+from workers.sim.scene_renderer import SceneRenderer
+
+
+def main() -> None:
+    """Prints the CPU time of the switches of the second turn, and the memory."""
+    packages = [Path(argument) for argument in sys.argv[1:]]
+    digests = [hashlib.sha256(package.read_bytes()).hexdigest() for package in packages]
+    times = []
+    with SceneRenderer() as simulation:
+        for _ in range(2):
+            times = [switch(simulation, *each) for each in zip(packages, digests, strict=True)]
+            sys.stdout.write(f"{len(packages)} layouts loaded, {resident_mib():.0f} MiB\n")
+    median, high = np.percentile(times, (50, 90))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    load = os.getloadavg()[0]
+    sys.stdout.write(f"switch: {median:.3f} s CPU, 90 % within {high:.3f} s; at most {peak} MiB; load {load:.0f}\n")
+
+
+def switch(simulation: SceneRenderer, package: Path, sha256: str) -> float:
+    """Prepares a layout and renders its first frame; returns the CPU time, seconds."""
+    begin = time.process_time()
+    loaded = simulation.load(package, sha256)
+    x, y = map(float, loaded.scene.spawns[0])
+    simulation.renderer.load(loaded.scene, CameraConfig())
+    with World(loaded.scene, loaded.collider, RobotConfig(), TaskConfig().control_hz):
+        simulation.renderer.render(Pose.planar(x, y, 0.0, z=loaded.scene.info.floor_height_m))
+    return time.process_time() - begin
+
+
+if __name__ == "__main__":
+    main()
