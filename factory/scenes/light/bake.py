@@ -50,7 +50,7 @@ class LightDetail:
 
 USUAL_DETAIL = LightDetail()
 LAYOUT_DETAIL = LightDetail(0.6, (16, 16), (8, 8), 0.18)
-"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0222)."""
+"""Detail of generated layouts: fewer texels and rays, with little visible difference (decision 0218)."""
 
 
 @dataclass(frozen=True)
