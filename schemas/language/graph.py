@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from schemas.language.barriers import find_barriers
 from schemas.language.kinds import UNNAMED, Kinds, kinds
 from schemas.language.objects import RawObject, find_objects
 from schemas.language.rooms import (
@@ -119,6 +120,12 @@ class SceneGraph:
         gaps = np.array([min(each.wall_gap_m, each.high_m[0] - each.low_m[0]) for each in self.objects])
         thin = np.minimum(gaps, (self.high - self.low)[:, 1]) <= TOUCH_M.bad
         return np.asarray(thin & (np.array([each.base_m for each in self.objects]) > TOUCH_M.bad))
+
+    @cached_property
+    def walled(self) -> Bools:
+        """(N, N) pairs of objects with a wall between them; without doors, windows, and pairs that hang on walls."""
+        is_known = (self.room_of > 0) & (self.room_of > 0)[:, None] & ~(self.hangs & self.hangs[:, None])
+        return find_barriers(self.low[:, :2], self.high[:, :2], self.sight_grid) & is_known
 
     def areas_of_type(self, room: int, kind: str) -> frozenset[int]:
         """Returns the parts of a room that show its type: those with an object of the type, or its only part."""

@@ -23,10 +23,13 @@ class Band(NamedTuple):
 NEXT_TO_M = Band(0.6, 1.6)
 """Gap of footprints for `next_to`, metres."""
 DIRECTION_RAD = Band(math.radians(35), math.radians(75))
-"""Angle from the axis for `left_of`, `right_of`, `in_front_of`, `behind`. Goodness falls linearly with
+"""Angle from the axis for `left_of` and `right_of`. Goodness falls linearly with
 this angle (Regier & Carlson 2001, attention vector sum); SceneVerse (Jia et al. 2024) has sectors of 45 degrees."""
 DIRECTION_GAP_M = Band(2.0, 4.0)
 """Gap of footprints for the same relations, metres; Sr3D (Achlioptas et al. 2020) has areas of 1 to 4 m."""
+FACING_RAD = Band(math.radians(25), math.radians(75))
+"""Angle from the axis for `in_front_of` and `behind`, which surely hold only if the whole depth of one object is nearer
+than the other."""
 ALIGNED_RAD = Band(math.radians(10), math.radians(60))
 """Angle between object and landmark in the view for `in_front_of` and `behind`."""
 BETWEEN_ALONG = Band(0.25, 0.05)
@@ -63,21 +66,23 @@ EGO_BEHIND_RAD = Band(math.radians(90), math.radians(170))
 """Largest angle from the heading for the same relations."""
 AHEAD_RAD = Band(math.radians(10), math.radians(28))
 """Angle from the heading for `ahead`."""
-DISTANCE_GAP_M = 0.3
+DISTANCE_GAP_M = 0.5
 """Smallest difference of distances for nearest and farthest, metres; Sr3D's `horizontal_gap` is 0.2."""
-DISTANCE_RATIO = 1.15
+DISTANCE_RATIO = 1.25
 """Smallest ratio of these distances."""
 VOLUME_RATIO = 1.5
 """Smallest ratio of volumes for the largest and smallest object."""
 HEIGHT_RATIO = 1.2
 """Smallest ratio of heights for the tallest and lowest object."""
+SHOWN = 0.4
+"""Smallest share of free lines of sight to an object that surely is visible in part."""
 BEARING_GAP_RAD = math.radians(4)
 """Smallest angle between objects that are counted from a side."""
 ROW_AHEAD_M = Band(0.7, -0.35)
 """Smallest distance of the middle along the heading, for objects that are counted along the way ahead, metres."""
 ROW_ASIDE_M = Band(0.2, 0.0)
 """Smallest distance of the near side of such an object from the axis of the heading, and of its far side, metres."""
-ROW_GAP_M = Band(2.0, 4.0)
+ROW_GAP_M = Band(2.0, 8.0)
 """Distance of the near side from the axis, metres."""
 ROW_STEP_M = 0.8
 """Smallest distance along the heading between two objects that are counted, metres."""

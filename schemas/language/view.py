@@ -1,7 +1,8 @@
 """Computes what the robot sees of a scene graph from its start pose, on the grid. Renders nothing.
 
-An object is surely visible if it is in the image and most lines of sight to it are free; it is surely not visible if it
-is outside of the image, or a wall blocks every line of sight. Other obstacles make it borderline.
+An object is surely visible if it is in the image and most lines of sight to it are free, and a part of it is if two of
+five are; it is surely not visible if it is outside of the image, or a wall blocks every line of sight. Other obstacles
+make it borderline.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.language.graph import SceneGraph
-from schemas.language.thresholds import EDGE_RAD, VISIBLE_M
+from schemas.language.thresholds import EDGE_RAD, SHOWN, VISIBLE_M
 from schemas.support.numpy_types import Bools, Floats
 
 _FAR_M = 15.0
@@ -45,6 +46,8 @@ class SceneView:
     """Part of the room of the start; 0 if unknown, or if the start is close to an opening."""
     sure: Bools
     """(N,) objects that are surely visible."""
+    shown: Bools
+    """(N,) objects of which a part is surely visible; includes those that are surely visible."""
     possible: Bools
     """(N,) objects that may be visible."""
     bearing: Floats
@@ -80,18 +83,25 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
     maybe[:, 0] |= (bearing.min(axis=1) < 0) & (bearing.max(axis=1) > 0) & (np.ptp(bearing, axis=1) < math.pi)
     inside &= _are_at_image_height(graph, distance[:, 0] * math.tan(half - EDGE_RAD), camera)[:, None]
     far = distance[:, 0] > _FAR_M
-    sure, possible = np.zeros(len(points), bool), far & maybe.any(axis=1)
+    sure, shown, possible = np.zeros(len(points), bool), np.zeros(len(points), bool), far & maybe.any(axis=1)
     near = np.flatnonzero(maybe.any(axis=1) & ~far)
     if len(near):
         blocked = _blocked(graph, eye, offset[near], low[near] - _BEFORE_M, high[near] + _BEFORE_M)
         clear = (blocked == 0) & inside[near]
-        sure[near] = (clear.mean(axis=1) >= _FREE_SHARE) & (distance[near, 0] <= VISIBLE_M) & inside[near, 0]
+        share = np.where(distance[near, 0] <= VISIBLE_M, clear.mean(axis=1), 0.0)
+        shown[near] = share >= SHOWN
+        sure[near] = (share >= _FREE_SHARE) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
     room, area = graph.room_at(x, y), graph.area_at(x, y)
-    sure &= ~graph.hangs | (graph.room_of == room) & (room > 0)  # lines of sight end before the wall behind an object
+    is_facing = ~graph.hangs | (graph.room_of == room) & (
+        room > 0
+    )  # lines of sight end before the wall behind an object
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
-    return SceneView(float(eye[0]), float(eye[1]), yaw, room, area, sure, possible, middle_rad, distance[:, 0])
+    return SceneView(
+        *(float(eye[0]), float(eye[1]), yaw, room, area),
+        *(sure & is_facing, shown & is_facing, possible, middle_rad, distance[:, 0]),
+    )
 
 
 def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:

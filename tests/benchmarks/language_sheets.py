@@ -40,7 +40,11 @@ from workers.render.choose import open_renderer
 
 SIDE, HEAD, COLUMNS, ROWS = 380, 56, 2, 4
 CAMERA = CameraConfig()
-SPEC = LanguageSpec(languages={"en": 3.0, "de": 1.0, "es": 1.0, "zh": 1.0}, features={"colour": 0.5}, redundant=0.15)
+RARE = dict.fromkeys(("between", "count", "material", "size", "state", "superclass", "support", "view"), 8.0)
+"""Weights of features that few targets have."""
+SPEC = LanguageSpec(
+    languages={"en": 3.0, "de": 1.0, "es": 1.0, "zh": 1.0}, features={"colour": 0.5, **RARE}, redundant=0.15
+)
 GREY, RED, BLUE, GREEN, MAGENTA = (170, 170, 170), (255, 0, 0), (0, 0, 255), (0, 140, 0), (255, 0, 255)
 WIDE = 3 * SIDE + 26
 """Width of a tile, pixels."""

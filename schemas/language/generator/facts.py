@@ -21,7 +21,7 @@ from schemas.language.tops import SurfaceTop
 from schemas.language.view import SceneView
 from schemas.support.numpy_types import Bools, Floats, Ints
 
-_GOOD_TAN, _BAD_TAN = (math.tan(angle) for angle in limit.DIRECTION_RAD)
+_ASIDE_TAN, _FACING_TAN = (tuple(math.tan(angle) for angle in band) for band in (limit.DIRECTION_RAD, limit.FACING_RAD))
 
 
 class Masks(NamedTuple):
@@ -170,7 +170,8 @@ class SceneFacts:
         found = _below(self.gap, limit.NEXT_TO_M).both(self._rooms)
         stacked = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
         level = ~(stacked | stacked.T)
-        return Masks(found.sure & self.distinct & level & self._is_level, found.possible & self.distinct)
+        sure = found.sure & self.distinct & level & self._is_level & ~self.graph.walled
+        return Masks(sure, found.possible & self.distinct)
 
     @cached_property
     def _is_level(self) -> Bools:
@@ -300,7 +301,7 @@ class SceneFacts:
         found = _above(np.minimum(along, 1 - along), limit.BETWEEN_ALONG).both(_below(across, limit.BETWEEN_ACROSS))
         rooms = Masks(self._rooms.sure[first] & self._rooms.sure[second], self._rooms.possible[first])
         apart = self.distinct[first] & self.distinct[second]
-        near = length <= limit.BETWEEN_SPAN_M.good
+        near = length <= limit.BETWEEN_SPAN_M.good and not self.graph.walled[first, second]
         found = found.both(rooms)
         return Masks(found.sure & apart & near, found.possible & apart)
 
@@ -361,17 +362,27 @@ class ViewFacts:
         level = self.scene.has_same_base[rows]
         aligned = Masks(aligned.sure & level, aligned.possible)
         found = {}
-        for name, along, across, shown in (
-            (Relation.LEFT_OF, side, depth, anywhere),
-            (Relation.RIGHT_OF, -side, depth, anywhere),
-            (Relation.BEHIND, depth, side, aligned),
-            (Relation.IN_FRONT_OF, -depth, side, aligned),
+        low, high = self._depths(axis)
+        own = np.arange(len(rows)), rows
+        is_beyond, is_nearer = low >= high[own][:, None], high <= low[own][:, None]
+        for name, along, across, shown, (good_tan, bad_tan) in (
+            (Relation.LEFT_OF, side, depth, anywhere, _ASIDE_TAN),
+            (Relation.RIGHT_OF, -side, depth, anywhere, _ASIDE_TAN),
+            (Relation.BEHIND, depth, side, Masks(aligned.sure & is_beyond, aligned.possible), _FACING_TAN),
+            (Relation.IN_FRONT_OF, -depth, side, Masks(aligned.sure & is_nearer, aligned.possible), _FACING_TAN),
         ):
             good, bad = np.zeros((count, count), bool), np.zeros((count, count), bool)
-            good[rows] = sure & shown.sure & (np.abs(across) <= along * _GOOD_TAN)
-            bad[rows] = possible & shown.possible & (np.abs(across) < along * _BAD_TAN)
+            good[rows] = sure & shown.sure & (np.abs(across) <= along * good_tan)
+            bad[rows] = possible & shown.possible & (np.abs(across) < along * bad_tan)
             found[name] = Masks(good, bad)
         return found
+
+    def _depths(self, axis: Floats) -> tuple[Floats, Floats]:
+        """Returns (K, N) smallest and largest distances of the bounding rectangles along K axes of sight, metres."""
+        graph, eye = self.scene.graph, (self.view.x, self.view.y)
+        half = (graph.high - graph.low)[:, :2] / 2
+        middle, reach = (self.scene.centre - eye) @ axis.T, half @ np.abs(axis.T)
+        return (middle - reach).T, (middle + reach).T
 
     @cached_property
     def distance(self) -> Floats:
@@ -406,10 +417,10 @@ class ViewFacts:
         Args:
             among: objects to count.
             side: side of the way ahead.
-            number: object that is looked for; without it, or if it is surely not visible, nothing is counted.
+            number: object that is looked for; without it, or if no part of it is surely visible, nothing is counted.
         """
         way = self._ways[side]
-        if not (way.masks.sure[number] and self.view.possible[number]):
+        if not (way.masks.sure[number] and self.view.shown[number]):
             return []
         found = among.both(way.masks)
         numbers = np.flatnonzero(found.possible)
@@ -420,7 +431,7 @@ class ViewFacts:
         for place, each in enumerate(order):
             nearby = order[max(place - 1, 0) : place] + order[place + 1 : place + 2]
             is_apart = all(abs(way.middle[each] - way.middle[other]) >= limit.ROW_STEP_M for other in nearby)
-            if not (found.sure[each] and is_apart):
+            if not (found.sure[each] and self.view.shown[each] and is_apart):
                 break
             certain.append(each)
         return certain

@@ -188,7 +188,11 @@ class _StaticParts:
         facts, room_of = self._facts, self._facts.graph.room_of
         if not room_of[self._number]:
             return
-        near = np.flatnonzero((room_of == room_of[self._number]) & (facts.gap[self._number] < _NEARBY_M))
+        near = np.flatnonzero(
+            (room_of == room_of[self._number])
+            & (facts.gap[self._number] < _NEARBY_M)
+            & ~facts.graph.walled[self._number]
+        )
         for each in self.descriptions(near.tolist()):
             if not each.landmark.definite:
                 continue

@@ -295,7 +295,9 @@ class RouteSearch:
         view = self._view(start)
         ahead = np.abs(view.bearing) <= limit.TOWARDS_RAD.good
         nearer = np.hypot(*(self._facts.centre - self._path.xy[end - 1]).T) <= view.distance * (1 - limit.TOWARDS_SHARE)
-        fitting = np.flatnonzero(view.sure & ahead & nearer).tolist()
+        before, left = self._offsets(np.array([end - 1]))
+        straight = np.abs(np.arctan2(left[0], before[0])) <= limit.TOWARDS_END_RAD.good
+        fitting = np.flatnonzero(view.sure & ahead & nearer & straight).tolist()
         for number in self._rng.permutation(fitting).tolist() if self._rng.random() < 0.7 else ():
             named = self._named(int(number), start, end)
             if named is not None:

@@ -37,14 +37,16 @@ METRES_FREE = 0.15
 """Part of this error that is allowed at any distance, metres."""
 PASS_M = Band(1.8, 3.0)
 """Smallest gap between the centre of the robot and the footprint of an object that it passes, metres."""
-BEHIND_M = Band(0.1, -0.3)
+BEHIND_M = Band(0.6, -0.3)
 """Distance by which the middle of a passed object is behind the robot at the end of the step, metres."""
 BEFORE_M = Band(0.7, 0.3)
 """Distance by which it is ahead of the robot at the start of the step, metres."""
 ASIDE_RAD = math.radians(50)
 """Smallest angle between the heading and the direction to a passed object when it is nearest."""
-TOWARDS_RAD = Band(math.radians(12), math.radians(30))
+TOWARDS_RAD = Band(math.radians(6), math.radians(30))
 """Angle between the heading at the start and the direction to the object of `towards`."""
+TOWARDS_END_RAD = Band(math.radians(15), math.radians(30))
+"""The same angle at the end."""
 TOWARDS_SHARE = 0.35
 """Smallest share of its distance by which the robot gets closer to it."""
 DOORWAY_M = Band(2.2, 3.0)

@@ -163,6 +163,8 @@ class RouteVerifier:
                 first, last = replay.relative(number, start), replay.relative(number, end - 1)
                 if abs(cmath.phase(first)) > limit.TOWARDS_RAD.good + 0.02:
                     return "the object is not ahead"
+                if abs(cmath.phase(last)) > limit.TOWARDS_END_RAD.good + 0.02:
+                    return "the robot drives past the object"
                 return "" if abs(last) <= abs(first) * (1.05 - limit.TOWARDS_SHARE) else "the robot does not get closer"
             case _:
                 if number != target:

@@ -117,6 +117,12 @@ class Footprints:
         offset, sight = self._centres[number] - landmark, landmark - complex(*eye)
         return cmath.phase(offset / sight) if sight and offset else 0.0
 
+    def is_nearer(self, number: int, other: int, eye: tuple[float, float], landmark: int) -> bool:
+        """Returns whether the whole depth of an object is nearer than another one, along the sight of a landmark."""
+        sight = self._centres[landmark] - complex(*eye)
+        near, far = ([(point * sight.conjugate()).real for point in self._outlines[each]] for each in (number, other))
+        return max(near) <= min(far)
+
     def between(self, number: int, first: int, second: int) -> Truth:
         """Returns whether an object is on the strip between two landmarks."""
         start, end = self._centres[first], self._centres[second]

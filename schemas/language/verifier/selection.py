@@ -62,7 +62,7 @@ def counted_ahead(
     if len(order) < place:
         return {}
     steps = [abs(boxes[a].middle - boxes[b].middle) for a, b in pairwise(order[: place + 1])]
-    is_sure = all(row[number] is Truth.YES for number in order[:place]) and bool(view.possible[order[place - 1]])
+    is_sure = all(row[number] is Truth.YES and view.shown[number] for number in order[:place])
     if is_sure and all(step >= limit.ROW_STEP_M for step in steps):
         return {order[place - 1]: Truth.YES}
     return dict.fromkeys(order, Truth.MAYBE)

@@ -267,26 +267,39 @@ class Verifier:
             return Truth.NO
         if relation is Relation.NEXT_TO:
             found = at_most(self._prints.gap(number, other), limit.NEXT_TO_M)
-            return Truth.MAYBE if found is Truth.YES and self._prints.is_stacked(number, other) else found
+            is_doubtful = self.graph.walled[number, other] or self._prints.is_stacked(number, other)
+            return Truth.MAYBE if found is Truth.YES and is_doubtful else found
         assert view is not None
         if not view.possible[other]:
             return Truth.NO
         if self._prints.is_apart(number, other):
             return Truth.NO
         shown = Truth.YES if view.sure[number] and view.sure[other] else Truth.MAYBE
-        angle = self._prints.direction(number, other, (view.x, view.y))
-        turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
-        way = at_most(angle_between(angle, turn[relation]), limit.DIRECTION_RAD)
-        if relation in (Relation.BEHIND, Relation.IN_FRONT_OF):
-            way = min(way, at_most(abs(float(view.bearing[number] - view.bearing[other])), limit.ALIGNED_RAD))
-            way = way if self._prints.has_same_base(number, other) else min(way, Truth.MAYBE)
+        way = self._way(relation, number, other, view)
         if way is Truth.NO:
             return Truth.NO
         return min(shown, way, at_most(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
 
+    def _way(self, relation: Relation, number: int, other: int, view: SceneView) -> Truth:
+        """Returns whether an object is in the direction of a relation from a landmark, as seen from the start."""
+        eye = view.x, view.y
+        angle = self._prints.direction(number, other, eye)
+        turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
+        aside = angle_between(angle, turn[relation])
+        if relation in (Relation.LEFT_OF, Relation.RIGHT_OF):
+            return at_most(aside, limit.DIRECTION_RAD)
+        apart = abs(float(view.bearing[number] - view.bearing[other]))
+        way = min(at_most(aside, limit.FACING_RAD), at_most(apart, limit.ALIGNED_RAD))
+        near, far = (number, other) if relation is Relation.IN_FRONT_OF else (other, number)
+        is_clear = self._prints.has_same_base(number, other) and self._prints.is_nearer(near, far, eye, other)
+        return way if is_clear else min(way, Truth.MAYBE)
+
     def _between(self, number: int, first: int, second: int) -> Truth:
         rooms = {self.graph.objects[each].room for each in (number, first, second)} - {0}
-        return Truth.NO if len(rooms) > 1 else self._prints.between(number, first, second)
+        if len(rooms) > 1:
+            return Truth.NO
+        found = self._prints.between(number, first, second)
+        return min(found, Truth.MAYBE) if self.graph.walled[first, second] else found
 
     def _selected(self, truths: dict[int, Truth], expression: Expression, view: SceneView | None) -> dict[int, Truth]:
         """Returns the objects that a superlative or an ordinal selects; all of them if there is none.
@@ -323,7 +336,8 @@ class Verifier:
     def _near_enough(self, number: int, other: int, way: Selected) -> Truth:
         if way is Selected.MOST:
             return Truth.YES
-        return Truth.YES if self._same_room(number, other) is not Truth.NO else Truth.MAYBE
+        is_far = self._same_room(number, other) is Truth.NO or self.graph.walled[number, other]
+        return Truth.MAYBE if is_far else Truth.YES
 
 
 def _is_made_of(materials: tuple[str, ...], material: str) -> Truth:

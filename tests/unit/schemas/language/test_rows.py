@@ -73,7 +73,7 @@ def test_racks_are_counted_along_the_aisle_and_not_in_the_row_behind(phrase, pla
 def test_a_rack_beside_the_robot_is_neither_ahead_nor_behind():
     assert fitting("the first rack ahead on your left", (-5.0, 0.0, 0.0)) == set()
     assert fitting("the first rack ahead on your left", (-3.9, 0.0, 0.0)) == {rack_at(-2.0, SIDE)}
-    assert fitting("the first rack ahead on your right", (-3.9, 0.0, np.pi)) == {rack_at(-5.0, SIDE)}
+    assert fitting("the first rack ahead on your right", (-3.0, 0.0, np.pi)) == {rack_at(-5.0, SIDE)}
 
 
 @functools.cache
