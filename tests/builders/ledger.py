@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.tables import jobs
 from schemas.dataset.rows import EpisodeSummary, summary_of
+from schemas.encoding.container import ContainerWriter
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.protocol.messages import Done, Fail, Lease
@@ -47,7 +49,7 @@ def room_plan(episodes: int = 3, record: Recording = Recording.FRAMES, **budget:
 
 
 def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
-    """One scene with three chairs at one position; with a folder its package is a file of 1.5 MB."""
+    """One scene with three chairs at one position; with a folder its package is a file of 1.5 MB, without arrays."""
     targets = tuple(
         Target(
             target_id=f"chair_{number:03d}",
@@ -72,7 +74,11 @@ def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
         targets=targets,
         instances=(Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),),
     )
-    data = bytes([seed]) + bytes(range(256)) * 6000
+    buffer = io.BytesIO()
+    with ContainerWriter(buffer) as package:
+        package.add("scene.json", info.model_dump_json().encode())  # workers read which textures a package needs
+        package.add("filler", bytes([seed]) + bytes(range(256)) * 6000)
+    data = buffer.getvalue()
     path = (folder or Path("nowhere")) / "room.scene"
     if folder is not None:
         path.write_bytes(data)
