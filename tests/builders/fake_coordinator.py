@@ -43,9 +43,11 @@ from schemas.protocol.messages import (
 )
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
+from tests.builders.ledger import room_catalog
+from tests.builders.package import package_without_arrays
 from tests.builders.ports import free_endpoint
 
-SCENE = bytes(range(256)) * 10_000
+SCENE = package_without_arrays(room_catalog()["room"].info, bytes(range(256)) * 10_000)
 """Replaces a compiled scene; takes three chunks."""
 RUN = "test-00000000"
 _CHUNK = 1 << 20

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import io
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,13 +22,13 @@ from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.tables import jobs
 from schemas.dataset.rows import EpisodeSummary, summary_of
-from schemas.encoding.container import ContainerWriter
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.protocol.messages import Done, Fail, Lease
 from schemas.scene import Instance, SceneInfo, Target
 from schemas.terms import FailReason, Recording, Split, Tier
 from tests.builders.bundle import GOAL_M, TARGET_ID, job_for, parts_for, short_task
+from tests.builders.package import package_without_arrays
 
 TTL_S = 10.0
 SHA256 = "c" * 64
@@ -74,11 +73,7 @@ def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
         targets=targets,
         instances=(Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),),
     )
-    buffer = io.BytesIO()
-    with ContainerWriter(buffer) as package:
-        package.add("scene.json", info.model_dump_json().encode())  # workers read which textures a package needs
-        package.add("filler", bytes([seed]) + bytes(range(256)) * 6000)
-    data = buffer.getvalue()
+    data = package_without_arrays(info, bytes([seed]) + bytes(range(256)) * 6000)
     path = (folder or Path("nowhere")) / "room.scene"
     if folder is not None:
         path.write_bytes(data)
