@@ -27,11 +27,11 @@ def test_tools_in_sbin_are_found_for_any_path_of_the_user(path: str) -> None:
     assert set(done.stdout.split()) == here
 
 
-def test_the_product_starts_only_the_python_interpreter_and_sbatch() -> None:
+def test_the_product_starts_only_the_python_interpreter_and_commands_of_slurm() -> None:
     started = re.compile(r"(?:subprocess\.\w+|Popen|os\.exec\w+|os\.system|os\.popen)\(\s*\[?\s*[\"'](\w+)")
     files = [
         path for package in ("schemas", "coordinator", "workers", "factory") for path in (ROOT / package).rglob("*.py")
     ]
     assert len(files) > 100
     found = {path.relative_to(ROOT).as_posix(): started.findall(path.read_text()) for path in files}
-    assert {path: names for path, names in found.items() if names} == {"factory/submit/slurm.py": ["sbatch"]}
+    assert {path: names for path, names in found.items() if names} == {"factory/submit/slurm.py": ["sbatch", "scancel"]}

@@ -119,7 +119,7 @@ def bundle_of(result: EpisodeResult, note: PolicyNote = NOTE) -> bytes:
 def checked_result(tmp_path: Path, data: bytes) -> Any:
     path = tmp_path / "1.1.zip"
     path.write_bytes(data)
-    return ResultValidator({1: TASK}).check(path, job_for(1), TARGET)
+    return ResultValidator({1: TASK}).check(path, job_for(1), (TARGET,))
 
 
 def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path) -> None:
