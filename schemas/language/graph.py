@@ -123,8 +123,8 @@ class SceneGraph:
 
     @cached_property
     def walled(self) -> Bools:
-        """(N, N) pairs of objects with a wall between them; without doors, windows, and pairs that hang on walls."""
-        is_known = (self.room_of > 0) & (self.room_of > 0)[:, None] & ~(self.hangs & self.hangs[:, None])
+        """(N, N) pairs of objects with a wall between them; without doors and windows."""
+        is_known = (self.room_of > 0) & (self.room_of > 0)[:, None]
         return find_barriers(self.low[:, :2], self.high[:, :2], self.sight_grid) & is_known
 
     def areas_of_type(self, room: int, kind: str) -> frozenset[int]:

@@ -34,6 +34,16 @@ class ObjectKind(Model):
     """Whether things are put on its top, so that it can be empty."""
     material: bool = False
     """Whether its material can be named."""
+    sized: bool = True
+    """Whether its sizes are compared; not if it is flat, or includes another thing, such as the mirror above a sink."""
+
+
+_ALIKE_COLOURS = frozenset({"brown", "yellow"})
+
+
+def may_be_called(colour: str, word: str) -> bool:
+    """Returns whether a viewer may call an object of a colour by the word for another colour."""
+    return colour in (UNKNOWN, word) or {colour, word} == _ALIKE_COLOURS
 
 
 class RoomRule(Model):

@@ -30,7 +30,7 @@ DIRECTION_GAP_M = Band(2.0, 4.0)
 FACING_RAD = Band(math.radians(25), math.radians(75))
 """Angle from the axis for `in_front_of` and `behind`, which surely hold only if the whole depth of one object is nearer
 than the other."""
-ALIGNED_RAD = Band(math.radians(10), math.radians(60))
+ALIGNED_RAD = Band(math.radians(5), math.radians(60))
 """Angle between object and landmark in the view for `in_front_of` and `behind`."""
 BETWEEN_ALONG = Band(0.25, 0.05)
 """Smallest share of the way from one landmark to the other for `between`."""

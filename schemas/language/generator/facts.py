@@ -15,7 +15,7 @@ import numpy as np
 from schemas.language import thresholds as limit
 from schemas.language.expression import AHEAD_SIDES, Landmark, Relation, ViewSide
 from schemas.language.graph import SceneGraph, SceneObject
-from schemas.language.kinds import UNKNOWN
+from schemas.language.kinds import UNKNOWN, may_be_called
 from schemas.language.thresholds import Band
 from schemas.language.tops import SurfaceTop
 from schemas.language.view import SceneView
@@ -91,7 +91,7 @@ class SceneFacts:
             if colour is not None:
                 same = np.array([each.colour == colour for each in objects], bool)
                 sure &= same
-                possible &= same | np.array([each.colour == UNKNOWN for each in objects], bool)
+                possible &= np.array([may_be_called(each.colour, colour) for each in objects], bool)
             if material is not None:
                 sure &= np.array([each.materials[:1] == (material,) for each in objects], bool)
                 known = np.array([bool(each.materials) and UNKNOWN not in each.materials for each in objects], bool)
@@ -168,9 +168,7 @@ class SceneFacts:
     def next_to(self) -> Masks:
         """(N, N) [landmark, object]: objects next to a landmark, neither on nor under it."""
         found = _below(self.gap, limit.NEXT_TO_M).both(self._rooms)
-        stacked = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
-        level = ~(stacked | stacked.T)
-        sure = found.sure & self.distinct & level & self._is_level & ~self.graph.walled
+        sure = found.sure & self.distinct & ~self.stacked & self._is_level & ~self.graph.walled
         return Masks(sure, found.possible & self.distinct)
 
     @cached_property
@@ -206,6 +204,12 @@ class SceneFacts:
             Relation.ON: Masks(on.sure & clear, on.possible & clear),
             Relation.UNDER: Masks(under.sure & clear & ~on.possible, under.possible & clear),
         }
+
+    @cached_property
+    def stacked(self) -> Bools:
+        """(N, N) pairs of which one object may be on or under the other."""
+        found = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
+        return np.asarray(found | found.T)
 
     @cached_property
     def alone(self) -> dict[Relation, Masks]:
@@ -354,12 +358,13 @@ class ViewFacts:
         side = axis[:, None, 0] * offset[..., 1] - axis[:, None, 1] * offset[..., 0]
         close, distinct = self.scene.close, self.scene.distinct[rows]
         # the landmark is seen; the object is seen or may be somewhere else in the same room
-        sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure
+        sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure & ~self.scene.stacked[rows]
         possible = close.possible[rows] & distinct
         apart = np.abs(view.bearing - view.bearing[rows, None])
         anywhere = Masks(np.ones(apart.shape, bool), np.ones(apart.shape, bool))
         aligned = _below(apart, limit.ALIGNED_RAD)
-        level = self.scene.has_same_base[rows]
+        hangs = self.scene.graph.hangs
+        level = self.scene.has_same_base[rows] & ~(hangs | hangs[rows, None])
         aligned = Masks(aligned.sure & level, aligned.possible)
         found = {}
         low, high = self._depths(axis)

@@ -172,6 +172,9 @@ class _StaticParts:
         return Superlatives(tuple(self._sizes(others)), tuple(self._nearest(others)))
 
     def _sizes(self, others: Sequence[int]) -> Iterator[Size]:
+        kinds = {self._facts.graph.objects[number].kind for number in (self._number, *others)}
+        if not all(self._facts.graph.kinds.of(kind).sized for kind in kinds):
+            return
         for values, ratio, most, least in (
             (self._facts.volume, limit.VOLUME_RATIO, Size.LARGEST, Size.SMALLEST),
             (self._facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),

@@ -64,7 +64,7 @@ class Footprints:
 
     def __init__(self, graph: SceneGraph) -> None:
         self._objects = graph.objects
-        self._floor = graph.floor_m
+        self._floor, self._kinds = graph.floor_m, graph.kinds
         self._outlines = [[complex(x, y) for x, y in each.outline_m] for each in graph.objects]
         self._centres = [_middle(outline) for outline in self._outlines]
         self._radii = [
@@ -186,6 +186,10 @@ class Footprints:
     def is_supported(self, number: int) -> bool:
         """Returns whether an object may rest on another one."""
         return any(self.rests_on(number, other) for other in range(len(self._objects)) if other != number)
+
+    def is_comparable(self, number: int) -> bool:
+        """Returns whether the size of an object is compared with that of others."""
+        return self._kinds.of(self._objects[number].kind).sized
 
     def height(self, number: int) -> float:
         """Returns the height of an object, metres."""

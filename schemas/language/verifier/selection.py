@@ -22,6 +22,8 @@ class Selected(IntEnum):
 def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[int, Truth]:
     """Returns the largest, smallest, tallest or lowest object if it is clear; otherwise all objects that may be it."""
     tall = size in (Size.TALLEST, Size.LOWEST)
+    if not all(prints.is_comparable(number) for number in truths):
+        return dict.fromkeys(truths, Truth.MAYBE)
     values = {number: prints.height(number) if tall else prints.volume(number) for number in truths}
     way = Selected.MOST if size in (Size.TALLEST, Size.LARGEST) else Selected.LEAST
     if tall and not all(prints.has_same_base(one, two) for one, two in combinations(truths, 2)):

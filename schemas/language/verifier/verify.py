@@ -12,7 +12,7 @@ from typing import NamedTuple
 from schemas.language import thresholds as limit
 from schemas.language.expression import AHEAD_SIDES, SUPERLATIVES, Clause, Expression, Landmark, Relation
 from schemas.language.graph import SceneGraph
-from schemas.language.kinds import UNKNOWN
+from schemas.language.kinds import UNKNOWN, may_be_called
 from schemas.language.reading import Reader, Reading
 from schemas.language.verifier.measure import Footprints, Truth, angle_between, at_least, at_most
 from schemas.language.verifier.selection import Selected, by_size, counted, counted_ahead, extreme
@@ -118,7 +118,7 @@ class Verifier:
             if truth is Truth.NO and inside & set(each.shows):
                 truth = Truth.MAYBE
             if colour is not None and each.colour != colour:
-                truth = min(truth, Truth.MAYBE if each.colour == UNKNOWN else Truth.NO)
+                truth = min(truth, Truth.MAYBE if may_be_called(each.colour, colour) else Truth.NO)
             if material is not None:
                 truth = min(truth, _is_made_of(each.materials, material))
             if truth is not Truth.NO:
@@ -274,7 +274,8 @@ class Verifier:
             return Truth.NO
         if self._prints.is_apart(number, other):
             return Truth.NO
-        shown = Truth.YES if view.sure[number] and view.sure[other] else Truth.MAYBE
+        is_seen = view.sure[number] and view.sure[other] and not self._prints.is_stacked(number, other)
+        shown = Truth.YES if is_seen else Truth.MAYBE
         way = self._way(relation, number, other, view)
         if way is Truth.NO:
             return Truth.NO
@@ -291,7 +292,10 @@ class Verifier:
         apart = abs(float(view.bearing[number] - view.bearing[other]))
         way = min(at_most(aside, limit.FACING_RAD), at_most(apart, limit.ALIGNED_RAD))
         near, far = (number, other) if relation is Relation.IN_FRONT_OF else (other, number)
-        is_clear = self._prints.has_same_base(number, other) and self._prints.is_nearer(near, far, eye, other)
+        stands = not (self.graph.hangs[number] or self.graph.hangs[other])
+        is_clear = (
+            self._prints.has_same_base(number, other) and self._prints.is_nearer(near, far, eye, other) and stands
+        )
         return way if is_clear else min(way, Truth.MAYBE)
 
     def _between(self, number: int, first: int, second: int) -> Truth:
