@@ -17,7 +17,17 @@ from pydantic import Field
 
 from schemas.base import Model, Name
 from schemas.errors import UsageError
-from schemas.language.expression import AHEAD_SIDES, Clause, Expression, Landmark, Ordinal, Relation, Size
+from schemas.language.expression import (
+    AHEAD_SIDES,
+    COUNTED,
+    STATES,
+    Clause,
+    Expression,
+    Landmark,
+    Ordinal,
+    Relation,
+    Size,
+)
 from schemas.language.kinds import DATA
 from schemas.support.suggest import did_you_mean
 
@@ -202,7 +212,8 @@ class Grammar(Model):
             words["side"] = _nth(self.sides[_side(expression)], choice.get("side", 0)).replace("~", ending)
         spoken = [clause for clause in expression.clauses if not self._adjective(clause, choice)]
         clauses = [self._clause(clause, gender, choice, number) for number, clause in enumerate(spoken)]
-        opener = self.opener if len(clauses) > 1 else ""
+        has_with = any(clause.relation in STATES | COUNTED for clause in spoken)  # "that is with two chairs" is wrong
+        opener = self.opener if len(clauses) > 1 and not has_with else ""
         words |= {"noun": noun, "clauses": opener + self.joiner.join(clauses)}
         return _SPACES.sub(" ", _fill(self.layout, words)).strip()
 

@@ -429,7 +429,7 @@ class ViewFacts:
             return []
         found = among.both(way.masks)
         numbers = np.flatnonzero(found.possible)
-        is_hidden = way.hidden(numbers, found.sure[numbers]) & ~self.view.sure[numbers]
+        is_hidden = way.hidden(numbers, found.sure[numbers]) & ~self.view.shown[numbers]
         numbers = numbers[~is_hidden]
         order = numbers[np.argsort(way.middle[numbers], kind="stable")].tolist()
         certain: list[int] = []

@@ -58,7 +58,7 @@ def counted_ahead(
     row = {
         number: truth
         for number, truth in found.items()
-        if truth is not Truth.NO and (view.sure[number] or not any(_covers(other, boxes[number]) for other in sure))
+        if truth is not Truth.NO and (view.shown[number] or not any(_covers(other, boxes[number]) for other in sure))
     }
     order = sorted(row, key=lambda number: boxes[number].middle)
     if len(order) < place:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from schemas.language.expression import Expression
+from schemas.language.expression import Clause, Expression, Landmark, Relation
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.grammar import grammar
 from schemas.language.graph import build_graph
@@ -63,6 +63,12 @@ def _same(one: Expression, two: Expression) -> bool:
 def test_an_object_behind_another_one_has_no_place_along_the_way(cover, is_clear):
     scene = hall(("barrel", -4.2, 1.2), ("barrel", 6.0, 4.0), *cover)
     assert is_written(scene, "the first barrel ahead on your left", at(scene, -4.2, 1.2)) == is_clear
+
+
+@pytest.mark.parametrize(("x", "is_clear"), [(-4.2, False), (-2.5, True)])
+def test_an_object_half_behind_another_one_makes_a_place_along_the_way_doubtful(x, is_clear):
+    scene = hall(("chair", -4.2, 1.0), ("chair", x, 1.9))
+    assert is_written(scene, "the first chair ahead on your left", at(scene, -4.2, 1.0)) == is_clear
 
 
 @pytest.mark.parametrize(("aside", "is_clear"), [(4.4, False), (-4.4, True)])
@@ -169,3 +175,16 @@ def test_a_passed_object_is_clearly_behind_the_robot(plant_x, is_passed):
 def test_a_prim_whose_look_its_name_does_not_decide_is_a_borderline_case_of_each_kind(prim, shown):
     assert kinds().landmark_of([prim]) is None
     assert set(kinds().seen_in([prim])[0]) == shown
+
+
+def test_no_clause_that_begins_with_with_follows_that_is():
+    beside = Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind="shelf", definite=False),))
+    phrase = grammar("en").phrase(
+        Expression(kind="table", clauses=(Clause(relation=Relation.EMPTY), beside)), "nom", {"relation": 1}
+    )
+    assert phrase == "the table with nothing on top and next to a shelf"
+    assert reader("en").read_phrase(phrase)
+
+
+def test_the_colour_of_a_whiteboard_is_not_named():
+    assert not kinds().of("whiteboard").plain
