@@ -1,4 +1,4 @@
-"""Determines of which materials the objects of a scene are, by the names of their surfaces. Reads no file."""
+"""Determines the materials of the objects of a scene from the names of their surfaces. Reads no file."""
 
 from __future__ import annotations
 
