@@ -1,4 +1,4 @@
-"""Finds the pairs of objects that a wall separates on the straight line between their centres. Does not use room numbers."""
+"""Finds the pairs of objects with a wall on the straight line between their centres. Does not use room numbers."""
 
 from __future__ import annotations
 

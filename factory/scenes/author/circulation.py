@@ -19,10 +19,10 @@ _ROWS = 0.85
 SLENDER = 2.1
 """Largest ratio of the sides of a room."""
 _SPARE = (1.0, 1.3)
-"""Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at least 1, because
-rooms in rows of unsuitable depth become larger than desired."""
+"""Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
+least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Smallest and largest factor by which the ratio of width to depth of a building differs from that of the available floor."""
+"""Smallest and largest factor between the ratio of width to depth of a building and that of the available floor."""
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6

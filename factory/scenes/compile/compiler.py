@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from factory.scenes.compile.geometry import Geometry, lay_out_geometry
 from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours
+from factory.scenes.compile.object_materials import materials_of
 from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
 from factory.scenes.compile.shade import target_colour, triangle_areas
-from factory.scenes.compile.object_materials import materials_of
 from factory.scenes.compile.textures import DrawFunction, TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, TextureRecipe
 from factory.scenes.light import USUAL_DETAIL, LightDetail
