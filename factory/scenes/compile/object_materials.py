@@ -40,11 +40,11 @@ _SUBSTANCES = MappingProxyType(
 """Words of each substance, lower case. Words that are also colours, such as silver, are missing."""
 _BY_WORD = MappingProxyType({word: name for name, words in _SUBSTANCES.items() for word in words.split()})
 _IMITATION = frozenset(("fake", "faux", "imitation", "look", "effect", "like", "spines", "holder", "frame"))
-"""Words with which a name does not tell the substance: fake leather, spines of leather books."""
+"""Words after which a name does not state the substance, as in fake leather or spines of leather books."""
 
 
 def substance_of(surface: Surface) -> str:
-    """Returns the substance of a surface; `unknown` if its names tell none, or several."""
+    """Returns the substance of a surface; `unknown` if its names contain no word of a substance, or words of several."""
     names = (surface.name, PurePosixPath(surface.texture.replace("\\", "/")).stem)
     for name in names:  # the name of the material takes precedence over that of its texture
         words = {word.lower() for word in _WORD.findall(name)}

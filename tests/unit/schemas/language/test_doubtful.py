@@ -172,7 +172,7 @@ def test_a_passed_object_is_clearly_behind_the_robot(plant_x, is_passed):
     ("prim", "shown"),
     [("SM_Cabinet_02_52", {"cabinet", "shelf"}), ("SM_CeilingLight_03_7", {"lamp"}), ("SM_Lamps_1", {"lamp"})],
 )
-def test_a_prim_whose_look_its_name_does_not_decide_is_a_borderline_case_of_each_kind(prim, shown):
+def test_a_prim_with_an_ambiguous_name_is_a_borderline_case_of_each_kind(prim, shown):
     assert kinds().landmark_of([prim]) is None
     assert set(kinds().seen_in([prim])[0]) == shown
 
