@@ -13,7 +13,7 @@ from factory.scenes.importer import Part, Surface
 
 UNKNOWN = "unknown"
 _MOST, _VISIBLE = 0.6, 0.05
-"""Share of an object's surface that its first material covers, and of which a further one is listed."""
+"""Smallest share of the surface of an object for its first material, and for each further one."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SUBSTANCES = MappingProxyType(
     {
@@ -44,7 +44,7 @@ _IMITATION = frozenset(("fake", "faux", "imitation", "look", "effect", "like", "
 
 
 def substance_of(surface: Surface) -> str:
-    """Returns the substance of a surface; `unknown` if its names contain no word of a substance, or words of several."""
+    """Returns the substance of a surface; `unknown` without exactly one substance in its names."""
     names = (surface.name, PurePosixPath(surface.texture.replace("\\", "/")).stem)
     for name in names:  # the name of the material takes precedence over that of its texture
         words = {word.lower() for word in _WORD.findall(name)}
