@@ -36,6 +36,7 @@ def gather(
     on_progress: ProgressCallback = lambda _done, _all: None,
     samples: int = 8,
     compare_paper: bool | None = None,
+    most_opened: int = MOST_OPENED,
 ) -> ReportInput:
     """Reads the input of the report of a dataset.
 
@@ -44,6 +45,7 @@ def gather(
         on_progress: callback with the number of episodes read and the total.
         samples: number of sample frames.
         compare_paper: see `measure_dataset`.
+        most_opened: number of episodes that are opened for tracks, actions and objects in view.
 
     Raises:
         WorldError: the dataset does not exist or has a newer format.
@@ -54,14 +56,16 @@ def gather(
     fits = read_fits(root)
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
-        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, MOST_OPENED)}
+        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, most_opened)}
         chosen = [row for row in rows.episodes if row.episode_id in opened]
     maps, infos = _read_scenes(root, rows, {row.scene for row in chosen})
     drives = Drives()
     if chosen:
-        for done, row in enumerate(chosen, 1):
+        for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):  # each scene is prepared once
             _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
             on_progress(done, len(chosen))
+        drives.views.sort(key=lambda view: view.row.index)
+        drives.samples.sort(key=lambda sample: sample.row.index)
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
     episodes = by_measure(rows.episodes, rows.meta.plan.task.success)
     return ReportInput(rows.meta, statistics, episodes, rows.failures, drives, maps)

@@ -23,6 +23,7 @@ from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
 from factory.web.context import WebContext, page
 from factory.web.evaluations import Evaluations
+from factory.web.figures.store import StatisticsStore
 from factory.web.forms import read_form
 from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
@@ -41,6 +42,7 @@ def create_app(
     address: HttpAddress,
     access: Access,
     administer: Callable[[AdminRequest], AdminReply],
+    statistics: StatisticsStore,
     more_routes: Iterable[BaseRoute] = (),
     evaluations: Sequence[Path] = (),
 ) -> ASGIApp:
@@ -51,6 +53,7 @@ def create_app(
         address: configured address of the server.
         access: token and reading rights.
         administer: function that executes an admin request on the run.
+        statistics: figures of the dataset.
         more_routes: further routes, for example the status pages of a coordinator.
         evaluations: directories of `factory eval -o`.
     """
@@ -59,7 +62,7 @@ def create_app(
         exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
     app.state.context = WebContext(
-        workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations)
+        workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations), statistics
     )
     return RequestGuard(app, address, access)
 

@@ -11,7 +11,7 @@ from starlette.responses import HTMLResponse, Response
 from factory.dataset.marks import Marks
 from factory.html import render
 from factory.web.evaluations import Evaluations
-from factory.web.figures import StatisticsStore
+from factory.web.figures.store import StatisticsStore
 from factory.web.floors import FloorStore
 from factory.web.frames import FrameStore
 from factory.web.workspace import Workspace
@@ -41,10 +41,10 @@ class WebContext:
     """Executes an admin request on the run."""
     evaluations: Evaluations
     """Evaluation directories."""
+    statistics: StatisticsStore
+    """Figures of the report."""
     floors: FloorStore = field(default_factory=FloorStore)
     """Maps of the scenes."""
-    statistics: StatisticsStore = field(default_factory=StatisticsStore)
-    """Figures of the report."""
 
 
 def context_of(request: Request) -> WebContext:

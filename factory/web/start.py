@@ -20,6 +20,7 @@ from factory.dataset.site import Site
 from factory.html import compile_templates
 from factory.web.access import Access
 from factory.web.app import create_app
+from factory.web.figures.store import StatisticsStore
 from factory.web.server import WebServer
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError
@@ -62,8 +63,9 @@ def serve(
         return administer_dataset(site.state_dir, request, datetime.now(UTC), ledger, name=name, tls=files)
 
     workspace = Workspace(site, ledger)
-    app = create_app(workspace, address, access, administer or ask, more_routes, evaluations)
-    with WebServer(app, address, files) as server:
+    statistics = StatisticsStore(str(site))
+    app = create_app(workspace, address, access, administer or ask, statistics, more_routes, evaluations)
+    with statistics, WebServer(app, address, files) as server:
         threading.Thread(target=_prepare, args=(workspace,), name="prepare", daemon=True).start()
         yield server.url + ("" if token else f"/?token={access.token}")
 

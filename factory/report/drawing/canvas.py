@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,12 @@ class Panel:
     alt: str
     """Alternative text."""
     svg: str
-    png: bytes
+    _draw_png: Callable[[], bytes] = field(repr=False, compare=False)
+
+    @property
+    def png(self) -> bytes:
+        """PNG with the same content; drawn at each access."""
+        return self._draw_png()
 
 
 def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: float = 3.0) -> Panel:
@@ -98,13 +103,14 @@ def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: fl
         paint: function that draws on the axes.
         height_in: height of the drawing, inches; its width is `WIDTH_IN`.
     """
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+    style = {**_STYLE, "svg.hashsalt": name}
+    with mpl.rc_context(style):
         figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure.add_subplot())
         figure.draw_without_rendering()
         figure.set_layout_engine(None)  # the layout is computed once; an engine would draw each file twice
-        return Panel(name, alt, _as_svg(figure), _as_png(figure))
+        return Panel(name, alt, _as_svg(figure), lambda: _as_png(figure, style))
 
 
 def write_legend(axes: Axes, columns: int = 3, **more: Any) -> None:
@@ -151,7 +157,8 @@ def _shorten(match: re.Match[str]) -> str:
     return f"{float(match.group()):.2f}".rstrip("0").rstrip(".")
 
 
-def _as_png(figure: Figure) -> bytes:
+def _as_png(figure: Figure, style: dict[Any, Any]) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_PNG_DPI, metadata={"Software": None})
+    with mpl.rc_context(style):
+        figure.savefig(buffer, format="png", dpi=_PNG_DPI, metadata={"Software": None})
     return buffer.getvalue()

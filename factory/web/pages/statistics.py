@@ -1,4 +1,4 @@
-"""Statistics page: the figures of the report, drawn in the background and kept while the dataset does not change."""
+"""Statistics page: the newest drawn figures of the report, and the progress of newer ones."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ def routes() -> list[Route]:
 
 
 def show(request: Request) -> Response:
-    """Answers with the page, or with a page that reloads until the figures are drawn."""
+    """Answers with the newest figures, or with a page that reloads until the first ones are drawn."""
     context = context_of(request)
-    drawn = context.statistics.of(context.workspace.dataset())
-    return page(request, "statistics", "Statistics", drawn=drawn)
+    state = context.statistics.of(context.workspace.dataset())
+    return page(request, "statistics", "Statistics", state=state, drawn=state.drawn)
 
 
 def image(request: Request) -> Response:
-    """Answers with one drawing."""
+    """Answers with one drawing of the newest figures."""
     context = context_of(request)
-    drawn = context.statistics.of(context.workspace.dataset())
+    drawn = context.statistics.of(context.workspace.dataset()).drawn
     svg = drawn.images.get(request.path_params["name"]) if drawn else None
     if svg is None:
         raise HTTPException(404, "no drawing has this name: load the page of statistics again")

@@ -1,0 +1,94 @@
+"""Keeps the figures of a dataset; starts the process that draws them, one at a time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from factory.dataset.reader import Dataset
+from factory.web.figures.model import DrawnStatistics, Message
+from schemas.support.child import child_environment, python_module
+from schemas.support.closing import Closing
+
+_SHARE = 3
+"""Ratio of the pause after a drawing to its wall time, so that a run on the same machine is not slowed."""
+
+
+@dataclass(frozen=True)
+class StatisticsState:
+    """Figures that can be shown, and the state of newer ones."""
+
+    drawn: DrawnStatistics | None = None
+    """Newest figures; `None` before the first ones are drawn."""
+    trouble: str = ""
+    """Reason why newer figures cannot be drawn; empty if they can."""
+    is_drawing: bool = False
+    """Whether newer figures are being drawn."""
+    done: int = 0
+    """Number of episodes read for them."""
+    total: int = 0
+    """Number of episodes to read for them; 0 while the tables are read."""
+    wait_s: float = 0.0
+    """Time until newer figures may be drawn, seconds; 0 if the figures are those of the current tables."""
+
+
+class StatisticsStore(Closing):
+    """Figures of a dataset; thread-safe. A request never waits for a drawing.
+
+    Args:
+        place: directory or URL of the dataset.
+        clock: function that returns the time, seconds.
+    """
+
+    def __init__(self, place: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._place, self._clock = place, clock
+        self._lock = threading.Lock()
+        self._dataset: Dataset | None = None
+        self._state = StatisticsState()
+        self._next_s = -float("inf")
+        self._process: subprocess.Popen[str] | None = None
+        self._thread: threading.Thread | None = None
+
+    def of(self, dataset: Dataset) -> StatisticsState:
+        """Returns the newest figures; starts to draw those of `dataset` if it has changed and none are being drawn."""
+        with self._lock:
+            if self._dataset is dataset or self._state.is_drawing:
+                return self._state
+            wait_s = self._next_s - self._clock()
+            if wait_s > 0:
+                return replace(self._state, wait_s=wait_s)
+            self._dataset = dataset
+            self._state = StatisticsState(self._state.drawn, is_drawing=True)
+            command = python_module("factory.web.figures.process", self._place)
+            environment = child_environment(os.environ)
+            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+            self._thread = threading.Thread(target=self._read, args=(self._process,), name="figures", daemon=True)
+            self._thread.start()
+            return self._state
+
+    def close(self) -> None:
+        """Ends the drawing process."""
+        if self._process is not None and self._thread is not None:
+            self._process.kill()
+            self._thread.join()
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        begin_s = self._clock()
+        with process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                self._take(Message.model_validate_json(line))
+        failure = f"the figures cannot be drawn: their process ended with code {process.returncode}; see its message"
+        with self._lock:
+            trouble = self._state.trouble or (failure if process.returncode else "")
+            self._state = StatisticsState(self._state.drawn, trouble)
+            self._next_s = self._clock() + _SHARE * (self._clock() - begin_s)
+
+    def _take(self, message: Message) -> None:
+        with self._lock:
+            drawn = message.drawn or self._state.drawn
+            self._state = StatisticsState(drawn, message.trouble, True, message.done, message.total)
