@@ -84,7 +84,7 @@ def main() -> None:
 
 def _paths(root: Path, evaluation: Path) -> dict[str, str]:
     """Returns the path of each page."""
-    dataset = Dataset(root)
+    dataset, policies = Dataset(root), sorted(path.name for path in (evaluation / "policies").iterdir())
     episode = dataset[len(dataset) // 4]
     name, scene = episode.meta.job.episode_id, episode.meta.job.scene
     return {
@@ -97,6 +97,7 @@ def _paths(root: Path, evaluation: Path) -> dict[str, str]:
         "statistics": "/statistics",
         "evaluations": "/evaluations",
         "evaluation": f"/evaluations/{evaluation.resolve().name}",
+        "comparison": f"/evaluations/{evaluation.resolve().name}?first={policies[0]}&second={policies[-1]}#compare",
         "operation": "/operations/retry",
         "login": "/login",
         "missing": "/episodes/ep_999999",

@@ -28,6 +28,7 @@ from factory.web.forms import read_form
 from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
 from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
+from factory.web.pages.find import NoEpisode
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError, UsageError
 from schemas.protocol.administration import AdminReply, AdminRequest
@@ -101,7 +102,8 @@ async def login(request: Request) -> Response:
 
 def _answer_http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    return _message(request, error.status_code, error.detail)
+    near = error.nearest if isinstance(error, NoEpisode) else ""
+    return _message(request, error.status_code, error.detail, [(f"/episodes/{near}", near)] if near else [])
 
 
 def _answer_failure(request: Request, error: Exception) -> Response:
@@ -113,8 +115,8 @@ def _answer_bug(request: Request, error: Exception) -> Response:
     return _message(request, 500, "the page failed; see the log of the server")
 
 
-def _message(request: Request, status: int, text: str) -> Response:
+def _message(request: Request, status: int, text: str, links: Sequence[tuple[str, str]] = ()) -> Response:
     if "text/html" not in request.headers.get("accept", "text/html"):
         return PlainTextResponse(f"{text}\n", status)
     title = HTTPStatus(status).phrase
-    return page(request, "message", title, status, text=text, links=[("/episodes", "All episodes")])
+    return page(request, "message", title, status, text=text, links=[*links, ("/episodes", "All episodes")])

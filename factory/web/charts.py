@@ -11,9 +11,9 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-WIDTH, WIDE, HEIGHT = 600, 1200, 120
+WIDTH, WIDE, HEIGHT = 600, 1200, 124
 """Widths of a line chart and of a column chart, and their height, units of the view box."""
-_LEFT, _TOP, _BOTTOM = 58, 8, 18
+_LEFT, _TOP, _BOTTOM = 64, 8, 20
 _MOST_POINTS = 600
 
 

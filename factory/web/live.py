@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
+
+from factory.web.server import closing_of
 
 _SEND_S = 10.0
 """Timeout of one event for one tab, seconds; a slower tab is disconnected and reconnects."""
@@ -28,18 +31,19 @@ class LiveFeed:
         self._compute, self._pause_s = compute, pause_s
         self._text, self._version = "", 0
         self._polled = asyncio.Event()
+        self._has_ended = False
         self._tabs = 0
         self._poller: asyncio.Task[None] | None = None
 
-    async def __call__(self, _scope: Scope, receive: Receive, send: Send) -> None:
-        """Sends events until the tab closes; an ASGI application."""
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Sends events until the tab closes, or until the server does, with a last event; an ASGI application."""
         if self._tabs >= _MOST_TABS:
             await send({"type": "http.response.start", "status": 503, "headers": [(b"retry-after", b"30")]})
             await send({"type": "http.response.body", "body": b"too many open tabs\n"})
             return
         self._tabs += 1
         if self._poller is None or self._poller.done():
-            self._poller = asyncio.create_task(self._poll())
+            self._poller = asyncio.create_task(self._poll(closing_of(scope)))
         sending = asyncio.create_task(self._send_all(send))
         try:
             while (await receive())["type"] != "http.disconnect":
@@ -61,15 +65,20 @@ class LiveFeed:
                 seen = self._version
                 async with asyncio.timeout(_SEND_S):
                     await send({"type": "http.response.body", "body": _event(self._text), "more_body": True})
+            if self._has_ended:
+                await send({"type": "http.response.body", "body": b""})
+                return
 
-    async def _poll(self) -> None:
-        while True:
+    async def _poll(self, closing: asyncio.Event) -> None:
+        while not self._has_ended:
+            self._has_ended = closing.is_set()
             text, cost_s = await run_in_threadpool(self._timed)
             if text != self._text:
                 self._text, self._version = text, self._version + 1
             self._polled.set()
             self._polled = asyncio.Event()
-            await asyncio.sleep(pause_after(cost_s, self._pause_s))
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(closing.wait(), pause_after(cost_s, self._pause_s))
 
     def _timed(self) -> tuple[str, float]:
         """Returns the fragment and the CPU time of its computation, seconds."""

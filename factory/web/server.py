@@ -6,6 +6,7 @@ No other module uses uvicorn.
 from __future__ import annotations
 
 import asyncio
+import socket
 import ssl
 import threading
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import h11
 import uvicorn
 from anyio import open_file  # noqa: F401 - anyio imports it on first use, which is the first request of a file
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from coordinator.status.address import HttpAddress, listen_on, url_of
@@ -26,6 +27,8 @@ _STALLED_S = 20.0
 """Time after which a client that receives nothing of a waiting reply is disconnected, seconds."""
 _MOST_CONNECTIONS = 512
 _MOST_HEAD_BYTES = 16 << 10
+_CLOSING = "minivla.closing"
+"""Key of the event of `closing_of` in the scope of a request."""
 _CLOSE_S = 2
 """Time for open replies when the server stops, seconds."""
 
@@ -47,7 +50,7 @@ class WebServer(Closing):
         self.url = url_of(self._listening, "https" if tls else "http")
         """URL of the server."""
         config = uvicorn.Config(
-            app,
+            self._serve(app),
             http=_DeadlineProtocol,
             ws="none",
             lifespan="off",
@@ -62,7 +65,7 @@ class WebServer(Closing):
             h11_max_incomplete_event_size=_MOST_HEAD_BYTES,
             **_tls_options(tls),
         )
-        self._server = uvicorn.Server(config)
+        self._server = _Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([self._listening],), name="web", daemon=True)
         self._thread.start()
 
@@ -71,6 +74,33 @@ class WebServer(Closing):
         self._server.should_exit = True
         self._thread.join()
         self._listening.close()
+
+    def _serve(self, app: ASGIApp) -> ASGIApp:
+        """Returns the application with the event of `closing_of` in the scope of each request."""
+
+        async def serve(scope: Scope, receive: Receive, send: Send) -> None:
+            scope[_CLOSING] = self._server.closing
+            await app(scope, receive, send)
+
+        return serve
+
+
+def closing_of(scope: Scope) -> asyncio.Event:
+    """Returns the event that is set when the server of a request begins to close."""
+    found: asyncio.Event = scope[_CLOSING]
+    return found
+
+
+class _Server(uvicorn.Server):
+    """Server that announces to open replies that it closes."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.closing = asyncio.Event()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self.closing.set()
+        await super().shutdown(sockets)
 
 
 class _DeadlineProtocol(H11Protocol):

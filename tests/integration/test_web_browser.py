@@ -19,6 +19,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
+from factory.visualize.panels import show_depth, show_ids
 from factory.web.app import all_routes
 from factory.web.workspace import Workspace
 from schemas.terms import FailReason, Recording
@@ -58,6 +59,22 @@ async kind => {
   return [...new Uint8Array(digest)].map(byte => byte.toString(16).padStart(2, "0")).join("");
 }
 """
+_ARE_WHOLE = """
+() => [...document.querySelectorAll("img[data-kind]")].every(image => image.complete && image.naturalWidth === 640)
+"""
+_PLAY_UNTIL_SMALL = """
+() => new Promise(resolve => {
+  const [images, play] = [[...document.querySelectorAll("img[data-kind]")], document.getElementById("play")];
+  const look = () => {
+    if (!images.every(image => image.naturalWidth === 320)) return requestAnimationFrame(look);
+    play.click();
+    resolve();
+  };
+  play.click();
+  look();
+})
+"""
+"""Plays the episode, and pauses it at the first frame with small images."""
 
 
 @pytest.fixture(scope="module")
@@ -152,6 +169,37 @@ def test_a_played_episode_ends_at_its_last_step_with_the_pixels_of_the_dataset(b
         assert page.locator("#time").input_value() == str(last)
         assert page.locator("#robot").get_attribute("transform") != before
     assert shown == hashlib.sha256(episode.rgb(last).tobytes()).hexdigest()
+
+
+def test_states_play_in_small_frames_and_pause_on_those_of_the_dataset(browser, recordings):
+    episode = Dataset(recordings[Recording.STATES])[0]
+    expected = {
+        "rgb": lambda t: episode.rgb(t),
+        "depth": lambda t: show_depth(episode.depth(t)),
+        "ids": lambda t: show_ids(episode.ids(t), episode.meta.target_instance_id),
+    }
+
+    def check_paused_frame(page: Any) -> int:
+        page.wait_for_function(_ARE_WHOLE)
+        t = int(page.locator("#player").get_attribute("data-t"))
+        for kind, image in expected.items():
+            assert page.evaluate(_SHOWN, kind) == hashlib.sha256(image(t).tobytes()).hexdigest(), (kind, t)
+        return t
+
+    with web_page(recordings[Recording.STATES]) as client, tab(browser, client) as page:
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(urlsplit(request.url).path))
+        page.goto(f"{client.url}/episodes/{episode.episode_id}")
+        assert check_paused_frame(page) == 0
+        assert not [path for path in asked if "/playback/" in path]
+        page.evaluate(_PLAY_UNTIL_SMALL)
+        played = check_paused_frame(page)
+        assert [path for path in asked if path.endswith(f"/frames/{played}.png")]
+        asked.clear()
+        page.click("#step")
+        page.wait_for_selector(f'#player:not([data-t="{played}"])')
+        assert check_paused_frame(page) == played + 1
+        assert not [path for path in asked if "/playback/" in path]
 
 
 def test_the_pointer_names_the_object_and_a_note_is_stored(browser, client, data):

@@ -64,3 +64,4 @@ def print_summary(summary: dict[str, Any]) -> None:
     tries = ", ".join(f"{count} {_WORDS.get(outcome, outcome)}" for outcome, count in summary["attempts"].items())
     print_text(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
     print_text(f"next:    {summary['next']}")
+    print_text(f"page:    factory serve {summary['dataset']}")

@@ -29,8 +29,8 @@ def draw(material: ReportInput) -> Figure:
     beside = material.statistics.beside_paper
     marks = ", and the range in the paper as a pink band" if beside else ""
     caption = (
-        f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts "
-        "by scene and outcome. Below: the success rate with its 95 % Wilson interval, first attempts "
+        f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. First drawing: "
+        "attempts by scene and outcome. Second drawing: the success rate with its 95 % Wilson interval, first attempts "
         f"from near and mid starts as hollow dots{marks}. "
         f"Attempts that ended with a crash or a lost lease are not counted ({uncounted})."
     )

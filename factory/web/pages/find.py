@@ -10,18 +10,25 @@ from factory.web.context import WebContext
 from schemas.job import index_of_file
 
 
+class NoEpisode(HTTPException):
+    """The dataset has no such episode. `nearest` is the id of the nearest one; empty if there is none."""
+
+    def __init__(self, episode_id: str, nearest: str) -> None:
+        near = f"; the nearest one is {nearest}" if nearest else ""
+        super().__init__(404, f"the dataset has no episode {episode_id[:80]!r}{near}")
+        self.nearest = nearest
+
+
 def find_episode(context: WebContext, episode_id: str) -> Episode:
     """Returns an episode of the dataset.
 
     Raises:
-        HTTPException: the dataset has no such episode; the message names the nearest one.
+        NoEpisode: the dataset has no such episode.
     """
     try:
         return context.frames.episode(episode_id)
     except KeyError as error:
-        near = _nearest(context, episode_id)
-        text = f"the dataset has no episode {episode_id[:80]!r}" + (f"; the nearest one is {near}" if near else "")
-        raise HTTPException(404, text) from error
+        raise NoEpisode(episode_id, _nearest(context, episode_id)) from error
 
 
 def _nearest(context: WebContext, episode_id: str) -> str:

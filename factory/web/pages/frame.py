@@ -60,7 +60,8 @@ def show_mask(request: Request) -> Response:
     middle, line = "#7d8794", COLOURS["scene1"][1]  # readable on both backgrounds
     style = (
         f"<style>text {{ fill: {middle}; font: 11px sans-serif }} .axis {{ fill: none; stroke: {middle} }} "
-        f".line {{ fill: none; stroke: {line}; stroke-width: 1.5 }} .cursor {{ display: none }}</style>"
+        f".line {{ fill: none; stroke: {line}; stroke-width: 1.5 }} .cursor {{ display: none }} "
+        "@media (max-width: 25rem) { text { font-size: 17px } }</style>"
     )
     head, _, rest = drawing.partition(">")
     return svg_image(f'{head} xmlns="http://www.w3.org/2000/svg">{style}{rest}')

@@ -27,7 +27,7 @@ def test_a_new_tab_receives_the_current_text_and_not_that_of_an_earlier_reading(
             await closed.wait()
             return {"type": "http.disconnect"}
 
-        tab = asyncio.create_task(feed({"type": "http"}, receive, received.put))  # type: ignore[arg-type]
+        tab = asyncio.create_task(feed({"type": "http", "minivla.closing": asyncio.Event()}, receive, received.put))  # type: ignore[arg-type]
         while "body" not in (message := await received.get()):
             pass
         closed.set()

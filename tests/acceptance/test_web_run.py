@@ -1,0 +1,45 @@
+"""The web page of `factory run --http` in Chromium: a run of the command line is watched until it ends."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from tests.acceptance.factory_cli import FactoryCli, Started, wait_for
+from tests.builders.browser import chromium, why_no_chromium
+
+REASON = why_no_chromium()
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(REASON), reason=REASON)]
+
+
+def printed_url(run: Started) -> str:
+    """Returns the URL of the page, with its token, once the command has printed it."""
+    found: list[str] = []
+
+    def is_printed() -> bool:
+        assert run.poll() is None, run.communicate()
+        found.extend(re.findall(r"web page and /metrics: (\S+)", (run.folder / "err").read_text()))
+        return bool(found)
+
+    wait_for(is_printed, 600)
+    return found[0]
+
+
+def test_a_run_is_watched_until_its_server_closes_and_names_the_command_for_the_dataset(factory: FactoryCli, tmp_path):
+    words = ("demo", "--scene", "office", "--episodes", 2, "--workers", 1, "--record", "states", "--gate", "skip")
+    run = factory.start("run", *words, "--out", tmp_path / "out", "--http", "127.0.0.1:0")
+    with chromium() as browser:
+        page: Any = browser.new_page()
+        page.set_default_timeout(600_000)
+        page.goto(printed_url(run))
+        assert re.fullmatch(r"[01] of 2 episodes archived", page.locator("#live .meter label").inner_text())
+        assert page.request.get(f"{page.url}metrics").ok
+        page.wait_for_selector("#live :text-is('2 of 2 episodes archived')")  # without loading the page again
+        page.wait_for_selector("#offline:visible")
+        assert f"factory serve {tmp_path / 'out'}" in page.locator("#offline").inner_text()
+        assert page.locator(".tiles").inner_text().count("finished") == 1
+    out, err = run.communicate(60)
+    assert run.returncode == 0, err
+    assert f"page:    factory serve {tmp_path / 'out'}" in out
