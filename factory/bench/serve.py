@@ -10,7 +10,7 @@ import os
 import socket
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -97,7 +97,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         idle = _share(pid, seconds)
         with ExitStack() as stack:
             for _ in range(tabs):
-                _open_tab(host, stack)
+                open_tab(host, stack)
             busy = _share(pid, seconds)
     return ServeBench(
         machine=describe_machine(),
@@ -130,15 +130,19 @@ def _server(root: Place) -> Iterator[tuple[str, int]]:
 
 
 def _cost(host: str, pid: int, paths: Sequence[str]) -> RequestCost:
-    first = _ask(host, paths[0])
+    first = ask_page(host, paths[0])
     begin_cpu_s = _cpu_s(pid)
-    others = [_ask(host, path) for path in paths[1:]]
+    others = [ask_page(host, path) for path in paths[1:]]
     cpu_ms = 1000 * (_cpu_s(pid) - begin_cpu_s) / len(others)
     return RequestCost(first_ms=first, wall_ms=Spread.of(others), cpu_ms=cpu_ms)
 
 
-def _ask(host: str, path: str) -> float:
-    """Returns the wall time of a request, milliseconds."""
+def ask_page(host: str, path: str) -> float:
+    """Returns the wall time of a request, milliseconds.
+
+    Raises:
+        WorldError: the server does not answer with the page.
+    """
     begin_s = time.perf_counter()
     connection = http.client.HTTPConnection(host, timeout=600)
     connection.request("GET", path, headers={"Accept": "*/*"})
@@ -165,7 +169,7 @@ def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, floa
 
     def frame(t: int) -> None:
         for path in paths:
-            _ask(host, f"/episodes/{name}/{path.format(t)}")
+            ask_page(host, f"/episodes/{name}/{path.format(t)}")
 
     begin_s, begin_cpu_s = time.perf_counter(), _cpu_s(pid)
     with ThreadPoolExecutor(_IN_FLIGHT) as pool:
@@ -174,7 +178,8 @@ def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, floa
     return len(steps) / wall_s, 1000 * (_cpu_s(pid) - begin_cpu_s) / len(steps)
 
 
-def _open_tab(host: str, stack: ExitStack) -> None:
+def open_tab(host: str, stack: ExitStack) -> None:
+    """Opens the live updates of a farm page until the stack closes."""
     name, _, port = host.rpartition(":")
     tab = stack.enter_context(socket.create_connection((name, int(port)), timeout=60))
     tab.sendall(b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -188,8 +193,13 @@ def _share(pid: int, seconds: float) -> float:
 
 def _cpu_s(pid: int) -> float:
     """Returns the CPU time of a process and of its children, seconds."""
+    return cpu_s_of([pid, *_children(pid)])
+
+
+def cpu_s_of(pids: Iterable[int]) -> float:
+    """Returns the CPU time of running processes, seconds."""
     total = 0.0
-    for place in (pid, *_children(pid)):
+    for place in pids:
         fields = Path(f"/proc/{place}/stat").read_text().rpartition(")")[2].split()
         total += (int(fields[11]) + int(fields[12])) * _TICK_S
     return total

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import os
-import socket
 import ssl
 import threading
 from collections.abc import Iterator
@@ -18,6 +16,7 @@ import pytest
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.bench.attack import flood, slow_clients
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.web.start import serve
@@ -57,30 +56,6 @@ def run(tmp_path: Path) -> Iterator[tuple[Coordinator, WebClient]]:
         yield coordinator, client
 
 
-def flood(host: str, count: int) -> None:
-    """Sends requests that must not change anything, over consecutive connections."""
-    name, _, port = host.rpartition(":")
-    attacks = (
-        f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nContent-Length: 17\r\n\r\nall=1&confirm=1&k",
-        f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nOrigin: http://evil.example\r\nContent-Length: 0\r\n\r\n",
-        "GET /operations/cancel?all=1&confirm=1 HTTP/1.1\r\nHost: evil.example\r\n\r\n",
-        f"GET /static/../../../../etc/passwd HTTP/1.1\r\nHost: {host}\r\n\r\n",
-        f"GET /episodes/..%2f..%2fledger.db HTTP/1.1\r\nHost: {host}\r\n\r\n",
-        f"GET /?token=wrong HTTP/1.1\r\nHost: {host}\r\n\r\n",
-        "\x16\x03\x01\x02\x00\x01 no HTTP\r\n\r\n",
-    )
-    sent = 0
-    while sent < count:
-        with contextlib.suppress(ConnectionError), socket.create_connection((name, int(port)), timeout=60) as tab:
-            part = min(50, count - sent)
-            sent += part
-            for number in range(part):
-                tab.sendall(attacks[number % len(attacks)].encode("latin-1"))
-            tab.shutdown(socket.SHUT_WR)
-            while tab.recv(1 << 16):
-                pass
-
-
 @pytest.mark.slow
 def test_ten_thousand_hostile_requests_change_nothing_and_the_run_ends(run):
     coordinator, client = run
@@ -100,13 +75,7 @@ def test_ten_thousand_hostile_requests_change_nothing_and_the_run_ends(run):
 
 def test_a_server_full_of_slow_clients_answers_others_and_the_run_continues(run):
     coordinator, client = run
-    name, _, port = client.host.rpartition(":")
-    with contextlib.ExitStack() as stack, WireWorker(coordinator.endpoints, coordinator.run) as worker:
-        for number in range(120):
-            slow = stack.enter_context(socket.create_connection((name, int(port)), timeout=60))
-            slow.sendall(
-                (b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET / HT", b"POST /login HTTP/1.1\r\n")[number % 3]
-            )
+    with slow_clients(client.host, 120), WireWorker(coordinator.endpoints, coordinator.run) as worker:
         assert client.ask("/").status == 200
         job, lease = worker.job()
         assert worker.deliver(lease, bundle_for(job))

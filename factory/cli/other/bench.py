@@ -53,6 +53,7 @@ from factory.cli.other.bench_tables import (
     show_render,
     show_rollout,
 )
+from factory.cli.other.bench_visited import visited
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.support.logs import configure_logs
@@ -296,6 +297,7 @@ command.add_command(dataset)
 command.add_command(serve)
 command.add_command(delivery)
 command.add_command(sessions)
+command.add_command(visited)
 
 
 @command.command("read")
