@@ -1,7 +1,7 @@
 """Measures what visitors of the web page cost a run: periods without visitors, with viewers and with attackers in turn.
 
-The run is `factory run --http` in another process, with its coordinator and its workers. CPU times are those of the run;
-the visitors take CPU time of the same machine, which reduces the rate of episodes but not the CPU time of an episode.
+The run is `factory run --http` in another process, with its coordinator and its workers. CPU times are those of the
+run; the visitors take CPU time of the same machine, which reduces the rate of episodes but not the CPU time of one.
 """
 
 from __future__ import annotations
@@ -120,9 +120,8 @@ def _run(plan: str, workers: int) -> Iterator[tuple[str, int, Site]]:
             try:
                 while "http://" not in log.read_text(errors="replace"):
                     if process.poll() is not None:
-                        raise WorldError(
-                            f"`factory run {plan}` did not start:\n{log.read_text(errors='replace')[-2000:]}"
-                        )
+                        text = log.read_text(errors="replace")
+                        raise WorldError(f"`factory run {plan}` did not start:\n{text[-2000:]}")
                     time.sleep(_POLL_S)
                 host = log.read_text(errors="replace").partition("http://")[2].partition("/")[0]
                 yield host, process.pid, site_of(str(out))

@@ -1,4 +1,4 @@
-"""The web page of `factory run --http` in Chromium: a run of the command line is watched until it ends."""
+"""The web page of `factory run --http`: a run of the command line is watched until it ends; what visitors cost it."""
 
 from __future__ import annotations
 
@@ -25,6 +25,16 @@ def printed_url(run: Started) -> str:
 
     wait_for(is_printed, 600)
     return found[0]
+
+
+def test_the_benchmark_of_visitors_reports_the_cost_of_each_kind(factory: FactoryCli):
+    words = ("demo", "--workers", 1, "--seconds", 10, "--rounds", 1, "--viewers", 2, "--requests", 100)
+    costs = factory.json("bench", "visited", *words)["costs"]
+    assert list(costs) == ["none", "viewers", "attackers"]
+    for cost in costs.values():
+        assert cost["episodes_per_s"]["low"] > 0
+        assert 0 < cost["coordinator_share"]["low"] < 1
+        assert cost["cpu_s_per_episode"]["low"] > 0
 
 
 def test_a_run_is_watched_until_its_server_closes_and_names_the_command_for_the_dataset(factory: FactoryCli, tmp_path):
