@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import threading
 from collections import OrderedDict, defaultdict
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -17,6 +19,7 @@ from factory.visualize.panels import show_depth, show_ids
 from factory.web.workspace import Workspace
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
+from schemas.errors import FactoryError
 from schemas.terms import Recording
 
 KINDS = ("rgb", "depth", "ids")
@@ -61,6 +64,8 @@ class FrameStore:
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="frame")
+        self._preparing = ThreadPoolExecutor(1, thread_name_prefix="prepare-frame")
+        self._prepared: Future[None] | None = None
         self._lock = threading.Lock()
         self._waiting: dict[FrameKey, Future[bytes]] = {}
         self._encoded: OrderedDict[FrameKey, bytes] = OrderedDict()
@@ -118,6 +123,22 @@ class FrameStore:
             turn = self._turns[key.episode_id]
         self._pool.submit(self._make, episode, made, turn)
         return made[key]
+
+    def prepare(self, keys: Sequence[FrameKey]) -> None:
+        """Renders images in the background, one after another, so that the renderer and their scenes are prepared.
+
+        Does nothing while an earlier call is at work, and for episodes that store frames. Errors are those of a later
+        request for the image.
+        """
+        with self._lock:
+            if self._prepared is None or self._prepared.done():
+                self._prepared = self._preparing.submit(self._prepare, keys)
+
+    def _prepare(self, keys: Sequence[FrameKey]) -> None:
+        for key in keys:
+            with contextlib.suppress(FactoryError, KeyError, IndexError, TooBusy):
+                if not _is_stored(self.episode(key.episode_id)):
+                    self.encoded(key).exception()  # waits, so that a thread stays free for requests
 
     def _make(self, episode: Episode, made: dict[FrameKey, Future[bytes]], turn: threading.Lock) -> None:
         found: dict[FrameKey, bytes | Exception]

@@ -21,6 +21,7 @@ from coordinator.ledger.host_memory import write_memory
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.tables import LEDGER_FORMAT, jobs
 from factory.dataset.reader import Dataset
+from factory.dataset.rendering.shared_renderer import shared_renderer
 from factory.eval.models.result import Variant
 from factory.eval.results.compare import compare
 from factory.relabel.route import STEPS_SCHEMA
@@ -28,13 +29,14 @@ from schemas.language.route.model import RouteStep
 from schemas.plan import Plan
 from schemas.protocol.messages import Hello, HostMemory
 from schemas.storage.dataset_files import STEPS_FILE
-from schemas.terms import FailReason
+from schemas.terms import FailReason, Recording
 from tests.builders.bundle import GOAL_M
 from tests.builders.catalog import make_catalog
 from tests.builders.dataset import make_dataset
 from tests.builders.eval_results import result_of, write_evaluation
 from tests.builders.ledger import TimedLedger, room_plan
 from tests.builders.web import WebClient, web_page
+from tests.builders.wire_worker import until
 
 POLICIES = ("stop", "my policy <b>")
 
@@ -185,3 +187,13 @@ def test_layouts_that_are_not_built_are_named_and_their_builds_are_no_episodes(t
         assert "home_00011, home_00012" in client.ask("/scenes?family=home").text
         reply = client.ask("/scenes/home_00012")
         assert (reply.status, "home_00012 is not built yet" in reply.text) == (404, True)
+
+
+def test_the_table_of_states_episodes_prepares_the_renderer_before_an_episode_is_opened(recordings, monkeypatch):
+    monkeypatch.setenv("MINIVLA_RENDERER", "auto")  # its rendering processes are those of no other test
+    scene = Dataset(recordings[Recording.STATES])[0].package.sha256
+    with web_page(recordings[Recording.STATES]) as client:
+        client.ask("/")
+        assert shared_renderer().prepared_scenes == []
+        client.ask("/episodes")
+        until(lambda: any(scene in prepared for prepared in shared_renderer().prepared_scenes))

@@ -18,7 +18,7 @@ from factory.visualize.panels import show_ids
 from factory.web.charts import WIDTH, draw_lines
 from factory.web.context import WebContext, context_of, page
 from factory.web.forms import read_form
-from factory.web.frames import SMALL_PX
+from factory.web.frames import SMALL_PX, FrameKey
 from factory.web.pages.downloads import DOWNLOADS, download
 from factory.web.pages.find import find_episode
 from factory.web.pages.frame import show_frame, show_mask, show_playback
@@ -90,6 +90,7 @@ def show(request: Request) -> Response:
     given = request.query_params.get("t", "0")
     t = min(int(given), last) if given.isascii() and given.isdigit() and len(given) < 9 else 0
     summary, hz = episode.summary, episode.meta.job.task.control_hz
+    context.frames.prepare([FrameKey(summary.episode_id, t, "rgb", is_small=False)])
     return page(
         request,
         "episode",

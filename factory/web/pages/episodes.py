@@ -10,11 +10,15 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from factory.dataset.rendering.shared_renderer import KEPT_SCENES
 from factory.web.context import context_of, page
+from factory.web.frames import FrameKey
 from factory.web.table import FILTERS, SORTED, TableQuery, parse_query
 
 PAGE_ROWS = 50
 """Number of episodes on a page."""
+_PREPARED = KEPT_SCENES
+"""Number of scenes of a page that are prepared for rendering."""
 _SHOWN = (
     ("episode_id", "episode"),
     ("scene", "scene"),
@@ -44,6 +48,10 @@ def show(request: Request) -> Response:
     found = table.select(query, flagged)
     rows = table.rows(found[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
     last = max(0, (len(found) - 1) // PAGE_ROWS)
+    firsts = {row["scene"]: row["episode_id"] for row in reversed(rows)}
+    context.frames.prepare(
+        [FrameKey(name, 0, "rgb", is_small=False) for name in [*reversed(firsts.values())][:_PREPARED]]
+    )
     return page(
         request,
         "episodes",
