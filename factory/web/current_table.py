@@ -48,6 +48,12 @@ class CurrentTable:
         Raises:
             FactoryError: the files are missing or damaged.
         """
+        found = self.get_within(None)
+        assert found is not None
+        return found
+
+    def get_within(self, seconds: float | None) -> EpisodeTable | None:
+        """Returns the table as `get`, or `None` if the first one is not read within a time; `None` waits for it."""
         with self._lock:
             if self._reading is None and (self._table is None or self._clock() > self._next_check_s):
                 self._check()
@@ -57,7 +63,12 @@ class CurrentTable:
                 return reading.result(_PATIENCE_S)
             except TimeoutError:
                 return table
-        return table if reading is None else reading.result()  # type: ignore[return-value]
+        if reading is None:
+            return table
+        try:
+            return reading.result(seconds)
+        except TimeoutError:
+            return None
 
     def _check(self) -> None:
         """Starts to read the files if they have changed; the lock is held."""

@@ -42,6 +42,8 @@ SORTED = (
     "final_ne_m",
 )
 """Columns that the table can be sorted by."""
+ROW_COLUMNS = (*SORTED, "instruction")
+"""Columns that the table shows."""
 _READ = tuple(dict.fromkeys(("index", "instruction", *SORTED, *FILTERS.values())))
 """Columns that the table needs."""
 _OTHERS = ("q", "sort", "order", "page", "flagged")
@@ -152,9 +154,8 @@ class EpisodeTable:
 
     def rows(self, positions: Indices) -> list[dict[str, Any]]:
         """Returns the values of the columns that the table shows, for some rows."""
-        names = (*SORTED, "instruction")
-        taken = [self.dataset.column(name).take(pa.array(positions)).to_pylist() for name in names]
-        return [dict(zip(names, values, strict=True)) for values in zip(*taken, strict=True)]
+        taken = [self.dataset.column(name).take(pa.array(positions)).to_pylist() for name in ROW_COLUMNS]
+        return [dict(zip(ROW_COLUMNS, values, strict=True)) for values in zip(*taken, strict=True)]
 
     def _sorted(self, query: TableQuery) -> Indices:
         order = self._order_by(query.sort)

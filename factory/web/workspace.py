@@ -89,6 +89,10 @@ class Workspace:
         """
         return self._table.get()
 
+    def table_within(self, seconds: float) -> EpisodeTable | None:
+        """Returns the table, or `None` if the first one is not read within a time; raises the errors of `table`."""
+        return self._table.get_within(seconds)
+
     def dataset(self) -> Dataset:
         """Returns the dataset of `table`; raises the same errors."""
         return self.table().dataset

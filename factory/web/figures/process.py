@@ -22,7 +22,7 @@ _PAUSE_S = 0.5
 
 
 def main(name: str) -> None:
-    """Draws the figures; ends without a message if nobody reads them any more."""
+    """Draws the figures; ends without a message if the server has ended."""
     os.nice(_NICENESS)
     configure_logs()
     told_s = -float("inf")

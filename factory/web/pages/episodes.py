@@ -12,11 +12,16 @@ from starlette.routing import Route
 
 from factory.dataset.rendering.shared_renderer import KEPT_SCENES
 from factory.web.context import context_of, page
+from factory.web.first_rows import read_first_rows
 from factory.web.frames import FrameKey
-from factory.web.table import FILTERS, SORTED, TableQuery, parse_query
+from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query
 
 PAGE_ROWS = 50
 """Number of episodes on a page."""
+LARGE_ROWS = 50_000
+"""Least number of rows of a table whose first rows are shown before all are read; smaller ones are read in 0.2 s."""
+_PATIENCE_S = 0.1
+"""Longest wait for the first reading of the table, seconds; then the page has its first rows only."""
 _PREPARED = KEPT_SCENES
 """Number of scenes of a page that are prepared for rendering."""
 _SHOWN = (
@@ -42,7 +47,17 @@ def show(request: Request) -> Response:
     """Answers with one page of the table."""
     context = context_of(request)
     query = parse_query(request.query_params)
-    table = context.workspace.table()
+    table = context.workspace.table_within(_PATIENCE_S)
+    if table is None and context.workspace.site.store is None and query == TableQuery():
+        first = read_first_rows(context.workspace.root, PAGE_ROWS)
+        if first is not None and first.total >= LARGE_ROWS:
+            rows = [_cells(row) for row in first.rows]
+            return page(request, "first_episodes", "Episodes", total=first.total, heads=_SHOWN, rows=rows)
+    return _show_table(request, query, table or context.workspace.table())
+
+
+def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Response:
+    context = context_of(request)
     marks = context.marks.read()
     flagged = {name for name, mark in marks.items() if mark.flagged}
     found = table.select(query, flagged)
