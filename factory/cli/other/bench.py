@@ -17,15 +17,15 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
-from factory.bench.collect import bench_collect
-from factory.bench.coordinator import bench_coordinator
 from factory.bench.machine import StageRecorder, describe_machine
-from factory.bench.memory import bench_memory
 from factory.bench.model import CollectBench, RenderBench, RolloutBench
-from factory.bench.read import bench_read
-from factory.bench.render import bench_render
-from factory.bench.rollout import bench_rollout
+from factory.bench.reading.read import bench_read
 from factory.bench.sample import first_attempts, make_sample, narrow
+from factory.bench.service.coordinator import bench_coordinator
+from factory.bench.simulation.collect import bench_collect
+from factory.bench.simulation.memory import bench_memory
+from factory.bench.simulation.render import bench_render
+from factory.bench.simulation.rollout import bench_rollout
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.groups import CommandGroup

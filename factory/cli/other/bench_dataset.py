@@ -9,9 +9,9 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
-from factory.bench.dataset import bench_dataset
+from factory.bench.reading.dataset import bench_dataset
+from factory.bench.reading.synthetic import make_synthetic
 from factory.bench.sample import enlarge, make_sample, narrow
-from factory.bench.synthetic import make_synthetic
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import count_option, shrunk_plan
 from factory.cli.common.output import json_option, print_result

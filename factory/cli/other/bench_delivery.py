@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
-from factory.bench.delivery import bench_delivery
-from factory.bench.delivery_model import DeliveryBench
 from factory.bench.sample import make_sample, narrow
+from factory.bench.service.delivery import bench_delivery
+from factory.bench.service.delivery_model import DeliveryBench
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import count_option, pullers_option, record_option, shrunk_plan
 from factory.cli.common.output import json_option, print_result, print_table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from factory.bench.serve import bench_serve
+from factory.bench.reading.serve import bench_serve
 from factory.cli.common.options import count_option, number_option, place_argument
 from factory.cli.common.output import json_option, print_result
 from factory.cli.other.bench_tables import show_serve

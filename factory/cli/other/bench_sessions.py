@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from coordinator.expansion.file import load_plan
-from factory.bench.delivery_model import SessionsBench
 from factory.bench.sample import make_sample, narrow
-from factory.bench.sessions import SessionsLoad, bench_sessions
+from factory.bench.service.delivery_model import SessionsBench
+from factory.bench.service.sessions import SessionsLoad, bench_sessions
 from factory.cli.common.bars import Bars
 from factory.cli.common.options import count_option, number_option, shrunk_plan
 from factory.cli.common.output import json_option, print_result, print_table

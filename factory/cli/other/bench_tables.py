@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import click
 
-from factory.bench.dataset import DatasetBench
 from factory.bench.model import (
     CollectBench,
     CoordinatorBench,
@@ -17,7 +16,8 @@ from factory.bench.model import (
     Spread,
     StageCost,
 )
-from factory.bench.serve import RequestCost, ServeBench
+from factory.bench.reading.dataset import DatasetBench
+from factory.bench.reading.serve import RequestCost, ServeBench
 from factory.cli.common.output import print_table
 
 

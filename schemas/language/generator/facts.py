@@ -14,11 +14,11 @@ import numpy as np
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import AHEAD_SIDES, Landmark, Relation, ViewSide
-from schemas.language.graph import SceneGraph, SceneObject
+from schemas.language.graph.scene_graph import SceneGraph, SceneObject
+from schemas.language.graph.tops import SurfaceTop
+from schemas.language.graph.view import SceneView
 from schemas.language.kinds import UNKNOWN, may_be_called
 from schemas.language.thresholds import Band
-from schemas.language.tops import SurfaceTop
-from schemas.language.view import SceneView
 from schemas.support.numpy_types import Bools, Floats, Ints
 
 _ASIDE_TAN, _FACING_TAN = (tuple(math.tan(angle) for angle in band) for band in (limit.DIRECTION_RAD, limit.FACING_RAD))

@@ -29,9 +29,9 @@ from schemas.language.expression import (
 )
 from schemas.language.generator.facts import Masks, SceneFacts, ViewFacts
 from schemas.language.generator.parts import ExpressionPart, SceneParts, is_least, part_of
-from schemas.language.grammar import Grammar
+from schemas.language.graph.view import SceneView
 from schemas.language.kinds import UNKNOWN
-from schemas.language.view import SceneView
+from schemas.language.sentence.grammar import Grammar
 
 
 class ExpressionHead(NamedTuple):

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import AHEAD_SIDES, SUPERLATIVES, Clause, Expression, Landmark, Relation
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
+from schemas.language.graph.view import SceneView
 from schemas.language.kinds import UNKNOWN, may_be_called
-from schemas.language.reading import Reader, Reading
+from schemas.language.sentence.reading import Reader, Reading
 from schemas.language.verifier.measure import Footprints, Truth, angle_between, at_least, at_most
 from schemas.language.verifier.selection import Selected, by_size, counted, counted_ahead, extreme
-from schemas.language.view import SceneView
 
 
 class FittingObjects(NamedTuple):

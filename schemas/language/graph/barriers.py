@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.language.rooms import CellGrid
+from schemas.language.graph.rooms import CellGrid
 from schemas.support.numpy_types import Bools, Floats
 
 _WALL = 2

@@ -2,9 +2,9 @@
 
 import pytest
 
-from schemas.language.graph import build_graph
-from schemas.language.reading import reader
-from schemas.language.view import look
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import look
+from schemas.language.sentence.reading import reader
 from tests.builders.language import CAMERA, START, number_at, two_rooms
 from tests.builders.scene import Box, build_scene, room_walls
 

@@ -12,11 +12,11 @@ import pytest
 from schemas.language.expression import Family
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
-from schemas.language.grammar import LANGUAGES, grammar
-from schemas.language.graph import build_graph
-from schemas.language.reading import reader
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import look
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import look
+from schemas.language.sentence.grammar import LANGUAGES, grammar
+from schemas.language.sentence.reading import reader
 from schemas.scene import Instance
 from tests.builders.language import CAMERA
 from tests.builders.scene import Box, build_scene, room_walls

@@ -10,10 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from schemas.language.barriers import find_barriers
-from schemas.language.kinds import UNNAMED, Kinds, kinds
-from schemas.language.objects import RawObject, find_objects
-from schemas.language.rooms import (
+from schemas.language.graph.barriers import find_barriers
+from schemas.language.graph.objects import RawObject, find_objects
+from schemas.language.graph.rooms import (
     THRESHOLD_M,
     WIDE_M,
     CellGrid,
@@ -24,8 +23,9 @@ from schemas.language.rooms import (
     opening_gaps,
     wall_gaps,
 )
+from schemas.language.graph.tops import SurfaceTop, find_tops
+from schemas.language.kinds import UNNAMED, Kinds, kinds
 from schemas.language.thresholds import TOUCH_M
-from schemas.language.tops import SurfaceTop, find_tops
 from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from pydantic import ValidationError
 
 from schemas.language.expression import AHEAD_SIDES, Clause, Expression, Landmark, Ordinal, Relation, Size, ViewSide
-from schemas.language.grammar import SLOT, Grammar, SentencePattern, grammar
+from schemas.language.sentence.grammar import SLOT, Grammar, SentencePattern, grammar
 
 _SPACE = re.compile(r"\s+")
 _WORD = re.compile(r"[^\W\d_]+")

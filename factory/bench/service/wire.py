@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
-from factory.bench.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
-from factory.bench.fleet import (
+from factory.bench.model import DeliveryLoad, SessionLoad, Spread, WireBench
+from factory.bench.service.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
+from factory.bench.service.fleet import (
     WorkCost,
     bundle_of,
     claim_and_announce,
@@ -25,7 +26,6 @@ from factory.bench.fleet import (
     deliver_together,
     stay_connected,
 )
-from factory.bench.model import DeliveryLoad, SessionLoad, Spread, WireBench
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.plan import Plan

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from schemas.language.file import LanguageSpec
-from schemas.language.grammar import LANGUAGES, grammar
 from schemas.language.route.compose import RouteComposer
 from schemas.language.route.doorways import room_changes
 from schemas.language.route.model import DrivenPath, RouteStep, RouteText, StepKind
@@ -16,6 +15,7 @@ from schemas.language.route.segment import divide_path
 from schemas.language.route.steps import RouteSearch, SceneRoutes
 from schemas.language.route.verify import RouteVerifier
 from schemas.language.route.words import clause_of, route_words
+from schemas.language.sentence.grammar import LANGUAGES, grammar
 from tests.builders.language import CAMERA, driven, number_at, two_rooms
 
 TO_SOFA = ((-4.5, -0.3), (3.2, -0.3), (3.2, 1.4))

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
-from factory.bench.baseline import run_baseline
 from factory.bench.machine import StageRecorder, StageTimes, measure_memory, reset_peak, resident_mib, stage_costs
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
+from factory.bench.simulation.baseline import run_baseline
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle, WorldError
 from schemas.job import Job

@@ -6,9 +6,9 @@ import pytest
 from schemas.errors import InvalidLanguage
 from schemas.language.compose import Composer
 from schemas.language.file import LanguageSpec, load_language
-from schemas.language.grammar import LANGUAGES
-from schemas.language.mistakes import MistakeKind, mistake_fault, with_mistake
-from schemas.language.reading import reader
+from schemas.language.sentence.grammar import LANGUAGES
+from schemas.language.sentence.mistakes import MistakeKind, mistake_fault, with_mistake
+from schemas.language.sentence.reading import reader
 from tests.builders.language import number_at, two_rooms, views
 
 SENTENCE = {

@@ -11,13 +11,13 @@ from schemas.language.expression import Family, ViewSide
 from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
-from schemas.language.grammar import LANGUAGES, grammar
-from schemas.language.graph import build_graph
-from schemas.language.reading import reader
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import SceneView, look
 from schemas.language.route.model import DrivenPath, StepKind
 from schemas.language.route.steps import RouteSearch, SceneRoutes
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import SceneView, look
+from schemas.language.sentence.grammar import LANGUAGES, grammar
+from schemas.language.sentence.reading import reader
 from tests.builders.language import CAMERA, driven, number_at, two_rooms
 from tests.builders.scene import Box, build_scene, room_walls
 

@@ -8,15 +8,15 @@ import pytest
 
 from schemas.language.compose import Composer
 from schemas.language.file import LanguageSpec
-from schemas.language.grammar import LANGUAGES, grammar
+from schemas.language.graph.view import look
 from schemas.language.question.compose import AskedEpisode, QuestionComposer
 from schemas.language.question.model import AnswerKind, Question, QuestionKind, ReasonKind, SeenSide
 from schemas.language.question.reading import question_reader
 from schemas.language.question.verify import QuestionVerifier
 from schemas.language.question.words import question_words
-from schemas.language.reading import reader
 from schemas.language.route.steps import SceneRoutes
-from schemas.language.view import look
+from schemas.language.sentence.grammar import LANGUAGES, grammar
+from schemas.language.sentence.reading import reader
 from tests.builders.language import CAMERA, driven, number_at, two_rooms
 
 POSES = driven((-4.5, -0.3), (3.2, -0.3), (3.2, 1.4))

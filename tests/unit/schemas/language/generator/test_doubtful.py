@@ -7,14 +7,14 @@ import pytest
 
 from schemas.language.expression import Clause, Expression, Landmark, Relation
 from schemas.language.generator.minimal import minimal_expressions
-from schemas.language.grammar import grammar
-from schemas.language.graph import build_graph
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import look
 from schemas.language.kinds import kinds, may_be_called
-from schemas.language.reading import reader
 from schemas.language.route.model import DrivenPath, StepKind
 from schemas.language.route.steps import RouteSearch, SceneRoutes
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import look
+from schemas.language.sentence.grammar import grammar
+from schemas.language.sentence.reading import reader
 from tests.builders.language import CAMERA, driven, search_of
 from tests.builders.scene import Box, build_scene, room_walls
 

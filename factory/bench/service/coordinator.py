@@ -25,7 +25,7 @@ from coordinator.validation.validator import Validator
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread
 from factory.bench.sample import BenchSample
-from factory.bench.wire import bench_wire
+from factory.bench.service.wire import bench_wire
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta

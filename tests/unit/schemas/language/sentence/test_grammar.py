@@ -4,9 +4,9 @@ import pytest
 
 from schemas.errors import UsageError
 from schemas.language.expression import ARITY, COUNTED, Clause, Expression, Landmark, Ordinal, Relation
-from schemas.language.grammar import LANGUAGES, REGISTERS, grammar
 from schemas.language.kinds import kinds
-from schemas.language.reading import reader
+from schemas.language.sentence.grammar import LANGUAGES, REGISTERS, grammar
+from schemas.language.sentence.reading import reader
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, COLOUR_NAMES
 
 

@@ -7,8 +7,8 @@ from schemas.language.compose import Composer, InstructionKind
 from schemas.language.expression import Expression
 from schemas.language.file import LanguageSpec
 from schemas.language.generator.minimal import minimal_expressions, redundant_expressions
-from schemas.language.grammar import LANGUAGES, grammar
-from schemas.language.reading import reader
+from schemas.language.sentence.grammar import LANGUAGES, grammar
+from schemas.language.sentence.reading import reader
 from tests.builders.language import changed, is_false_or_ambiguous, search_of, two_rooms, views
 
 TARGETS = tuple(number for number, each in enumerate(two_rooms().graph.objects) if each.target_id is not None)

@@ -14,12 +14,12 @@ from coordinator.expansion.draw import PlannedJob, to_job
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.settings import CoordinatorSettings
-from factory.bench.coordinator_process import CoordinatorReady, serve_archive
-from factory.bench.delivery_fleet import RecordedBundle, deliver_copies
-from factory.bench.delivery_model import DeliveryBench, DeliveryPace
 from factory.bench.machine import describe_machine
 from factory.bench.sample import BenchSample
-from factory.bench.wire import process, receive, usage
+from factory.bench.service.coordinator_process import CoordinatorReady, serve_archive
+from factory.bench.service.delivery_fleet import RecordedBundle, deliver_copies
+from factory.bench.service.delivery_model import DeliveryBench, DeliveryPace
+from factory.bench.service.wire import process, receive, usage
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import Plan
 

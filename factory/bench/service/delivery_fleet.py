@@ -16,7 +16,7 @@ from pathlib import Path
 
 import zenoh
 
-from factory.bench.fleet import BenchWorker
+from factory.bench.service.fleet import BenchWorker
 from schemas.bundle import BundleReader, EpisodeArrays, member_names, seal
 from schemas.encoding.container import ContainerWriter
 from schemas.episode import EpisodeMeta

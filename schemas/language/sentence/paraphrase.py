@@ -10,7 +10,7 @@ import unicodedata
 from functools import cache
 from typing import NamedTuple
 
-from schemas.language.grammar import SLOT, Grammar, alternatives, grammar
+from schemas.language.sentence.grammar import SLOT, Grammar, alternatives, grammar
 
 _WORD = re.compile(r"[^\W\d_]+")
 _MARKS = frozenset('{}()|<>~[]\\`*#"')
