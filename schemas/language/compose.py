@@ -15,13 +15,13 @@ import numpy as np
 from schemas.language.draw import draw_index, draw_weighted
 from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
 from schemas.language.file import LanguageSpec, SpokenLanguage
-from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import (
     indefinite_candidates,
     minimal_candidates,
     redundant_expressions,
 )
 from schemas.language.generator.search import ExpressionCandidate, Search
+from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.view import SceneView
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.kinds import UNKNOWN

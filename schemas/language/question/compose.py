@@ -17,7 +17,7 @@ from schemas.language.compose import Composer
 from schemas.language.draw import draw_weighted
 from schemas.language.expression import Expression
 from schemas.language.file import SpokenLanguage
-from schemas.language.generator.facts import ViewFacts
+from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.view import SceneView, look
 from schemas.language.instruction import Instruction
 from schemas.language.kinds import UNKNOWN

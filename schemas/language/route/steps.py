@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.language.expression import Expression, Family
-from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
+from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.view import SceneView, look
 from schemas.language.kinds import UNKNOWN
 from schemas.language.route import thresholds as limit

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from schemas.language.expression import Family, ViewSide
-from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
+from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import SceneView, look
 from schemas.language.route.model import DrivenPath, StepKind
