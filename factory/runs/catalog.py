@@ -6,7 +6,6 @@ nothing.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from functools import partial
@@ -31,10 +30,9 @@ from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-from schemas.terms import BUILTIN_CATEGORIES, Recording, family_of, layout_number
+from schemas.terms import Recording, family_of, layout_number
 
 MessageCallback = Callable[[str], None]
-_PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
 def open_catalog(
@@ -235,20 +233,3 @@ def _limits(scene: ScenePlan) -> StageLimits:
         floor_m=scene.floor_m,
         skip_missing=scene.skip_missing,
     )
-
-
-def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
-    """Returns the packages of imported scenes.
-
-    Args:
-        cache: Folder of packages; it need not exist.
-
-    Returns:
-        The packages by scene name, the most recently written first.
-    """
-    found: dict[str, list[tuple[int, str, Path]]] = {}
-    for path in cache.glob("*.scene.zip"):
-        named = _PACKAGE.fullmatch(path.name)
-        if named is not None and family_of(named[1]) not in BUILTIN_CATEGORIES:
-            found.setdefault(named[1], []).append((path.stat().st_mtime_ns, path.name, path))
-    return {name: tuple(path for *_, path in sorted(found[name], reverse=True)) for name in sorted(found)}

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.scenes import build_scene
+from factory.scenes.build import build_scene
 from schemas.language.compose import Composer
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec

@@ -15,7 +15,7 @@ from factory.bench.model import ReadBench, Spread
 from factory.dataset.episode import Episode, Frame
 from factory.dataset.reader import Dataset
 from factory.dataset.torch import FrameDataset, collate
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.terms import Recording
 
 _SEED = 20

@@ -17,7 +17,7 @@ from PIL import Image
 
 from factory.bench.machine import StageRecorder
 from factory.bench.model import PlainPace
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix

@@ -11,7 +11,7 @@ from factory.bench.machine import StageRecorder, StageTimes, stage_costs
 from factory.bench.model import SceneRender, Spread, StageCost
 from factory.dataset.rendering.antialias import shrink_frame
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose

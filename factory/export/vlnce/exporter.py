@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
+from factory.export.options import Options
 from factory.export.output import Output
 from factory.export.vlnce.episode import (
     EpisodeText,

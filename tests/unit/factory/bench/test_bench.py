@@ -21,7 +21,7 @@ from factory.bench.model import RolloutBench, Spread
 from factory.bench.reading.read import bench_read
 from factory.bench.sample import narrow
 from factory.bench.simulation.render import poses_in
-from factory.cli.other.bench_tables import show_rollout
+from factory.commands.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset
