@@ -11,11 +11,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from coordinator.expansion.catalog import Catalog, SceneEntry, add_files, read_entry
+from coordinator.expansion.catalog import Catalog, add_files, read_entry
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.sentences import find_missing_instructions
-from factory.dataset.packages import find_package_file, light_file, package_file, packages_by_scene
+from factory.dataset.packages import light_file, package_file, packages_by_scene
 from factory.runs.layouts import LayoutBuilds, build_layouts
 from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
@@ -164,15 +164,6 @@ def find_built(plan: Plan, cache: Path) -> Catalog:
     """
     found = {part.name: _find(part, cache) for part in plan.parts}
     return {name: read_entry(path) for name, path in found.items() if path is not None}
-
-
-def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
-    """Returns the scene package with which an episode was generated.
-
-    Raises:
-        ArchiveCorrupt: No package has the digest.
-    """
-    return read_entry(find_package_file(root, name, sha256))
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:

@@ -23,7 +23,7 @@ from factory.bench.simulation.memory import bench_memory
 from factory.bench.simulation.render import bench_render
 from factory.bench.simulation.rollout import bench_rollout
 from factory.dataset.reader import Dataset
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job

@@ -25,7 +25,7 @@ from coordinator.tables.checkpoint import Checkpoints
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import Machine, Memory
 from factory.dataset.reader import Dataset
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from factory.verify.dataset import verify
 from schemas.base import Model
 

@@ -13,7 +13,7 @@ from factory.commands.common.output import print_json
 from factory.commands.common.places import episode_path
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.steps import read_steps
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from factory.visualize.panels import draw_contact_sheet
 from factory.visualize.rig_sheet import draw_rig_sheet

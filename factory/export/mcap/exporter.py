@@ -22,7 +22,7 @@ from factory.export.options import SPACING_S, McapOptions, stride_of
 from factory.export.rig.document import RIG_FILE, rig_json
 from factory.export.rig.reader import SensorReader
 from factory.export.source import describe_episode, to_json
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.rig import Camera, Rig
 from schemas.scene import CompiledScene, read_geometry
 from schemas.storage.place import Place
