@@ -56,7 +56,7 @@ def show_parts(
     file: str,
     extraction: Extraction,
     parts: Sequence[Part],
-    wishes: tuple[RuleBook, TargetList | None],
+    selection: tuple[RuleBook, TargetList | None],
     has_materials: bool,
     notes: list[str],
     draw: DrawFunction | None,
@@ -67,7 +67,7 @@ def show_parts(
         file: file name of the root layer, for messages.
         extraction: content of the stage.
         parts: its parts, with floor and ceiling.
-        wishes: category rules, and the target list of the user if there is one.
+        selection: category rules, and the target list of the user if there is one.
         has_materials: whether to record the materials of objects.
         notes: notes of the compilation, to which this function adds.
         draw: function that returns the pixels of the textures of an authored scene.
@@ -82,7 +82,7 @@ def show_parts(
         notes.append(f"{clear} transparent parts are not rendered, but the robot cannot pass them")
     if not visible:
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
-    rules, chosen = wishes
+    rules, chosen = selection
     users = {part.surface.texture: part.path for part in reversed(visible)}
     book = load_textures(_texture_areas(visible), partial(_read_texture, extraction), users, draw)
     notes += book.notes
