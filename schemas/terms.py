@@ -90,6 +90,11 @@ class Screening(StrEnum):
     FREE_LINE = "free_line"  # the straight line to the success circle is free
     FORESEEN = "foreseen"  # the line is free, and the predicted drive touches nothing if such a start is found
 
+    @classmethod
+    def _missing_(cls, value: object) -> Screening | None:
+        """Accepts `free_drive` as another spelling of `foreseen`."""
+        return cls.FORESEEN if value == "free_drive" else None
+
 
 class EndReason(StrEnum):
     """Reason for the end of a rollout."""

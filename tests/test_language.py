@@ -6,7 +6,8 @@ import ast
 import io
 import re
 import tokenize
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -18,48 +19,33 @@ OTHER_SUFFIXES = ("c", "css", "html", "j2", "service", "sh", "toml", "yaml", "ym
 OTHER_FILES = ("Makefile", "pyproject.toml")
 HISTORY = {ROOT / "CHANGELOG.md", *(ROOT / "docs" / "decisions").glob("*.md")}
 """Texts that are true at their date and keep the names of that date."""
-LISTS = {Path(__file__)}
-"""Tests that list phrases."""
-BANNED_PHRASES = (
-    *("somebody", "nobody", "anybody", "everybody", "whoever", "whomever"),
-    *("is none of", "that is none", "what is no", "what there is", "what came of it", "comes of it"),
-    *("what became of", "becomes of", "whatever came", "over and over", "for good", "in so many", "anew"),
-    *("stand in", "stands in", "stands for", "stands on the", "stands above", "stands twice", "stands where"),
-    *("lie in", "lies in", "lies at", "lies inside", "lies outside", "lies under", "lies where", "lies with"),
-    *("Says whether", "Says what", "Says nothing", "Says no", "is said", "are said", "has nothing to say"),
-    *("is told", "are told", "was told", "as told", "told by", "told apart", "told from", "tells apart"),
-    *("at hand", "of its own", "of their own", "of ours", "at the wheel", "goes the whole way"),
-    *("befalls", "befall", "befell", "mishap", "mishaps", "felt", "feels", "calm run", "calm one"),
-    *("in the wild", "in the face of", "in words", "may have meant", "wish", "wishes", "speaks", "begun"),
-    *("confess", "confesses", "bury", "buries", "grow up", "grows up", "living", "dawdles"),
-    *("to be had", "cannot be had", "can be had", "is wanted", "are wanted", "asked for", "put right"),
-    *("is gone", "go on", "goes on", "leave out", "leaves out", "left out", "leaving out", "in the hold", "is nothing"),
-    *("outrank", "outranks", "vouch", "vouches", "twin", "law of motion", "laws of motion"),
-    *("DESIGN ", "STYLE ", "notes/"),
-)
-"""Phrases without a technical meaning. They match as whole words, in this case or with a capital."""
-BANNED_PATTERNS = (
-    r"(?<![Tt]here )(?:is no(?= (?!longer\b))|are none\b)",
-    r"holds? (?:no|another|an?)\b",
-    r"(?:one|frames?|images?|requests?|[MGk]B|m?s|\d+) a (?:core|second|minute|hour|scene|host|frame|step)\b",
-)
-"""Regular expressions of phrases with the same fault."""
-NAMES = (
-    *("Seat", "Sheet", "Errand", "Parcel", "Insider", "Situation", "Relief", "Patient", "Lap", "Sighting", "Judgement"),
-    *("errand", "errands", "parcel", "parcels", "nursery", "naked", "spell", "spells", "the party", "throttled"),
-)
-"""Former names of classes and parts; not banned in `HISTORY`."""
+PHRASES = Path(__file__).with_name("banned_phrases.toml")
+"""Phrases, regular expressions and former names, each with a replacement. Former names are not banned in `HISTORY`."""
+LISTS = {Path(__file__), PHRASES}
+"""Files that list phrases."""
 TEMPLATE_CODE = re.compile(r"\{[{%].*?[}%]\}")
 
 
-def _pattern(phrases: tuple[str, ...], patterns: tuple[str, ...] = ()) -> re.Pattern[str]:
-    words = sorted(set(phrases) | {phrase[0].upper() + phrase[1:] for phrase in phrases}, key=len)
+def _pattern(phrases: Iterable[str], patterns: Iterable[str]) -> re.Pattern[str]:
+    words = sorted({form for phrase in phrases for form in (phrase, phrase[0].upper() + phrase[1:])}, key=len)
     found = "|".join((*map(re.escape, reversed(words)), *patterns))
     return re.compile(rf"(?<![\w/.`\"'-])(?:{found})(?![\w-])")
 
 
-BANNED = _pattern((*BANNED_PHRASES, *NAMES), BANNED_PATTERNS)
-BANNED_IN_HISTORY = _pattern(BANNED_PHRASES, BANNED_PATTERNS)
+_LISTED = tomllib.loads(PHRASES.read_text(encoding="utf-8"))
+BANNED = _pattern(_LISTED["phrases"] | _LISTED["names"], _LISTED["patterns"])
+BANNED_IN_HISTORY = _pattern(_LISTED["phrases"], _LISTED["patterns"])
+
+
+def replacement_of(hit: re.Match[str]) -> str:
+    """Returns what to write instead of a phrase that was found."""
+    found = hit.group()
+    for part in ("phrases", "names"):
+        for phrase, replacement in _LISTED[part].items():
+            if found in (phrase, phrase[0].upper() + phrase[1:]):
+                return str(replacement)
+    patterns = _LISTED["patterns"].items()
+    return next(str(text) for pattern, text in patterns if re.compile(pattern).match(hit.string, hit.start()))
 
 
 def python_text(source: str) -> Iterator[tuple[int, str]]:
@@ -90,6 +76,7 @@ def files() -> list[Path]:
 def hits(path: Path) -> list[str]:
     return [
         f"{path.relative_to(ROOT)}:{line}: {' '.join(text[max(0, hit.start() - 30) : hit.end() + 30].split())}"
+        f" (instead of {hit.group()!r}: {replacement_of(hit)})"
         for line, text in text_of(path)
         for hit in (BANNED_IN_HISTORY if path in HISTORY else BANNED).finditer(text)
     ]
@@ -119,8 +106,10 @@ def test_identifiers_and_code_are_not_text() -> None:
         *("a category is left out", "the directory holds another plan"),
     ],
 )
-def test_a_banned_phrase_is_found_in_any_position(text: str) -> None:
-    assert BANNED.search(text)
+def test_a_banned_phrase_is_found_in_any_position_and_has_a_replacement(text: str) -> None:
+    hit = BANNED.search(text)
+    assert hit
+    assert replacement_of(hit)
 
 
 @pytest.mark.parametrize(

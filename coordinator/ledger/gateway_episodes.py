@@ -1,6 +1,7 @@
 """Records which archived episodes a gateway stores; the core stores the others. Does not change jobs.
 
-Ledgers of format 1 do not have the table `keepers` until they are opened for writing.
+The name of this table in the database is `keepers`. Ledgers of format 1 do not have it until they are opened for
+writing.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ _HALVE_STRIKES = PreparedStatement(
     .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
 )
 SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
-"""Maximum number of recorded sessions, in total and per host: twice the maximum number of connections."""
+"""Maximum number of recorded sessions in total, which is twice the maximum number of connections, and per host."""
 _SILENT_S = 300.0
 """Time without a message after which a session may be removed in favour of a new one, seconds."""
 _OLDEST = func.min(workers.c.last_beat).label("oldest")

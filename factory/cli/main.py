@@ -1,7 +1,7 @@
 """Entry point of `factory`: loads commands when they are used and translates errors to exit codes.
 
-Exit codes: 0 success, 1 failure caused by the data or the environment, 2 wrong usage, 3 bug in this software,
-130 interrupted.
+Exit codes: 0 success, 1 failure caused by the data or the environment, 2 wrong usage or a missing package of an
+extra, 3 bug in this software, 130 interrupted.
 """
 
 from __future__ import annotations

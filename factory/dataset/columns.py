@@ -33,7 +33,7 @@ _LATER = pa.schema(
 """Columns that versions of this software added after the first; null where the table lacks them."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ROWS_PER_SINGLE = 3000
-"""Number of rows whose columns are read in the time in which one row is read from its row group."""
+"""Reading the columns of this number of rows takes as long as reading one row from its row group."""
 _SMALL_INTEGERS = (pa.int8(), pa.int16(), pa.int32())
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from schemas.appearance.ranges import ClutterKind, Gain
-from schemas.base import Count, Finite, Line, Model, Positive
+from schemas.base import Count, Finite, Fraction, Line, Model, Positive
 
 Hex = Annotated[str, Field(pattern=r"^#[0-9a-f]{6}$")]
 """sRGB colour as `#rrggbb`."""
@@ -25,12 +25,14 @@ class LampLight(Model):
 class LightMix(Model):
     """Light of an episode."""
 
+    model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
+
     lamps: Annotated[tuple[LampLight, ...], Field(max_length=64)]
     """Light of each lamp group, in the order of the scene's light groups."""
     sky: LampLight
     """Light of the sky, and indirect light."""
-    adaption: Annotated[float, Field(ge=0, le=1)]
-    """Share of a change of the mean light that automatic exposure compensates."""
+    adaptation: Annotated[Fraction, Field(alias="adaption")]
+    """Share of a change of the mean light that automatic exposure compensates; serialized as `adaption`."""
 
 
 class SurfaceChange(Model):

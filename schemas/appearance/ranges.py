@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
 from schemas.base import Fraction, Model, NonNegative
 
@@ -45,6 +45,8 @@ ClutterKind = Literal["ball", "bottle", "box", "books", "cone"]
 class LightRanges(Model):
     """Ranges of the light; factors multiply the light of the compiled scene."""
 
+    model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
+
     lamps: Gains = (0.5, 1.6)
     """Factor of the light of each lamp group that is on."""
     off_share: Fraction = 0.2
@@ -55,8 +57,8 @@ class LightRanges(Model):
     """Factor of the light of the sky and of indirect light."""
     sky_temperature_k: Temperatures = (5000.0, 9000.0)
     """Colour temperature of the sky, kelvin; 6500 K keeps the colour of the compiled scene."""
-    adaption: Fraction = 0.7
-    """Share of a change of the mean light, in stops, that automatic exposure compensates."""
+    adaptation: Annotated[Fraction, Field(alias="adaption")] = 0.7
+    """Share of a change of the mean light, in stops, that automatic exposure compensates; serialized as `adaption`."""
 
 
 class MaterialRanges(Model):

@@ -25,7 +25,7 @@ class Relation(StrEnum):
     ON_WALL = "on_wall"  # above the floor, at a wall
     IN_CORNER = "in_corner"  # close to two perpendicular walls
     EMPTY = "empty"  # nothing is on its flat top
-    LADEN = "laden"  # something is on its flat top
+    OCCUPIED = "laden"  # something is on its flat top
     WITH_BESIDE = "with_beside"  # an exact number of objects of a kind is close to it, and to no other such object
     WITH_ON = "with_on"  # an exact number of objects of a kind is on its top
     THIS_ROOM = "this_room"  # in the room of the start
@@ -89,7 +89,7 @@ FROM_VIEW = frozenset({Relation.LEFT_OF, Relation.RIGHT_OF, Relation.IN_FRONT_OF
 """Relations between two objects that depend on the start pose."""
 OF_VIEWER = frozenset({Relation.YOUR_LEFT, Relation.YOUR_RIGHT, Relation.AHEAD})
 """Relations of an object to the start pose."""
-STATES = frozenset({Relation.EMPTY, Relation.LADEN})
+STATES = frozenset({Relation.EMPTY, Relation.OCCUPIED})
 """Relations of an object to anything that is on it."""
 COUNTED = frozenset({Relation.WITH_BESIDE, Relation.WITH_ON})
 """Relations to a number of objects."""

@@ -1,4 +1,7 @@
-"""Smaller exact forms of two arrays, as a package of format 4 stores them. Pure functions. Compresses nothing."""
+"""Transforms vertex positions and light maps losslessly into arrays that compress better, for packages of format 4.
+
+Pure functions. Does not compress.
+"""
 
 from __future__ import annotations
 

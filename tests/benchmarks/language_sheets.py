@@ -1,4 +1,4 @@
-"""Draws sheets of random instructions, routes and questions to inspect by eye: the image of the start and two maps.
+"""Draws sheets of random instructions, routes and questions for inspection: the image of the start and two maps.
 
 python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [DATASET|PACKAGE ...]
 

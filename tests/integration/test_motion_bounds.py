@@ -50,7 +50,7 @@ DRIVES: dict[str, tuple[Driver, tuple[float, float, float]]] = {
 
 
 @pytest.mark.parametrize(("driver", "start"), DRIVES.values(), ids=DRIVES)
-def test_simulated_drive_keeps_the_laws_of_motion(driver: Driver, start: tuple[float, float, float]) -> None:
+def test_simulated_drive_passes_motion_validation(driver: Driver, start: tuple[float, float, float]) -> None:
     arrays, contacts = record(driver, start)
     assert motion_findings(arrays, ROBOT, HZ, contacts) == []
 

@@ -128,7 +128,7 @@ def test_an_unfinished_episode_resumes_with_its_attempt_and_budget(tmp_path, val
     assert (row.draw, row.attempt, row.misses, row.state) == (0, 2, 1, "pending")
 
 
-def test_a_finally_abandoned_episode_stays_abandoned(tmp_path, validator):
+def test_an_episode_without_draws_left_stays_failed_after_a_rebuild(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=1, done=0, misses=6)
     assert run.states() == {1: "failed"}
     (run.root / "ledger.db").unlink()

@@ -86,5 +86,5 @@ def _draw_light(ranges: LightRanges, stream: FactorStream, light: LightGroups | 
             lamp.model_copy(update={"gain": 0.0}) if number in off else lamp for number, lamp in enumerate(lamps)
         ),
         sky=LampLight(gain=stream.between(ranges.sky), temperature_k=stream.between(ranges.sky_temperature_k, 0)),
-        adaption=ranges.adaption,
+        adaptation=ranges.adaptation,
     )

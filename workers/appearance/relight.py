@@ -47,7 +47,7 @@ def mix_light(
     baked = _light_of_codes()[light_map]
     mixed *= baked
     change = _mean(baked) / max(_mean(mixed), 1e-6)
-    return _encode(mixed, change**mix.adaption * 2.0**exposure_stops)
+    return _encode(mixed, change**mix.adaptation * 2.0**exposure_stops)
 
 
 def expose(light_map: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:

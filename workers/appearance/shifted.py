@@ -1,4 +1,4 @@
-"""Renderer whose cameras have the change of an episode: another mounting pose and focal length."""
+"""Applies the camera change of an episode, a mounting pose and a focal length, to a renderer. Draws no frame itself."""
 
 from __future__ import annotations
 

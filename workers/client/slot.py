@@ -27,7 +27,8 @@ from workers.process.simulation import Death, Simulation
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _BUILD_S = 900.0
-"""Longest time of a build without a report, seconds; a build takes 4 to 10 s of CPU time and reports only its end."""
+"""Longest time of a build without a report, seconds; a build takes 2 to 9 s of CPU time
+(docs/performance.md#layouts) and reports only its end."""
 _STARTS = 3
 _LAST_TRIES = 2
 _SIGNALLED_S = 1.0

@@ -23,8 +23,8 @@ _BAND = 64
 _LEAST_PX = np.float32(1e-6)
 """Disparity that replaces those at and below 0, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
-"""Side of the blocks of which holes consist, pixels, and distance of the random values between which the field of
-holes is interpolated, blocks."""
+"""Holes consist of square blocks: their side, pixels. The field of holes is interpolated between random values: their
+distance, blocks."""
 
 
 def noisy_depth(

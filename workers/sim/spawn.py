@@ -37,7 +37,7 @@ _PREDICTIONS = 32
 drives straight, whose path is predicted; if none has `_PREDICTION_MARGIN_M`, the one with the most free space is
 selected."""
 _REJECTIONS = 256
-"""Number of valid starts whose view is rejected after which a draw ends."""
+"""A draw ends after this number of valid starts whose view was rejected."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 

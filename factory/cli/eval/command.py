@@ -80,7 +80,9 @@ def run(**options: Any) -> int:
 
     \b
     POLICY is one of
-      built-in:  expert, planner, random, stop, replay, playback, bc:DIR
+      built-in:  expert, planner, random, stop, bc:DIR,
+                 replay (recorded actions of the same episode),
+                 playback (recorded actions of another episode)
       a class:   package.module:Class (see docs/evaluation/README.md)
       a server:  ws://HOST:PORT (openpi's protocol: WebSocket and msgpack)
 

@@ -79,7 +79,7 @@ class ReplayPolicy(_Recorded):
 
 
 class PlaybackPolicy(_Recorded):
-    """Policy that replays the actions of another episode: the success rate without observations, about 0."""
+    """Policy that executes the recorded actions of another episode: the success rate without observations, about 0."""
 
     knows = "another episode's recorded actions"
 

@@ -19,13 +19,14 @@ _ROWS = 0.85
 SLENDER = 2.1
 """Largest ratio of the sides of a room."""
 _SPARE = (1.0, 1.3)
-"""Range of the factor of the floor of a building, because rooms in rows of other depths need more."""
+"""Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
+least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Range of the factor of the ratio of the sides of a building."""
+"""Smallest and largest factor between the ratio of width to depth of a building and that of the available floor."""
 _MOST_GROWTH = 1.8
-"""Largest factor by which a room in a row is larger than desired."""
+"""Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""Largest share of what the widths of the rooms of a row can change by."""
+"""Largest share of the possible change of the widths of a row that may be used to fill its length."""
 _STEPS = 24
 """Number of bisections of the scale of a floor."""
 

@@ -13,13 +13,13 @@ from factory.scenes.author.placement import FACING, PropPlacement, Rectangle
 
 DESK_TOP_M = 0.745
 _ON_DESKS = ("SM_BookPile", "SM_Bouquet", "SM_LampSmall", "SM_Portrait", "SM_BookPile", "SM_Laptop")
-"""Things on the right of a desk, whose left has a mug and papers."""
+"""Props on the right half of a desk; the left half has a mug and papers."""
 _ON_WORKTOPS = ("SM_Kettle", "SM_Crockery", "SM_Tray", "SM_FruitBowl")
 _WORK_CHAIRS = ("SM_ChairOffice_A", "SM_ChairOffice_A", "SM_ChairExecutive_B")
 _SEAT_M = 0.62
 """Length of a table for each chair, metres."""
 _SIGN_M = 0.16
-"""Height of the sign above an entrance over its usual height above a door, metres."""
+"""Height of the sign above an entrance, in addition to that of a sign above a door, metres."""
 _ENTRY_M = 1.0
 """Depth of the floor before an entrance that stays clear, metres."""
 

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from factory.scenes.compile.object_materials import materials_of
 from factory.scenes.compile.objects import assign_objects, number_objects
 from factory.scenes.compile.shade import target_colour, triangle_areas
-from factory.scenes.compile.substance import materials_of
 from factory.scenes.compile.textures import DrawFunction, TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, TextureRecipe
 from factory.scenes.rules import RuleBook

@@ -37,7 +37,7 @@ class Surface:
     emission: Colour = (0.0, 0.0, 0.0)
     """Linear emission colour, if it is uniform."""
     name: str = ""
-    """Name of the material, whose words may tell its substance."""
+    """Name of the material, whose words may name its substance."""
     is_metal: bool = False
     """Whether the material is authored as a metal."""
 

@@ -39,7 +39,7 @@ def triangulate(points: Floats, counts: Ints, indices: Ints) -> Triangulation:
         ValueError: counts and indices do not match, or an index is out of range.
     """
     if counts.sum() != len(indices) or (counts < 0).any():
-        raise ValueError(f"bad topology: faces want {counts.sum()} corners, the mesh has {len(indices)}")
+        raise ValueError(f"bad topology: the faces need {counts.sum()} corners, but the mesh has {len(indices)}")
     if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
         raise ValueError(f"bad topology: vertex {indices.max()} of {len(points)} (lowest {indices.min()})")
     starts = np.cumsum(counts) - counts

@@ -17,7 +17,7 @@ SHELTER = 0.6
 """Exponent of the openness for lamp light; it adds soft contact shadows."""
 _EXPOSURE = 1.3
 """Mean light before the shoulder, in units of the light that maps to 0.5."""
-_GREY, _ADAPTION = 0.38, 0.6
+_GREY, _ADAPTATION = 0.38, 0.6
 """Reference reflectance of the exposure, and exponent of the correction for lighter and darker scenes."""
 _MOST_CORRECTION = 1.35
 WHITE = 3.0
@@ -52,5 +52,5 @@ def _correction(grey: Floats) -> float:
     """Returns the exposure factor: above 1 for dark scenes, below 1 for light ones."""
     if not len(grey):
         return 1.0
-    wanted = (_GREY / max(float(grey.mean()), 1e-3)) ** _ADAPTION
+    wanted = (_GREY / max(float(grey.mean()), 1e-3)) ** _ADAPTATION
     return float(np.clip(wanted, 1 / _MOST_CORRECTION, _MOST_CORRECTION))

@@ -1,4 +1,4 @@
-"""Success regions of many targets at once. Pure functions. Knows no obstacles."""
+"""Computes the success regions of many targets at once. Pure functions. Does not consider obstacles."""
 
 from __future__ import annotations
 

@@ -184,8 +184,8 @@ class SceneFacts:
         objects = self.graph.objects
         known = np.array([each.top is not None for each in objects], bool)
         free = np.array([each.top is not None and not each.top.above for each in objects], bool)
-        laden = np.array([each.top is not None and _is_laden(each.top, each) for each in objects], bool)
-        return {Relation.EMPTY: Masks(free, ~known | ~laden), Relation.LADEN: Masks(laden, ~known | ~free)}
+        occupied = np.array([each.top is not None and _is_occupied(each.top, each) for each in objects], bool)
+        return {Relation.EMPTY: Masks(free, ~known | ~occupied), Relation.OCCUPIED: Masks(occupied, ~known | ~free)}
 
     def counted(self, relation: Relation, kind: str, count: int) -> Masks:
         """Returns which objects have an exact number of objects of a kind beside or on them."""
@@ -263,7 +263,7 @@ class SceneFacts:
         return Masks(found.sure & apart & near, found.possible & apart)
 
 
-def _is_laden(top: SurfaceTop, each: SceneObject) -> bool:
+def _is_occupied(top: SurfaceTop, each: SceneObject) -> bool:
     """Returns whether a thing surely rests on a top: within the bounding rectangle, and large enough to be seen."""
     low, high = (np.array([box[side] for box in top.above]).reshape(-1, 3) for side in (0, 1))
     middle, lift, size = (low + high)[:, :2] / 2, low[:, 2] - top.height_m, (high - low).max(axis=1, initial=0.0)

@@ -209,7 +209,7 @@ class _StaticParts:
 
 
 def is_least(values: Floats, number: int, others: Sequence[int]) -> bool:
-    """Returns whether a value is clearly the smallest; negative values are distances of which the largest is meant."""
+    """Returns whether a value is clearly the smallest. Negated distances select the largest distance."""
     own, rest = float(values[number]), float(values[others].min())
     if own >= 0:
         return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)

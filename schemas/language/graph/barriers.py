@@ -1,4 +1,4 @@
-"""Finds the pairs of objects between which a wall is, on the straight line of their middles. Knows no rooms."""
+"""Finds the pairs of objects with a wall on the straight line between their centres. Does not use room numbers."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class SceneObject:
     wall_gap_m: float
     """Gap between its footprint and the nearest wall, metres; at most 4."""
     corner_gap_m: float
-    """Smallest distance within which two perpendicular walls are, metres."""
+    """Smallest distance from its footprint within which there are two perpendicular walls, metres."""
     base_m: float
     """Height of its lower side above the floor, metres."""
     looks: str | None = None

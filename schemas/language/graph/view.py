@@ -25,7 +25,7 @@ _BEFORE_M = 0.12
 """Length before the object at which a line of sight ends, metres: the object itself does not block it."""
 _STEP_CELLS = 1.5
 _TALL_M = 0.6
-"""Height of which an image must show so much of a tall object, metres."""
+"""An image must show half of the height of an object, or this height, metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Points of a footprint, the centre first, in half extents."""
 

@@ -173,8 +173,8 @@ class Verifier:
                 return Truth.MAYBE if hung is Truth.YES and self._prints.is_supported(number) else hung
             case Relation.IN_CORNER:
                 return at_most(each.corner_gap_m, limit.CORNER_M)
-            case Relation.EMPTY | Relation.LADEN:
-                return self._prints.carries(number, something=clause.relation is Relation.LADEN)
+            case Relation.EMPTY | Relation.OCCUPIED:
+                return self._prints.carries(number, something=clause.relation is Relation.OCCUPIED)
             case Relation.IN_ROOM:
                 assert clause.room is not None
                 room = self._unique_room(clause.room)

@@ -94,6 +94,18 @@ def test_an_unknown_screening_names_the_possible_ones(tmp_path):
         load_plan(str(path))
 
 
+def test_screening_free_drive_is_another_spelling_of_foreseen(tmp_path):
+    texts = (
+        '[spawn]\nscreening = "free_drive"\n[[scenes]]\nname = "office"\nepisodes = 3\nscreening = "free_drive"\n',
+    )
+    texts += (texts[0].replace("free_drive", "foreseen"),)
+    (tmp_path / "p.toml").write_text(texts[0])
+    new = load_plan(str(tmp_path / "p.toml"))
+    (tmp_path / "p.toml").write_text(texts[1])
+    assert new == load_plan(str(tmp_path / "p.toml"))
+    assert "free_drive" not in new.model_dump_json()
+
+
 def test_an_unknown_split_is_named(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text('[splits]\ntrain = 1.0\n[[scenes]]\nname = "office"\nepisodes = 2\n')

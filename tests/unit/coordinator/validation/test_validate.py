@@ -377,7 +377,7 @@ def test_progress_names_every_frame() -> None:
     assert seen == list(range(12))
 
 
-def test_held_robot_that_reports_contact_passes_the_laws_of_motion() -> None:
+def test_held_robot_that_reports_contact_passes_motion_validation() -> None:
     parts = parts_for()
     poses = np.repeat(parts.arrays.poses[:1], 12, axis=0)
     poses[:, 0] = 0.0225

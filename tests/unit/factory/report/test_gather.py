@@ -22,7 +22,7 @@ def test_the_episode_with_the_longest_target_visibility_is_chosen() -> None:
     assert [row.index for row in choose_samples(rows, 1)] == [2]
 
 
-def test_fewer_episodes_than_asked_are_all_shown() -> None:
+def test_fewer_episodes_than_requested_are_all_shown() -> None:
     assert len(choose_samples([episode_row(1), episode_row(2)], 8)) == 2
     assert choose_samples([], 8) == []
 

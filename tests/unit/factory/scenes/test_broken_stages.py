@@ -87,9 +87,9 @@ CASES = {
     "index past the points": Case(mesh("Bad", CORNERS, indices="[0, 1, 7]"), ("/World/Bad", "vertex 7 of 3"), 0),
     "negative index": Case(mesh("Bad", CORNERS, indices="[0, 1, -1]"), ("/World/Bad", "lowest -1"), 0),
     "negative count": Case(
-        mesh("Bad", CORNERS, "[-3, 6]", "[0, 1, 2]"), ("/World/Bad", "bad topology: faces want 3"), 0
+        mesh("Bad", CORNERS, "[-3, 6]", "[0, 1, 2]"), ("/World/Bad", "bad topology: the faces need 3"), 0
     ),
-    "huge count": Case(mesh("Bad", CORNERS, "[2147483647]"), ("/World/Bad", "faces want 2147483647 corners"), 0),
+    "huge count": Case(mesh("Bad", CORNERS, "[2147483647]"), ("/World/Bad", "the faces need 2147483647 corners"), 0),
     "no faces": Case(mesh("Bad", CORNERS, "[]", "[]"), ("/World/Bad", "without points or faces"), 0),
     "degenerate faces": Case(mesh("Bad", CORNERS, "[1, 2, 3, 3]", "[0, 0, 1, 1, 1, 1, 0, 1, 2]"), (), 2),
     "concave face on a line": Case(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.appearance import Appearance
+from schemas.appearance import Appearance, LightMix
 from schemas.appearance.file import find_appearance, load_appearance
 from schemas.builtin import BUILTIN_APPEARANCES
 from schemas.errors import InvalidAppearance, UsageError
@@ -28,6 +28,18 @@ def test_a_file_has_its_own_ranges_and_the_name_of_the_file(tmp_path: Path) -> N
     assert found.light is not None
     assert found.light.sky == (0.0, 0.2)
     assert Appearance.model_validate(found.plain()) == found
+
+
+@pytest.mark.parametrize("key", ["adaptation", "adaption"])
+def test_both_spellings_of_adaptation_are_read_and_the_old_one_is_written(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "slow.toml"
+    path.write_text(f"[light]\n{key} = 0.2\n")
+    light = load_appearance(str(path)).light
+    assert light is not None
+    assert light.adaptation == 0.2
+    assert '"adaption":0.2' in light.model_dump_json()
+    mix = LightMix.model_validate({"lamps": (), "sky": {"gain": 1.0, "temperature_k": 6500.0}, key: 0.2})
+    assert mix.model_dump_json().endswith('"adaption":0.2}')
 
 
 @pytest.mark.parametrize(

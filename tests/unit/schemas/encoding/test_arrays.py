@@ -28,7 +28,7 @@ def test_fitting_array_has_no_violations() -> None:
         (np.array([[0, 0], [0, -2], [0, 0]], np.float32), "minimum -2.0 is below (0.0, -1.5)"),
     ],
 )
-def test_violation_names_what_was_asked_and_found(array: np.ndarray, text: str) -> None:
+def test_violation_names_the_expected_and_the_found_value(array: np.ndarray, text: str) -> None:
     assert any(text in found for found in ACTIONS_CONTINUOUS.violations(array, 3))
 
 

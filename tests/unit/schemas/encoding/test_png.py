@@ -81,7 +81,7 @@ def test_other_row_filter_is_refused() -> None:
         assert "a row filter other than" in refused(png(ROW * 4 + other + b"\x00" * 12))
 
 
-def test_ids_filtered_by_sub_as_first_written_are_read() -> None:
+def test_id_images_of_old_datasets_with_the_png_filter_sub_are_decoded() -> None:
     ids = np.array([[1, 2, 300], [65535, 0, 7]], np.uint16)
     wide = np.pad(ids, ((0, 0), (1, 0))).astype(">u2").view(np.uint8).reshape(2, 4, 2)
     rows = b"".join(b"\x01" + row.tobytes() for row in np.diff(wide, axis=1).astype(np.uint8))

@@ -14,10 +14,10 @@ from tests.builders.lit import lit_room, room_light
 from workers.appearance.relight import LAMP_K, SKY_K, expose, gain_of, mix_light
 
 
-def mix(*gains: float, kelvin: float = LAMP_K, sky: float = 1.0, adaption: float = 0.0) -> LightMix:
+def mix(*gains: float, kelvin: float = LAMP_K, sky: float = 1.0, adaptation: float = 0.0) -> LightMix:
     # the last group are the narrow sides of the lamps
     lamps = tuple(LampLight(gain=gain, temperature_k=kelvin) for gain in (*gains, 1.0))
-    return LightMix(lamps=lamps, sky=LampLight(gain=sky, temperature_k=SKY_K), adaption=adaption)
+    return LightMix(lamps=lamps, sky=LampLight(gain=sky, temperature_k=SKY_K), adaptation=adaptation)
 
 
 def test_lamps_are_grouped_by_place_and_windows_apart() -> None:
@@ -29,7 +29,7 @@ def test_lamps_are_grouped_by_place_and_windows_apart() -> None:
 
 def test_the_neutral_mix_is_the_baked_light_map_bit_for_bit() -> None:
     light_map = lit_room().light_map
-    assert np.array_equal(mix_light(light_map, room_light().shares, mix(1.0, 1.0, 1.0, adaption=0.7)), light_map)
+    assert np.array_equal(mix_light(light_map, room_light().shares, mix(1.0, 1.0, 1.0, adaptation=0.7)), light_map)
     every = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
     assert np.array_equal(expose(every, 0.0), every)
 
@@ -59,9 +59,9 @@ def test_warm_lamps_are_redder_and_exposure_brightens_all() -> None:
     assert gain_of(LampLight(gain=2.0, temperature_k=LAMP_K), LAMP_K) == (2.0, 2.0, 2.0)
 
 
-def test_adaption_keeps_a_room_with_little_light_visible() -> None:
+def test_adaptation_keeps_a_room_with_little_light_visible() -> None:
     room, shares = lit_room().light_map, room_light().shares
-    dark, adapted = (mix_light(room, shares, mix(0.1, 0.1, 0.1, sky=0.1, adaption=share)) for share in (0.0, 1.0))
+    dark, adapted = (mix_light(room, shares, mix(0.1, 0.1, 0.1, sky=0.1, adaptation=share)) for share in (0.0, 1.0))
     assert dark.mean() < 0.6 * room.mean()
     assert adapted.mean() == pytest.approx(room.mean(), rel=0.1)
 

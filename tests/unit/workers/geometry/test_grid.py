@@ -122,5 +122,5 @@ def test_a_grid_without_floor_has_no_connected_floor() -> None:
     assert not grid_of((-3, -3, 3, 3)).connected_floor().any()
 
 
-def test_body_centre_lies_behind_the_axle() -> None:
+def test_body_centre_is_behind_the_axle() -> None:
     assert body_centre(1.0, 0.0, math.pi / 2) == pytest.approx([1.0, -0.2335])

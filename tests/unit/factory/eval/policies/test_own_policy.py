@@ -113,7 +113,7 @@ def test_names_of_a_users_class_declare_nothing(folder: Path) -> None:
         ("playback", True, "another episode's recorded actions"),
     ],
 )
-def test_built_in_policies_declare_what_they_know(name: str, is_privileged: bool, knows: str) -> None:
+def test_built_in_policies_declare_their_inputs(name: str, is_privileged: bool, knows: str) -> None:
     policy = make_policy(name, PolicyLimits())
     assert isinstance(policy, PrivilegedPolicy) == is_privileged
     assert not uses_camera(policy)

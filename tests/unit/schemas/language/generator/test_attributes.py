@@ -101,7 +101,7 @@ VIEW = look(canteen().graph, (0.0, 0.0, 0.0), CAMERA)
         ("table with four chairs beside it", set(), set()),
     ],
 )
-def test_a_phrase_surely_fits_some_tables_and_possibly_others(phrase, sure, possible):
+def test_a_phrase_fits_the_expected_tables_and_borderline_tables(phrase, sure, possible):
     (expression,) = reader("en").read_phrase(f"the {phrase}")
     found = canteen().verifier.evaluate(expression, VIEW)
     names = {table(name): name for name in _TABLES}
@@ -118,7 +118,7 @@ def test_a_phrase_surely_fits_some_tables_and_possibly_others(phrase, sure, poss
         pytest.param(_above(5.7, 3.0, 0.75, 0.3), id="overlaps the edge"),
     ],
 )
-def test_a_table_is_neither_surely_empty_nor_surely_laden_if_a_thing(thing):
+def test_a_doubtful_thing_makes_a_table_a_borderline_case_of_empty_and_occupied(thing):
     scene = build_scene((*room_walls((-8.0, -6.0), (8.0, 6.0)), *_BOXES[:4], thing), name="near")
     verifier = SceneLanguage(build_graph(scene)).verifier
     for phrase in ("the empty table", "the table with something on it"):

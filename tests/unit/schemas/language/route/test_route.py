@@ -79,7 +79,7 @@ def test_the_spans_of_a_verified_route_cover_the_path(code, corners, target):
         assert fault(route, poses, target) == ""
 
 
-def test_a_turn_around_in_a_doorway_is_told_in_two_steps():
+def test_a_turn_around_in_a_doorway_is_described_in_two_steps():
     poses = driven((-2.0, -0.3), (0.8, -0.3), (0.8, -0.9), (0.3, -0.9))
     path = DrivenPath(poses)
     search = RouteSearch(place(), path, number_at(1.2, -2.8), grammar("en"), np.random.default_rng(0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.compile.substance import UNKNOWN, materials_of, substance_of
+from factory.scenes.compile.object_materials import UNKNOWN, materials_of, substance_of
 from factory.scenes.importer import Part, Surface
 
 
@@ -33,11 +33,11 @@ def part(path: str, area_m2: float, surface: Surface) -> Part:
         ("", "", UNKNOWN),
     ],
 )
-def test_a_name_tells_a_substance_only_if_it_has_the_words_of_one(name, texture, substance):
+def test_a_name_without_the_word_of_a_single_material_gives_no_substance(name, texture, substance):
     assert substance_of(Surface(name=name, texture=texture)) == substance
 
 
-def test_an_authored_metal_is_metal_unless_its_name_tells_another_substance():
+def test_a_surface_marked_as_metal_is_metal_unless_its_name_contains_another_substance():
     assert substance_of(Surface(name="Grey_r35m1", is_metal=True)) == "metal"
     assert substance_of(Surface(name="LeatherCoated", is_metal=True)) == "leather"
 

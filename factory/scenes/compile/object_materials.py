@@ -1,4 +1,4 @@
-"""Determines of which materials the objects of a scene are, by the names of their surfaces. Reads no file."""
+"""Determines the materials of the objects of a scene from the names of their surfaces. Reads no file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from factory.scenes.importer import Part, Surface
 
 UNKNOWN = "unknown"
 _MOST, _VISIBLE = 0.6, 0.05
-"""Share of an object's surface that its first material covers, and of which a further one is listed."""
+"""Smallest share of the surface of an object for its first material, and for each further one."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SUBSTANCES = MappingProxyType(
     {
@@ -40,11 +40,11 @@ _SUBSTANCES = MappingProxyType(
 """Words of each substance, lower case. Words that are also colours, such as silver, are missing."""
 _BY_WORD = MappingProxyType({word: name for name, words in _SUBSTANCES.items() for word in words.split()})
 _IMITATION = frozenset(("fake", "faux", "imitation", "look", "effect", "like", "spines", "holder", "frame"))
-"""Words with which a name does not tell the substance: fake leather, spines of leather books."""
+"""Words after which a name does not state the substance, as in fake leather or spines of leather books."""
 
 
 def substance_of(surface: Surface) -> str:
-    """Returns the substance of a surface; `unknown` if its names tell none, or several."""
+    """Returns the substance of a surface; `unknown` without exactly one substance in its names."""
     names = (surface.name, PurePosixPath(surface.texture.replace("\\", "/")).stem)
     for name in names:  # the name of the material takes precedence over that of its texture
         words = {word.lower() for word in _WORD.findall(name)}
