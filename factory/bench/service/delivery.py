@@ -75,18 +75,7 @@ def bench_delivery(
             lease_ttl_s=_LEASE_S, reserve_bytes=0, checkpoint_s=_LEASE_S, pullers=pullers, spot_checks=share
         )
         seconds, cpu_s = _archive_copies(root, plan, catalog, settings, samples, workers)
-        paces.append(
-            DeliveryPace(
-                pullers=pullers,
-                spot_checks=share,
-                seconds=seconds,
-                cpu_s=cpu_s,
-                frames_per_s=frames / seconds,
-                frames_per_cpu_s=frames / cpu_s,
-                episodes_per_s=episodes / seconds,
-                episodes_per_cpu_s=episodes / cpu_s,
-            )
-        )
+        paces.append(DeliveryPace.of(settings, frames, episodes, seconds, cpu_s))
         tell()
     return DeliveryBench(
         machine=machine,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Self
+
+from coordinator.settings import CoordinatorSettings
 from factory.bench.model import Machine
 from schemas.base import Model
 from schemas.terms import Recording
@@ -26,6 +29,20 @@ class DeliveryPace(Model):
     """Archived episodes per second of wall time."""
     episodes_per_cpu_s: float
     """Archived episodes per second of CPU time."""
+
+    @classmethod
+    def of(cls, settings: CoordinatorSettings, frames: int, episodes: int, seconds: float, cpu_s: float) -> Self:
+        """Returns the pace of a measurement with the archived frames and episodes and its times, seconds."""
+        return cls(
+            pullers=settings.pullers,
+            spot_checks=settings.spot_checks,
+            seconds=seconds,
+            cpu_s=cpu_s,
+            frames_per_s=frames / seconds,
+            frames_per_cpu_s=frames / cpu_s,
+            episodes_per_s=episodes / seconds,
+            episodes_per_cpu_s=episodes / cpu_s,
+        )
 
 
 class DeliveryBench(Model):

@@ -62,10 +62,7 @@ def execute(
 ) -> int:
     """Executes `factory run`."""
     configure_logs(verbose)
-    require_package("pybullet", "`factory run`")
-    if address is not None and engine != "ray":
-        raise UsageError(f"--address {address} needs --engine ray")
-    check_run_evaluations(http, evaluations)
+    _check_options(engine, address, http, evaluations)
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
@@ -73,9 +70,9 @@ def execute(
     processes = workers or os.cpu_count() or 1
     if not is_new or (shard is not None and gate_mode == "auto"):
         gate_mode = "skip"
-    all_before = shard is not None or packages is not None
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_signals())
+        all_before = shard is not None or packages is not None
         before = None if all_before else scenes_before_run(plan, gate_plans(plan, gate_mode))
         with building_layouts(processes, stop) as builds:
             catalog = open_catalog(plan, site.place, scene_cache(), print_building, builds, packages, before)
@@ -101,11 +98,22 @@ def execute(
         progress = _run(
             run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token, ledger, evaluations)
         )
+    return _print_end(run, site, progress, as_json)
+
+
+def _check_options(engine: str, address: str | None, http: str | None, evaluations: tuple[Path, ...]) -> None:
+    require_package("pybullet", "`factory run`")
+    if address is not None and engine != "ray":
+        raise UsageError(f"--address {address} needs --engine ray")
+    check_run_evaluations(http, evaluations)
+
+
+def _print_end(run: LocalRun, site: Site, progress: Progress, as_json: bool) -> int:
+    """Prints the result of the run and returns the exit code."""
     if not progress.finished:
         click.echo(f"interrupted; continue with: {run.command}", err=True)
         return 130
-    summary = summarise(site.place, progress)
-    print_result(summary, as_json, print_summary)
+    print_result(summarise(site.place, progress), as_json, print_summary)
     print_missing(site, progress)
     return 1 if progress.missing else 0
 

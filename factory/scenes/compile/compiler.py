@@ -105,9 +105,8 @@ def compile_extraction(
     shown = show_parts(file, extraction, parts, (rules, chosen), has_materials, notes, draw)
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
-        solid = solid_triangles(
-            [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
-        )
+        colliders = [part for part in parts if part.is_collider]
+        solid = solid_triangles([part for part in parts if not part.is_collider], colliders, floor_m)
         terrain = find_terrain(shown, solid, floor_m)
     survey = find_reachable(file, terrain, shown, floor_m, notes)
     if missing := sorted(set(required) - {target.category for target in survey.targets}):
