@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections import Counter, defaultdict
 from pathlib import Path
 
@@ -13,9 +14,14 @@ MOST_FILE_LINES = 350
 MOST_FUNCTION_LINES = 60
 
 
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def public_classes(path: Path) -> list[str]:
     """Names of the classes that a module defines at its top level."""
-    tree = ast.parse(path.read_text())
+    tree = parsed(path)
     return [node.name for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
@@ -40,7 +46,7 @@ def test_no_file_has_more_lines_than_the_limit() -> None:
 def test_no_function_has_more_lines_without_its_docstring_than_the_limit() -> None:
     found = {}
     for path in sources():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 first, last = node.body[0], node.end_lineno or node.lineno
                 written = (first.end_lineno or first.lineno) - first.lineno + 1 if ast.get_docstring(node) else 0
