@@ -1,4 +1,4 @@
-"""Dataset arguments: a directory, or a URL for commands that support object storage; episode arguments: `ep_000012`."""
+"""Types of arguments and options: a dataset directory, a URL of object storage, a run, a shard. Opens no dataset."""
 
 from __future__ import annotations
 

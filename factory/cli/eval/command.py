@@ -1,4 +1,4 @@
-"""`factory eval`: evaluates policies in closed loop on a dataset; prints each measure with its interval."""
+"""Declares `factory eval`: arguments, options and help."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from factory.cli.common.options import (
     write_option,
 )
 from factory.cli.common.places import DIRECTORY
-from factory.cli.eval.campaign import eval_split_filter
 from factory.cli.eval.compare import command as compare_command
 from factory.cli.eval.specs import command as specs_command
+from factory.cli.eval.splits import eval_split_filter
 
 
 @click.group("eval", cls=DefaultGroup)

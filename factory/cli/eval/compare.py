@@ -1,4 +1,4 @@
-"""`factory eval compare`: paired comparison of two policies on the same episodes."""
+"""Declares `factory eval compare`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory eval specs`: writes evaluation episodes to a file, those of a dataset or newly sampled ones."""
+"""Declares `factory eval specs`: arguments, options and help."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from factory.cli.common.options import count_option, json_option, place_argument, write_option
-from factory.cli.eval.campaign import eval_split_filter
+from factory.cli.eval.splits import eval_split_filter
 
 
 @click.command("specs")

@@ -1,4 +1,4 @@
-"""`factory coordinator start`: starts the coordinator of a run, with workers on any host."""
+"""Declares `factory coordinator start`: arguments, options and help."""
 
 from __future__ import annotations
 

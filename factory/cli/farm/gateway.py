@@ -1,4 +1,4 @@
-"""`factory gateway`: starts a router that stores episodes locally, between workers and a remote coordinator."""
+"""Declares `factory gateway`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory gather`: copies the episodes of several gateways, or of the shards of a run, into one dataset."""
+"""Declares `factory gather`: arguments, options and help."""
 
 from __future__ import annotations
 

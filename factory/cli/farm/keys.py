@@ -1,4 +1,4 @@
-"""`factory keys`: creates a certificate authority and the certificates of hosts, and admits and revokes hosts."""
+"""Declares `factory keys`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory submit`: writes and submits the jobs of a run for a batch system."""
+"""Declares `factory submit`: arguments, options and help."""
 
 from __future__ import annotations
 

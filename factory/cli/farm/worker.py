@@ -1,4 +1,4 @@
-"""`factory worker`: simulates jobs of a coordinator on this host."""
+"""Declares `factory worker`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory jobs`: lists, shows, retries and cancels jobs; releases barred hosts; pauses and resumes the run."""
+"""Declares `factory jobs`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory pack`: packs the episodes of a states dataset into shards."""
+"""Declares `factory pack`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory repair`: repairs a damaged dataset, or lists the necessary actions with `--dry-run`."""
+"""Declares `factory repair`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory replay`: simulates an archived episode again and compares the digests."""
+"""Declares `factory replay`: arguments, options and help."""
 
 from __future__ import annotations
 

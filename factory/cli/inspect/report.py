@@ -1,4 +1,4 @@
-"""`factory report`: writes the figures of the paper for a dataset and one HTML page that works offline."""
+"""Declares `factory report`: arguments, options and help."""
 
 from __future__ import annotations
 

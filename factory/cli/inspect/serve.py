@@ -1,4 +1,4 @@
-"""`factory serve`: serves the web page of a dataset and its run."""
+"""Declares `factory serve`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory show`: writes one episode as a contact sheet or a video."""
+"""Declares `factory show`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory stats`: prints the tables of the paper, or those of instructions and objects in view. Computes nothing."""
+"""Declares `factory stats`: arguments, options and help."""
 
 from __future__ import annotations
 

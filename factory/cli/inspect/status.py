@@ -1,4 +1,4 @@
-"""`factory status`: shows the progress of a run, read from its ledger or from a running coordinator."""
+"""Declares `factory status`: arguments, options and help."""
 
 from __future__ import annotations
 

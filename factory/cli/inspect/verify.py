@@ -1,4 +1,4 @@
-"""`factory verify`: checks the hashes, shapes, bounds and kinematics of a dataset."""
+"""Declares `factory verify`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory view`: shows one episode in the Rerun viewer."""
+"""Declares `factory view`: arguments, options and help."""
 
 from __future__ import annotations
 

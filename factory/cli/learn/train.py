@@ -1,4 +1,4 @@
-"""`factory train`: trains the built-in baseline policies on a dataset."""
+"""Declares `factory train`: arguments, options and help."""
 
 from __future__ import annotations
 

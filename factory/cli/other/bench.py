@@ -1,4 +1,4 @@
-"""`factory bench`: measures collection, rendering, memory, coordinator and reader on this machine."""
+"""Declares `factory bench`: arguments, options and help."""
 
 from __future__ import annotations
 

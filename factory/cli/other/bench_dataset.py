@@ -1,4 +1,4 @@
-"""`factory bench dataset`: generates and measures a large dataset of states."""
+"""Declares `factory bench dataset`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory bench delivery`: measures how many valid bundles a coordinator archives."""
+"""Declares `factory bench delivery`: arguments, options and help."""
 
 from __future__ import annotations
 

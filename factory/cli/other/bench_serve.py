@@ -1,4 +1,4 @@
-"""`factory bench serve`: measures the web page of a dataset."""
+"""Declares `factory bench serve`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory bench sessions`: simulates the sessions of thousands of workers against one coordinator."""
+"""Declares `factory bench sessions`: arguments, options and help."""
 
 from __future__ import annotations
 

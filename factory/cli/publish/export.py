@@ -1,4 +1,4 @@
-"""`factory export`: converts a dataset to a training format. The options of a format are the fields of its model."""
+"""Declares `factory export`. The options of a format are the fields of its model."""
 
 from __future__ import annotations
 

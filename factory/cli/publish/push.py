@@ -1,4 +1,4 @@
-"""`factory push`: uploads a dataset or an export to the Hugging Face Hub."""
+"""Declares `factory push`: arguments, options and help."""
 
 from __future__ import annotations
 

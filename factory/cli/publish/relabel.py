@@ -1,4 +1,4 @@
-"""`factory relabel`: writes new verified instructions for an existing dataset, without driving."""
+"""Declares `factory relabel`: arguments, options and help."""
 
 from __future__ import annotations
 

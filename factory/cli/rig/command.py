@@ -1,4 +1,4 @@
-"""`factory rig`: lists, shows and checks sensor rigs. Renders nothing."""
+"""Declares `factory rig`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory gate`: measures the success rate of first attempts in one scene; exits with 1 if it is too low."""
+"""Declares `factory gate`: arguments, options and help."""
 
 from __future__ import annotations
 

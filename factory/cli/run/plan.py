@@ -1,4 +1,4 @@
-"""`factory plan`: shows the episodes of a plan, and finds the nearest plan that its scenes support."""
+"""Declares `factory plan`: arguments, options and help."""
 
 from __future__ import annotations
 

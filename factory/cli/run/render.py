@@ -1,4 +1,4 @@
-"""`factory render`: renders a states dataset, with the sensors of rigs, on this machine; continues interrupted runs."""
+"""Declares `factory render`: arguments, options and help."""
 
 from __future__ import annotations
 

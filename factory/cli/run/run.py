@@ -1,4 +1,4 @@
-"""`factory run`: generates a dataset with coordinator and workers on this machine; continues interrupted runs."""
+"""Declares `factory run`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory scene`: the group and its commands `build` and `import`; the other commands have their own modules."""
+"""Declares `factory scene` with its commands `build` and `import`; the other commands have their own modules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory scene inspect`: prints the content of a scene as text or JSON, and draws its map."""
+"""Declares `factory scene inspect`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory scene light`: computes the light groups of a scene, which varied light needs."""
+"""Declares `factory scene light`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory scene list`: lists the built-in and imported scenes."""
+"""Declares `factory scene list`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory scene render`: writes the map, views and contact sheets of a scene as images."""
+"""Declares `factory scene render`: arguments, options and help."""
 
 from __future__ import annotations
 

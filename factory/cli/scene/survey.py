@@ -1,4 +1,4 @@
-"""`factory scene survey`: measures the start points of a scene, or the diversity of the layouts of a family."""
+"""Declares `factory scene survey`: arguments, options and help."""
 
 from __future__ import annotations
 

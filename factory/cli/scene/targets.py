@@ -1,4 +1,4 @@
-"""`factory scene targets`: writes the list of a scene's targets for editing."""
+"""Declares `factory scene targets`: arguments, options and help."""
 
 from __future__ import annotations
 

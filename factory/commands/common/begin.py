@@ -10,7 +10,7 @@ import click
 
 from coordinator.expansion.file import load_plan
 from coordinator.ledger.opening import require_plan
-from factory.commands.common.options import shrunk_plan
+from factory.commands.common.plan_changes import shrunk_plan
 from factory.dataset.site import Site
 from factory.runs.ledger import plan_of, require_outside_datasets
 from schemas.plan import Plan

@@ -14,8 +14,8 @@ from coordinator.ledger.opening import ledger_url_of
 from coordinator.recovery.join_shards import JoinReport, JoinTarget, join_shards, require_joinable
 from coordinator.validation.validator import Validator
 from factory.commands.common.bars import one_bar
-from factory.commands.common.options import shrunk_plan
 from factory.commands.common.output import print_building, print_result, print_table
+from factory.commands.common.plan_changes import shrunk_plan
 from factory.dataset.site import Site, dataset_directory
 from factory.runs.catalog import open_catalog
 from factory.runs.ledger import require_outside_datasets

@@ -15,8 +15,8 @@ from coordinator.ledger.opening import read_info
 from coordinator.ledger.reading.records import JobFilter, JobRecord, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.ledger.states import JobState
 from coordinator.protocol.tls import read_credentials
+from factory.commands.common.episode_names import episode_index
 from factory.commands.common.output import print_json, print_result, print_table, print_text
-from factory.commands.common.places import episode_index
 from factory.dataset.site import Site
 from factory.runs.ledger import read_ledger
 from schemas.episode_spec import EpisodeSpec

@@ -7,8 +7,8 @@ from dataclasses import asdict
 import click
 
 from factory.commands.common.bars import one_bar
+from factory.commands.common.episode_names import episode_path
 from factory.commands.common.output import print_json
-from factory.commands.common.places import episode_path
 from factory.runs.replay import Replay, replay_episode
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place

@@ -9,8 +9,8 @@ import click
 from PIL import Image
 
 from factory.commands.common.bars import Bars
+from factory.commands.common.episode_names import episode_path
 from factory.commands.common.output import print_json
-from factory.commands.common.places import episode_path
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.steps import read_steps
 from factory.runs.package import find_package

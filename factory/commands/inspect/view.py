@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from factory.commands.common.bars import Bars
+from factory.commands.common.episode_names import episode_index
 from factory.commands.common.output import print_json
-from factory.commands.common.places import episode_index
 from factory.dataset.reader import Dataset
 from factory.runs.package import find_package
 from factory.visualize.rerun import view_episode

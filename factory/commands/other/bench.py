@@ -19,8 +19,8 @@ from factory.bench.simulation.memory import bench_memory
 from factory.bench.simulation.render import bench_render
 from factory.bench.simulation.rollout import bench_rollout
 from factory.commands.common.bars import Bars
-from factory.commands.common.options import shrunk_plan
 from factory.commands.common.output import print_result
+from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_tables import (
     show_collect,
     show_coordinator,

@@ -11,8 +11,8 @@ from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.synthetic import make_synthetic
 from factory.bench.sample import enlarge, make_sample, narrow
 from factory.commands.common.bars import Bars
-from factory.commands.common.options import shrunk_plan
 from factory.commands.common.output import print_result
+from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_tables import show_dataset
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache

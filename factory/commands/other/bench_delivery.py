@@ -10,8 +10,8 @@ from factory.bench.sample import make_sample, narrow
 from factory.bench.service.delivery import bench_delivery
 from factory.bench.service.delivery_model import DeliveryBench
 from factory.commands.common.bars import Bars
-from factory.commands.common.options import shrunk_plan
 from factory.commands.common.output import print_result, print_table
+from factory.commands.common.plan_changes import shrunk_plan
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
 from workers.sim.scene_renderer import SceneRenderer

@@ -10,8 +10,8 @@ import click
 
 from coordinator.expansion.file import load_plan
 from factory.commands.common.gating import try_scene
-from factory.commands.common.options import shrunk_plan
 from factory.commands.common.output import print_building, print_result, print_table
+from factory.commands.common.plan_changes import shrunk_plan
 from factory.runs.catalog import open_catalog
 from factory.runs.gate import GateReport
 from factory.stats.model import Share

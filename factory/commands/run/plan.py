@@ -16,8 +16,8 @@ from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.sentences import find_missing_instructions
 from coordinator.expansion.summary import PlanSummary, summarise
-from factory.commands.common.options import shrunk_plan, warn_of_empty_splits
 from factory.commands.common.output import print_building, print_json, print_table, print_text, stderr
+from factory.commands.common.plan_changes import shrunk_plan, warn_of_empty_splits
 from factory.runs.catalog import collect_scenes, find_built
 from factory.runs.corners import corner_shares
 from factory.runs.plan_files import require_files

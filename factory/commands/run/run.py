@@ -20,8 +20,8 @@ from factory.commands.common.gate_mode import GateMode
 from factory.commands.common.gating import gate_plans, measure_gate
 from factory.commands.common.http import check_run_evaluations, run_pages
 from factory.commands.common.layout_bar import building_layouts
-from factory.commands.common.options import warn_of_empty_splits
 from factory.commands.common.output import print_building, print_result
+from factory.commands.common.plan_changes import warn_of_empty_splits
 from factory.commands.common.summary import print_missing, print_summary, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run

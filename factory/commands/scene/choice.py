@@ -1,4 +1,4 @@
-"""The SCENE|PACKAGE argument: the name of a built-in or imported scene or of a layout, or the file of a scene package.
+"""Finds the scene of the argument SCENE|PACKAGE: a built-in or imported scene, a layout, or the file of a package.
 
 A built-in scene or layout that is not in the cache is built.
 """

@@ -1,4 +1,4 @@
-"""`factory scene`: the group and its commands `build` and `import`; the other commands have their own modules."""
+"""`factory scene build` and `factory scene import`: make the package of a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dataset arguments: a directory, or a URL for commands that support object storage; episode arguments: `ep_000012`."""
+"""Finds episodes by name or number: `ep_000012`, `12`."""
 
 from __future__ import annotations
 

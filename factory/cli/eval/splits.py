@@ -1,4 +1,4 @@
-"""Builds the campaign and opens the result store of `factory eval` from its options, with progress bars."""
+"""Option `--split` of `factory eval` and `factory eval specs`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options and arguments that several commands share."""
+"""Applies the options that change a plan, and warns of empty splits."""
 
 from __future__ import annotations
 
