@@ -16,7 +16,7 @@ import pytest
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.bench.attack import flood, slow_clients
+from factory.bench.service.attack import flood, slow_clients
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.web.start import serve

@@ -1,0 +1,178 @@
+"""Measures what visitors of the web page cost a run: periods without visitors, with viewers and with attackers in turn.
+
+The run is `factory run --http` in another process, with its coordinator and its workers. CPU times are those of the
+run; the visitors take CPU time of the same machine, which reduces the rate of episodes but not the CPU time of one.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from factory.bench.machine import describe_machine
+from factory.bench.model import Machine, Spread
+from factory.bench.reading.serve import ask_page, cpu_s_of, open_tab
+from factory.bench.service.attack import flood, slow_clients
+from factory.dataset.site import Site, site_of
+from factory.runs.ledger import progress_in, read_ledger
+from schemas.base import Model
+from schemas.errors import WorldError
+from schemas.support.child import child_environment, python_module
+
+_EPISODES = 20_000
+"""Number of planned episodes, so that the run does not end."""
+_SLOW_CLIENTS = 100
+_VISIT_S = 10.0
+"""Pause between two pages of a viewer, seconds."""
+_POLL_S = 0.5
+
+
+class VisitorCost(Model):
+    """Run during the periods of one kind."""
+
+    episodes_per_s: Spread
+    coordinator_share: Spread
+    """CPU time of the process of the coordinator per second, with its web page."""
+    cpu_s_per_episode: Spread
+    """CPU time of all processes of the run per archived episode, seconds."""
+
+
+class VisitedBench(Model):
+    """Cost of visitors of the web page of a run."""
+
+    machine: Machine
+    plan: str
+    seconds: float
+    """Duration of each period, seconds."""
+    rounds: int
+    requests: int
+    """Number of hostile requests of each period with attackers."""
+    viewers: int
+    costs: dict[str, VisitorCost]
+    """Cost by kind of visitors: `none`, `viewers`, `attackers`."""
+
+
+def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers: int, requests: int) -> VisitedBench:
+    """Starts a run of states and measures it in alternating periods.
+
+    Args:
+        plan: name or file of a plan.
+        workers: number of simulations.
+        seconds: duration of each period, seconds.
+        rounds: number of periods of each kind.
+        viewers: number of viewers.
+        requests: number of hostile requests of a period.
+
+    Raises:
+        WorldError: the run does not start, or ends before the last period.
+    """
+    kinds: dict[str, Callable[[str], None]] = {
+        "none": lambda _host: time.sleep(seconds),
+        "viewers": lambda host: _view(host, viewers, seconds),
+        "attackers": lambda host: _attack(host, requests, seconds),
+    }
+    machine = describe_machine()
+    found: dict[str, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
+    with _run(plan, workers) as (host, pid, site):
+        while _archived(site) < 2 * workers:  # scenes and workers are ready
+            time.sleep(_POLL_S)
+        for _ in range(rounds):
+            for kind, visit in kinds.items():
+                found[kind].append(_measure(pid, site, lambda visit=visit: visit(host)))  # type: ignore[misc]
+    costs = {
+        kind: VisitorCost(
+            episodes_per_s=Spread.of([rate for rate, _, _ in periods]),
+            coordinator_share=Spread.of([share for _, share, _ in periods]),
+            cpu_s_per_episode=Spread.of([cost for _, _, cost in periods]),
+        )
+        for kind, periods in found.items()
+    }
+    return VisitedBench(
+        machine=machine,
+        plan=plan,
+        seconds=seconds,
+        rounds=rounds,
+        requests=requests,
+        viewers=viewers,
+        costs=costs,
+    )
+
+
+@contextmanager
+def _run(plan: str, workers: int) -> Iterator[tuple[str, int, Site]]:
+    """Yields the address of the page, the process id and the location of a run."""
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        out, log = Path(folder) / "out", Path(folder) / "log"
+        words = (plan, "--episodes", _EPISODES, "--record", "states", "--gate", "skip", "--workers", workers)
+        command = python_module("factory", "run", *map(str, words), "--out", str(out), "--http", "127.0.0.1:0")
+        with (
+            log.open("wb") as errors,
+            subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=errors, env=child_environment(os.environ)
+            ) as process,
+        ):
+            try:
+                while "http://" not in log.read_text(errors="replace"):
+                    if process.poll() is not None:
+                        text = log.read_text(errors="replace")
+                        raise WorldError(f"`factory run {plan}` did not start:\n{text[-2000:]}")
+                    time.sleep(_POLL_S)
+                host = log.read_text(errors="replace").partition("http://")[2].partition("/")[0]
+                yield host, process.pid, site_of(str(out))
+            finally:
+                process.terminate()
+
+
+def _measure(pid: int, site: Site, visit: Callable[[], None]) -> tuple[float, float, float]:
+    """Returns episodes per second, CPU share of the coordinator and CPU seconds per episode during a visit."""
+    begin_s, done, own, whole = time.monotonic(), _archived(site), cpu_s_of([pid]), cpu_s_of(_family(pid))
+    visit()
+    wall_s, episodes = time.monotonic() - begin_s, _archived(site) - done
+    if not episodes:
+        raise WorldError(f"no episode was archived in {wall_s:.0f} s: give longer periods with --seconds")
+    cpu_s = cpu_s_of(_family(pid)) - whole
+    return episodes / wall_s, (cpu_s_of([pid]) - own) / wall_s, cpu_s / episodes
+
+
+def _archived(site: Site) -> int:
+    with read_ledger(site) as connection:
+        return progress_in(connection, site).jobs.get("archived", 0)
+
+
+def _family(pid: int) -> Sequence[int]:
+    """Returns a process and all its descendants."""
+    children = [
+        int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()
+    ]
+    return [pid, *(member for child in children for member in _family(child))]
+
+
+def _view(host: str, viewers: int, seconds: float) -> None:
+    """Keeps a farm page open for each viewer, who also opens the table and an episode with its first frame."""
+    end_s = time.monotonic() + seconds
+
+    def visit(_number: int) -> None:
+        while time.monotonic() < end_s:
+            for path in ("/", "/episodes", "/episodes/ep_000001", "/episodes/ep_000001/frames/0.png"):
+                ask_page(host, path)
+            time.sleep(max(0.0, min(_VISIT_S, end_s - time.monotonic())))
+
+    with ExitStack() as stack:
+        for _ in range(viewers):
+            open_tab(host, stack)
+        with ThreadPoolExecutor(max(1, viewers)) as pool:
+            list(pool.map(visit, range(viewers)))
+
+
+def _attack(host: str, requests: int, seconds: float) -> None:
+    """Sends hostile requests over the whole period while slow clients are connected."""
+    begin_s = time.monotonic()
+    with slow_clients(host, _SLOW_CLIENTS):
+        flood(host, requests, seconds)
+        time.sleep(max(0.0, begin_s + seconds - time.monotonic()))
