@@ -97,7 +97,7 @@ def _paths(root: Path, evaluation: Path) -> dict[str, str]:
         "statistics": "/statistics",
         "evaluations": "/evaluations",
         "evaluation": f"/evaluations/{evaluation.resolve().name}",
-        "comparison": f"/evaluations/{evaluation.resolve().name}?first={policies[0]}&second={policies[-1]}#compare",
+        "comparison": f"/evaluations/{evaluation.resolve().name}?first={policies[0]}&second={policies[-1]}",
         "operation": "/operations/retry",
         "login": "/login",
         "missing": "/episodes/ep_999999",

@@ -140,7 +140,7 @@ def comparison_table(found: PairedComparison) -> MeasureTable:
     return MeasureTable(
         "comparison",
         f"{found.second} minus {found.first}",
-        ("measure", "value"),
+        ("kind", "measure", "value"),
         [
             ("rate", [[MeasureCell(name), _share(rate)] for name, rate in rates]),
             ("mean difference", [[MeasureCell(name), _estimate(value, 3)] for name, value in means]),

@@ -50,18 +50,19 @@ class StatisticsStore(Closing):
         self._dataset: Dataset | None = None
         self._state = StatisticsState()
         self._next_s = -float("inf")
+        self._is_busy = False
         self._process: subprocess.Popen[str] | None = None
         self._thread: threading.Thread | None = None
 
     def of(self, dataset: Dataset) -> StatisticsState:
         """Returns the newest figures; starts to draw those of `dataset` if it has changed and none are being drawn."""
         with self._lock:
-            if self._dataset is dataset or self._state.is_drawing:
+            if self._dataset is dataset or self._is_busy:
                 return self._state
             wait_s = self._next_s - self._clock()
             if wait_s > 0:
                 return replace(self._state, wait_s=wait_s)
-            self._dataset = dataset
+            self._dataset, self._is_busy = dataset, True
             self._state = StatisticsState(self._state.drawn, is_drawing=True)
             command = python_module("factory.web.figures.process", self._place)
             environment = child_environment(os.environ)
@@ -86,9 +87,10 @@ class StatisticsStore(Closing):
         with self._lock:
             trouble = self._state.trouble or (failure if process.returncode else "")
             self._state = StatisticsState(self._state.drawn, trouble)
+            self._is_busy = False
             self._next_s = self._clock() + _SHARE * (self._clock() - begin_s)
 
     def _take(self, message: Message) -> None:
         with self._lock:
-            drawn = message.drawn or self._state.drawn
-            self._state = StatisticsState(drawn, message.trouble, True, message.done, message.total)
+            drawn, is_last = message.drawn or self._state.drawn, message.drawn is not None and message.drawn.is_complete
+            self._state = StatisticsState(drawn, message.trouble, not is_last, message.done, message.total)
