@@ -19,10 +19,12 @@ from factory.bench.machine import describe_machine
 from factory.bench.model import Machine, Spread
 from factory.bench.reading.serve import ask_page, cpu_s_of, open_tab
 from factory.bench.service.attack import flood, slow_clients
+from factory.dataset.reader import Dataset
 from factory.dataset.site import Site, site_of
 from factory.runs.ledger import progress_in, read_ledger
 from schemas.base import Model
 from schemas.errors import WorldError
+from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import child_environment, python_module
 
 _EPISODES = 20_000
@@ -72,19 +74,19 @@ def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers:
     Raises:
         WorldError: the run does not start, or ends before the last period.
     """
-    kinds: dict[str, Callable[[str], None]] = {
-        "none": lambda _host: time.sleep(seconds),
-        "viewers": lambda host: _view(host, viewers, seconds),
-        "attackers": lambda host: _attack(host, requests, seconds),
+    kinds: dict[str, Callable[[str, Site], None]] = {
+        "none": lambda _host, _site: time.sleep(seconds),
+        "viewers": lambda host, site: _view(host, site, viewers, seconds),
+        "attackers": lambda host, _site: _attack(host, requests, seconds),
     }
     machine = describe_machine()
     found: dict[str, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
     with _run(plan, workers) as (host, pid, site):
-        while _archived(site) < 2 * workers:  # scenes and workers are ready
+        while not (site.state_dir / META_FILE).is_file():  # written with the first tables; scenes and workers are ready
             time.sleep(_POLL_S)
         for _ in range(rounds):
             for kind, visit in kinds.items():
-                found[kind].append(_measure(pid, site, lambda visit=visit: visit(host)))  # type: ignore[misc]
+                found[kind].append(_measure(pid, site, lambda visit=visit: visit(host, site)))  # type: ignore[misc]
     costs = {
         kind: VisitorCost(
             episodes_per_s=Spread.of([rate for rate, _, _ in periods]),
@@ -153,13 +155,15 @@ def _family(pid: int) -> Sequence[int]:
     return [pid, *(member for child in children for member in _family(child))]
 
 
-def _view(host: str, viewers: int, seconds: float) -> None:
-    """Keeps a farm page open for each viewer, who also opens the table and an episode with its first frame."""
+def _view(host: str, site: Site, viewers: int, seconds: float) -> None:
+    """Keeps a farm page open for each viewer, who also opens the table and its first episode with a frame."""
     end_s = time.monotonic() + seconds
+
+    episode = f"/episodes/{Dataset(site.place)[0].episode_id}"
 
     def visit(_number: int) -> None:
         while time.monotonic() < end_s:
-            for path in ("/", "/episodes", "/episodes/ep_000001", "/episodes/ep_000001/frames/0.png"):
+            for path in ("/", "/episodes", episode, f"{episode}/frames/0.png"):
                 ask_page(host, path)
             time.sleep(max(0.0, min(_VISIT_S, end_s - time.monotonic())))
 
