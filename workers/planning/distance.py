@@ -19,6 +19,7 @@ from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid
+from workers.planning.kept import kept_with_grid
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
@@ -143,12 +144,12 @@ def geodesic_field(grid: Grid, target: Target, task: TaskConfig) -> DistanceFiel
     return _field_within(grid, target, task, math.inf)
 
 
-@functools.lru_cache(maxsize=8)
+@kept_with_grid(4)
 def _field_within(grid: Grid, target: Target, task: TaskConfig, limit_m: float) -> DistanceField:
     return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)), limit_m)
 
 
-@functools.lru_cache(maxsize=2)
+@kept_with_grid(1)
 def _wide_floor(grid: Grid) -> FloorGraph:
     return FloorGraph.over(grid.clearance >= HALF_WIDTH_M, grid.resolution_m)
 
