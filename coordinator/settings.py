@@ -6,22 +6,16 @@ from typing import Annotated
 
 from pydantic import Field
 
+from coordinator.defaults import LEASE_TTL_S, MAX_PULLERS
 from schemas.base import Model, NonNegative, Positive
 from schemas.protocol.keys import MAX_CHUNK_BYTES
 from schemas.storage.shards import MAX_SHARD_EPISODES
-
-MAX_PULLERS = 64
-
-
-def pullers_for(cores: int) -> int:
-    """Returns the number of pullers of a coordinator that has a host to itself; a puller validates on one core."""
-    return min(max(2, cores), MAX_PULLERS)
 
 
 class CoordinatorSettings(Model):
     """Operational settings of a coordinator, which do not affect the contents of the dataset."""
 
-    lease_ttl_s: Positive = 15.0
+    lease_ttl_s: Positive = LEASE_TTL_S
     """Duration of a lease without a heartbeat, seconds."""
     lease_limit_s: Positive = 7200.0
     """Longest time from claim to archived episode, seconds. The job of a worker that sends heartbeats without a result

@@ -13,9 +13,10 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
+from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
 from schemas.encoding.container import MAX_CONTAINER_BYTES, ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst, is_npy_of
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import MAX_FRAMES, EpisodeMeta, parse_meta

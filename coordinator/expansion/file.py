@@ -12,14 +12,15 @@ from typing import Any
 from pydantic import ValidationError
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from schemas.appearance.file import BUILTIN_APPEARANCES, find_appearance
+from schemas.appearance.file import find_appearance
+from schemas.builtin import BUILTIN_APPEARANCES, BUILTIN_RIGS
 from schemas.config import CameraConfig
 from schemas.errors import InvalidPlan, InvalidRig, UsageError
 from schemas.layouts import with_episodes
 from schemas.plan import Plan, ScenePlan
 from schemas.rig import Rig
 from schemas.rig.arrays import rig_faults
-from schemas.rig.file import BUILTIN_RIGS, load_rig, paper_rig
+from schemas.rig.file import load_rig, paper_rig
 from schemas.support.apportion import apportion
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean

@@ -112,11 +112,7 @@ def gather(
     with ExitStack() as stack:
         store = dataset.root if isinstance(dataset.root, ObjectPath) else None
         archive = stack.enter_context(open_archive(dataset.state_dir, store))
-        if dataset.foreign_ledger:
-            raise WorldError(
-                f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` rebuilds the right one"
-            )
-        require_sound(dataset.url)
+        _require_ledger(dataset)
         engine = open_writer(dataset.url)
         stack.callback(engine.dispose)
         with engine.connect() as connection:
@@ -143,6 +139,12 @@ def gather(
             episodes=len(archive.present()),
             planned=dataset.plan.episodes,
         )
+
+
+def _require_ledger(dataset: RepairInput) -> None:
+    if dataset.foreign_ledger:
+        raise WorldError(f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` rebuilds the right one")
+    require_sound(dataset.url)
 
 
 def _wanted(connection: Connection) -> list[_Wanted]:

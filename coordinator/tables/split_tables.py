@@ -35,7 +35,7 @@ from coordinator.tables.split_layout import (
 )
 from schemas.bundle import BundleReader
 from schemas.dataset.meta import read_dataset_meta
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import InvalidBundle, WorldError
 from schemas.storage.dataset_files import CARD_FILE
 from schemas.storage.place import Place

@@ -9,12 +9,12 @@ from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.language.compose import composer_of
 from schemas.language.file import LanguageSpec
+from schemas.language.graph.view import look
 from schemas.language.instruction import Instruction
-from schemas.language.mistakes import mistake_fault
 from schemas.language.question.verify import QuestionVerifier
-from schemas.language.reading import Reader
 from schemas.language.route.steps import SceneRoutes
-from schemas.language.view import look
+from schemas.language.sentence.mistakes import mistake_fault
+from schemas.language.sentence.reading import Reader
 from schemas.terms import Recording
 
 

@@ -32,7 +32,7 @@ from coordinator.validation.validate import validate
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.errors import InvalidBundle
-from schemas.language.grammar import LANGUAGES, grammar
+from schemas.language.sentence.grammar import LANGUAGES, grammar
 from schemas.scene.complete import require_sound
 
 

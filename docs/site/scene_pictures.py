@@ -19,9 +19,10 @@ from pathlib import Path
 
 from PIL import Image, ImageOps
 
-from factory.scenes import build_scene, encode_topdown
+from factory.scenes.build import build_scene
 from factory.scenes.pictures.sheet import draw_sheet, variants
 from factory.scenes.pictures.viewpoints import EYE, best_views
+from factory.scenes.topdown import encode_topdown
 from factory.support.settings import scene_cache
 from schemas.errors import LayoutError
 from schemas.scene import CompiledScene, read_scene

@@ -15,7 +15,7 @@ from factory.dataset.rendering.appearance import AppearancePackage, drawn_for
 from factory.dataset.rendering.shared_renderer import View, shared_renderer
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader, encode_depth
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
 from schemas.rig import Camera
 from schemas.scene import Instance

@@ -22,7 +22,7 @@ from factory.dataset.steps import read_questions, read_steps
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import EpisodeSummary
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.language.question.model import Question

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from factory.support.settings import state_directory, store_endpoint
+from schemas.errors import UsageError
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, place_of
 
@@ -42,6 +43,25 @@ def site_of(name: str | Place) -> Site:
     """
     place = place_of(name)
     return Site(place, place if isinstance(place, Path) else _state_dir_of(place))
+
+
+def dataset_directory(name: str | Place, command: str) -> Path:
+    """Returns the directory of a dataset for a command that does not support object storage.
+
+    Args:
+        name: directory, or URL of object storage.
+        command: command, for the error.
+
+    Raises:
+        UsageError: the dataset is in object storage, or the URL is invalid.
+    """
+    place = place_of(name)
+    if isinstance(place, Path):
+        return place
+    raise UsageError(
+        f"{command} supports dataset directories only, not {place}: copy the dataset to a local directory first, "
+        "for example with `aws s3 sync` or `rclone copy`"
+    )
 
 
 def _state_dir_of(place: ObjectPath) -> Path:

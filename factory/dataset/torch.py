@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from factory.dataset.open_episodes import OpenEpisodes
 from factory.dataset.reader import Dataset, Episode
 from factory.dataset.threads import for_each
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.support.extras import require_package
-from workers.render.process_wire import MAX_SIZE_PX
 
 
 class Sample(TypedDict, total=False):

@@ -11,34 +11,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Generic, TypeVar
-
-from pydantic import Field
+from typing import Any, ClassVar, Generic, TypeVar
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
+from factory.export.options import Options
 from factory.export.output import Output
 from schemas.base import Model
-from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary
-from schemas.errors import UsageError
 from schemas.rig import Rig
-
-
-class Options(Model):
-    """Options of a format. Each field becomes a command line option with its description as help text.
-
-    Fields are `bool`, `int`, `int | None` or a `Literal` of strings, and all have defaults. Formats that share a field
-    name must define it equally.
-    """
-
-    def check(self, meta: DatasetMeta) -> None:
-        """Validates the options against a dataset, before anything is written.
-
-        Raises:
-            UsageError: the options conflict with each other or with the dataset, e.g. a rate that does not divide the
-                recorded rate.
-        """
 
 
 class EpisodeFacts(Model):
@@ -143,29 +124,5 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
         """
 
 
-class Decimated(Options):
-    """Options of a format with a selectable frame rate."""
-
-    fps: int | None = Field(
-        default=None,
-        ge=1,
-        le=240,
-        description="Frame rate, 1/s, a divisor of the dataset's rate. Default: the dataset's rate.",
-    )
-
-    def check(self, meta: DatasetMeta) -> None:
-        """Validates that the rate divides the recorded rate."""
-        stride_of(self.fps, meta.plan.task.control_hz)
-
-
-def stride_of(fps: int | None, recorded_hz: int) -> int:
-    """Returns the stride n: every n-th recorded frame is exported.
-
-    Raises:
-        UsageError: the requested rate does not divide the recorded rate.
-    """
-    wanted = recorded_hz if fps is None else fps
-    if wanted < 1 or recorded_hz % wanted:
-        rates = ", ".join(str(rate) for rate in range(1, recorded_hz + 1) if recorded_hz % rate == 0)
-        raise UsageError(f"--fps {wanted}: the dataset has {recorded_hz} frames per second; valid values: {rates}")
-    return recorded_hz // wanted
+AnyExporter = Exporter[Any, Any]
+"""Exporter of any format."""

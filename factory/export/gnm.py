@@ -16,13 +16,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.export.base import Decimated, EpisodeFacts, Exporter, ExportPiece, Finish, stride_of
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
+from factory.export.options import GnmOptions, stride_of
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.support.planar import yaw_of
 from schemas.terms import Split
 
@@ -54,12 +54,6 @@ datasets:
 The loaders skip trajectories of no more than context_size + len_traj_pred frames (5 + 5 in ViNT). This dataset
 has {fps} frames per second; the median episode has {median} frames.
 """
-
-
-class GnmOptions(Decimated):
-    """Options of format `gnm`."""
-
-    jpeg_quality: int = Field(default=92, ge=1, le=100, description="JPEG quality, 1 to 100. Default: 92.")
 
 
 class GnmFacts(EpisodeFacts):

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, Finish, Options
+from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
+from factory.export.options import PaperOptions
 from factory.export.rig.document import RIG_FILE, rig_json, rig_table
 from factory.export.rig.folders import FOLDERS_TEXT, write_sensors
 from factory.export.rig.reader import SensorReader
@@ -44,15 +43,6 @@ _CARD = """
 - `metadata.parquet`: one row an episode; `data/<split>.parquet`: the same rows by split;
   `dataset_meta.json`: plan, seed, versions.
 """
-
-
-class PaperOptions(Options):
-    """Options of format `paper`."""
-
-    split_names: Literal["paper", "published"] = Field(
-        default="paper",
-        description="Split names: of the paper, or published (test_ood_lang, as in its repository). Default: paper.",
-    )
 
 
 class PaperFacts(EpisodeFacts):

@@ -1,4 +1,5 @@
-"""Registry of export formats; modules are imported on first use. A new format needs one module and one line here."""
+"""Registry of export formats; modules are imported on first use. A new format needs one module,
+one line here, and its options in `factory.export.options`."""
 
 from __future__ import annotations
 
@@ -6,14 +7,14 @@ import importlib
 from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING
 
-from factory.export.base import Exporter
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
 
-AnyExporter = Exporter[Any, Any]
+if TYPE_CHECKING:
+    from factory.export.base import AnyExporter
 
 EXPORTERS: Mapping[str, str] = MappingProxyType(
     {

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.dataset.episode import Episode
-from factory.export.base import stride_of
 from factory.export.lerobot.columns import frame_columns, kept_frames
+from factory.export.options import stride_of
 
 
 class RldsObservation(TypedDict):

@@ -14,12 +14,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from pydantic import Field
-
 from factory.dataset.episode import Episode
-from factory.export.base import Decimated, EpisodeFacts, Exporter, ExportPiece, Finish, stride_of
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
+from factory.export.options import WebdatasetOptions, stride_of
 from factory.export.rig.document import RIG_FILE, rig_json, rig_table
 from factory.export.rig.members import MEMBERS_TEXT, array_member, json_member, rig_members
 from factory.export.rig.reader import SensorReader
@@ -51,14 +50,6 @@ _RECORDED_MEMBERS = """\
 | `seg.npy.gz` | uint16 instance ids; 0 is background |
 """
 _RECORDED_IMAGES = 'sample["rgb.png"], sample["depth.npy.gz"]'
-
-
-class WebdatasetOptions(Decimated):
-    """Options of format `webdataset`."""
-
-    shard_mb: int = Field(
-        default=500, ge=1, le=8000, description="Size of a shard, MB; the last episode may exceed it. Default: 500."
-    )
 
 
 class WebdatasetFacts(EpisodeFacts):

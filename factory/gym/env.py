@@ -28,7 +28,7 @@ from factory.gym.episodes import specs_for
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from factory.gym.rig_space import flat, live_rig, rig_spaces
 from schemas.appearance import Appearance
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Rig
 from schemas.storage.place import Place, place_of
@@ -36,7 +36,6 @@ from schemas.terms import EndReason, RendererKind
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.experts.observation import Observation
 from workers.geometry.slew import Twist
-from workers.render.process_wire import MAX_SIZE_PX
 from workers.sim.scene_renderer import SceneRenderer
 
 _FAR_AWAY_M = 10_000.0

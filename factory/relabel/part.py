@@ -21,7 +21,8 @@ from factory.relabel.route import STEPS_SCHEMA, route_row, step_rows
 from schemas.config import CameraConfig
 from schemas.language.compose import Composer
 from schemas.language.file import LanguageSpec, TextKind
-from schemas.language.graph import build_graph
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import look
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.question.compose import AskedEpisode, QuestionComposer
 from schemas.language.question.model import Question
@@ -29,7 +30,6 @@ from schemas.language.route.compose import RouteComposer
 from schemas.language.route.model import RouteText
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import look
 from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.disk import replacing
 from schemas.storage.place import Place

@@ -29,9 +29,9 @@ from schemas.dataset.meta import software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError
 from schemas.language.compose import composer_of
 from schemas.language.file import LanguageSpec, TextKind
+from schemas.language.graph.view import look
 from schemas.language.instruction import InstructionKind
 from schemas.language.possible import explain_impossible
-from schemas.language.view import look
 from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTIONS_FILE, RELABEL_FILE, STEPS_FILE
 
 _PART_EPISODES = 500

@@ -6,17 +6,16 @@ nothing.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from coordinator.expansion.catalog import Catalog, SceneEntry, add_files, read_entry
+from coordinator.expansion.catalog import Catalog, add_files, read_entry
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.sentences import find_missing_instructions
-from factory.dataset.packages import find_package_file, light_file, package_file, packages_by_scene
+from factory.dataset.packages import light_file, package_file, packages_by_scene
 from factory.runs.layouts import LayoutBuilds, build_layouts
 from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
@@ -31,10 +30,9 @@ from schemas.storage.dataset_files import SCENES, STAGING
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
-from schemas.terms import BUILTIN_CATEGORIES, Recording, family_of, layout_number
+from schemas.terms import Recording, family_of, layout_number
 
 MessageCallback = Callable[[str], None]
-_PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
 
 
 def open_catalog(
@@ -168,15 +166,6 @@ def find_built(plan: Plan, cache: Path) -> Catalog:
     return {name: read_entry(path) for name, path in found.items() if path is not None}
 
 
-def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
-    """Returns the scene package with which an episode was generated.
-
-    Raises:
-        ArchiveCorrupt: No package has the digest.
-    """
-    return read_entry(find_package_file(root, name, sha256))
-
-
 def write_target_lists(catalog: Catalog, root: Place) -> None:
     """Writes `targets_<scene>.yaml` next to the scene packages of a dataset, for people; keeps existing files.
 
@@ -235,20 +224,3 @@ def _limits(scene: ScenePlan) -> StageLimits:
         floor_m=scene.floor_m,
         skip_missing=scene.skip_missing,
     )
-
-
-def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
-    """Returns the packages of imported scenes.
-
-    Args:
-        cache: Folder of packages; it need not exist.
-
-    Returns:
-        The packages by scene name, the most recently written first.
-    """
-    found: dict[str, list[tuple[int, str, Path]]] = {}
-    for path in cache.glob("*.scene.zip"):
-        named = _PACKAGE.fullmatch(path.name)
-        if named is not None and family_of(named[1]) not in BUILTIN_CATEGORIES:
-            found.setdefault(named[1], []).append((path.stat().st_mtime_ns, path.name, path))
-    return {name: tuple(path for *_, path in sorted(found[name], reverse=True)) for name in sorted(found)}

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.storage.place import FilePlace, Place

@@ -18,7 +18,7 @@ from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.language import says_in_front
 from schemas.instruction.seen_objects import SeenObject
 from schemas.instruction.start_view import IN_FRONT_RAD
-from schemas.language.grammar import LANGUAGES
+from schemas.language.sentence.grammar import LANGUAGES
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from factory.train.input_size import PREPROCESS_VERSION
 from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
-from factory.train.preprocess import PREPROCESS_VERSION
 from factory.train.torch_import import load_torch
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import replacing

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from factory.dataset.reader import Dataset, Episode, Frame
 from factory.dataset.sampler import scene_numbers
 from factory.train import preprocess
+from factory.train.input_size import PREPROCESS_VERSION
 from factory.train.labels import Labels, chosen_frames, label_episode, stop_frame
 from schemas.base import Model, Positive, Sha256
 from schemas.errors import UsageError
@@ -28,7 +29,7 @@ class CacheKey(Model):
     """Inputs that determine the frames of a training, and the content of a cache."""
 
     format: int = CACHE_FORMAT
-    look: int = preprocess.PREPROCESS_VERSION
+    look: int = PREPROCESS_VERSION
     dataset: Sha256
     """Digest of the episodes."""
     size: int

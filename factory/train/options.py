@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from factory.train.preprocess import PREPROCESS_VERSION, SIZES
+from factory.train.input_size import PREPROCESS_VERSION, SIZES
 from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
 from schemas.view import AppearanceData
 

@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 
 from factory.dataset.rendering.antialias import mean_of_blocks, middle_of_blocks
 
-PREPROCESS_VERSION = 1
-"""Version of `shrink_*` and `to_input`. Increase it with any change, so that old caches and policies are not reused."""
-SIZES = (64, 80, 128, 160)
-"""Valid picture sides, pixels; each divides the frame size."""
 FAR_M = 10.0
 """Maximum depth, metres. Larger depths, and 0 (the ray hits nothing), are set to this value."""
 _MM_PER_M = 1000.0

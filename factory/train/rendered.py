@@ -9,7 +9,7 @@ from factory.dataset.open_episodes import OpenEpisodes
 from factory.dataset.reader import Dataset, Episode
 from factory.dataset.threads import for_each
 from factory.train.frames import LabelledSteps, Pictures, ProgressCallback, TrainingFrames, label_steps
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 
 
 def render_frames(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from factory.dataset.episode import Episode
 from factory.visualize.panels import DEPTH_SHOWN_M, describe_error, show_ids
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import WorldError
 from schemas.measure import Goal
 from schemas.scene import CompiledScene

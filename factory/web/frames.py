@@ -15,7 +15,7 @@ from PIL import Image
 from factory.dataset.episode import Episode
 from factory.visualize.panels import show_depth, show_ids
 from factory.web.workspace import Workspace
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
 from schemas.terms import Recording
 

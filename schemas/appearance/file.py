@@ -7,14 +7,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from schemas.appearance.ranges import Appearance
+from schemas.builtin import BUILTIN_APPEARANCES, NO_APPEARANCE
 from schemas.errors import InvalidAppearance
 from schemas.support.toml_file import find_toml, mistakes_of, read_toml
 
 _FOLDER = Path(__file__).parent / "builtin"
-BUILTIN_APPEARANCES = ("varied", "full", "light", "materials", "camera", "clutter")
-"""Names of the built-in appearances; each is a file in `schemas/appearance/builtin`."""
-NO_APPEARANCE = "none"
-"""Name for scenes without appearance randomisation, which are rendered as they were compiled."""
 
 
 def find_appearance(reference: str) -> Appearance | None:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-FRAME_SIZE_PX = 640
-"""Width and height of every frame (paper Sec. III-B)."""
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 
 
 @dataclass(frozen=True)

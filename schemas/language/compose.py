@@ -15,20 +15,20 @@ import numpy as np
 from schemas.language.draw import draw_index, draw_weighted
 from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
 from schemas.language.file import LanguageSpec, SpokenLanguage
-from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import (
     indefinite_candidates,
     minimal_candidates,
     redundant_expressions,
 )
 from schemas.language.generator.search import ExpressionCandidate, Search
-from schemas.language.grammar import SentencePattern
+from schemas.language.generator.view_facts import ViewFacts
+from schemas.language.graph.view import SceneView
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.kinds import UNKNOWN
-from schemas.language.mistakes import MistakeKind, with_mistake
-from schemas.language.reading import Reader
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import SceneView
+from schemas.language.sentence.grammar import SentencePattern
+from schemas.language.sentence.mistakes import MistakeKind, with_mistake
+from schemas.language.sentence.reading import Reader
 from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8

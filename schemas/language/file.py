@@ -16,10 +16,10 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 from schemas.base import Count, Fraction, Line, Model, Name, NonNegative
 from schemas.errors import InvalidLanguage, UsageError
 from schemas.language.expression import Family
-from schemas.language.grammar import LANGUAGES, REGISTERS, Grammar, grammar
-from schemas.language.mistakes import MistakeKind
-from schemas.language.paraphrase import pattern_fault
-from schemas.language.reading import Reader, reader
+from schemas.language.sentence.grammar import LANGUAGES, REGISTERS, Grammar, grammar
+from schemas.language.sentence.mistakes import MistakeKind
+from schemas.language.sentence.paraphrase import pattern_fault
+from schemas.language.sentence.reading import Reader, reader
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml

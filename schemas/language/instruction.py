@@ -7,7 +7,7 @@ from enum import StrEnum
 from pydantic import Field
 
 from schemas.base import Count, Line, Model, Name, Text
-from schemas.language.mistakes import MistakeKind
+from schemas.language.sentence.mistakes import MistakeKind
 
 
 class InstructionKind(StrEnum):

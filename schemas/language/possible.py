@@ -9,8 +9,8 @@ import numpy as np
 from schemas.language.compose import Composer, composer_of
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
+from schemas.language.graph.view import SceneView
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import SceneView
 
 Probe = tuple[int, SceneView]
 """Number of a target in the scene graph, and a view from a start."""

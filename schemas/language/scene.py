@@ -8,7 +8,7 @@ from functools import cached_property
 
 from schemas.language.generator.facts import SceneFacts
 from schemas.language.generator.parts import SceneParts
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
 from schemas.language.route.doorways import RoomPassage, find_doorways
 from schemas.language.verifier.verify import Verifier
 

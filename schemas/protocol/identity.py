@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from schemas.errors import UsageError
-from schemas.protocol.messages import HOST_PATTERN
 
 CA_FILE, CERTIFICATE_FILE, KEY_FILE, NAME_FILE = "ca.pem", "host.pem", "host.key", "name.txt"
 ADMITTED_FILE = "hosts.txt"
 """File beside a coordinator's certificate that lists the admitted hosts."""
+HOST_PATTERN = r"^[a-z0-9](?:[a-z0-9-]{0,46}[a-z0-9])?$"
 _HOST_NAME = re.compile(HOST_PATTERN)
 
 

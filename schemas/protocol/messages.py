@@ -13,6 +13,7 @@ from pydantic import FailFast, Field
 
 from schemas.base import Bytes, Count, Line, Model, Name, NonNegative, Ordinal, Positive, RowId, Sha256, Text
 from schemas.job import Job
+from schemas.protocol.identity import HOST_PATTERN
 from schemas.terms import FailReason
 
 PROTOCOL = 1
@@ -36,7 +37,6 @@ MAX_ATTACHMENT_BYTES = 1 << 30
 """Largest size of an attachment, bytes."""
 
 SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
-HOST_PATTERN = r"^[a-z0-9](?:[a-z0-9-]{0,46}[a-z0-9])?$"
 """Pattern of a host name; it has no dot, because a dot ends the host name in a session id."""
 HostName = Annotated[str, Field(pattern=HOST_PATTERN)]
 Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]

@@ -7,15 +7,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from schemas.builtin import BUILTIN_RIGS, DEFAULT_CONTROL_HZ
 from schemas.errors import InvalidRig
 from schemas.rig.rig import Rig
 from schemas.support.toml_file import find_toml, mistakes_of, read_toml
 
 _FOLDER = Path(__file__).parent / "builtin"
-BUILTIN_RIGS = ("paper", "nova-carter", "turtlebot4", "panorama")
-"""Names of the built-in rigs; each is a file in `schemas/rig/builtin`."""
-DEFAULT_CONTROL_HZ = 60
-"""Control rate of the built-in plans, Hz."""
 
 
 def load_rig(reference: str, control_hz: int | None = DEFAULT_CONTROL_HZ) -> Rig:

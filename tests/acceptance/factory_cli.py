@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from factory import commands
 from factory.cli.main import VERBS
 from tests.builders.fork_server import Child, ForkServer
 
@@ -48,6 +50,7 @@ robot that stops at once rolls back further in such a long control period than t
 
 IMPORTED = (
     *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # which sets variables
+    *(found.name for found in pkgutil.walk_packages(commands.__path__, f"{commands.__name__}.")),
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
     "tests.builders.room_coordinator",

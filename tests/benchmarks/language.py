@@ -17,16 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.scenes import build_scene
+from factory.scenes.build import build_scene
 from schemas.language.compose import Composer
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
 from schemas.language.generator.minimal import minimal_expressions
-from schemas.language.grammar import grammar
-from schemas.language.graph import build_graph
-from schemas.language.reading import reader
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import look
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import look
+from schemas.language.sentence.grammar import grammar
+from schemas.language.sentence.reading import reader
 from schemas.scene import CompiledScene, read_geometry
 from schemas.terms import family_of, layout_number
 from tests.builders.language import CAMERA, changed, is_false_or_ambiguous, search_of

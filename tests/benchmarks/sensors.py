@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.scenes import build_scene
+from factory.scenes.build import build_scene
 from schemas.config import CameraConfig
 from schemas.rig.cameras import PinholeCamera
 from schemas.rig.mount import Mount

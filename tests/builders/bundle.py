@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX, ArraySpec
+from schemas.encoding.arrays import ArraySpec
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta, Provenance, Rollout, format_of
 from schemas.fingerprint import Fingerprint
 from schemas.instruction.language import instruction

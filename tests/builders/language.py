@@ -25,13 +25,14 @@ from schemas.language.expression import (
     Relation,
     Size,
 )
-from schemas.language.generator.facts import Masks, ViewFacts
+from schemas.language.generator.masks import Masks
 from schemas.language.generator.parts import ExpressionPart, part_of
 from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
-from schemas.language.grammar import grammar
-from schemas.language.graph import build_graph
+from schemas.language.generator.view_facts import ViewFacts
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import SceneView, look
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import SceneView, look
+from schemas.language.sentence.grammar import grammar
 from schemas.scene import CompiledScene, Instance
 from tests.builders.scene import Box, build_scene, room_walls
 

@@ -123,6 +123,35 @@ def _report(tally: Tally, one: Tally, kept: Path | None) -> None:
 def main() -> int:
     """Parses the command line and runs a campaign."""
     find_system_tools()
+    options = _parse_options()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all processes are ended
+    with tempfile.TemporaryDirectory(prefix="minivla-chaos-", dir=options.root) as folder:
+        root = Path(folder)
+        try:
+            tally = run_campaign(
+                _command_sets(options, root),
+                root,
+                FaultLoad(options.workers, options.per_round, (options.pause / 8, options.pause), _peers(options)),
+                options.seed,
+                options.minutes or (30.0 if options.faults is None else 240.0),
+                options.faults or sys.maxsize,
+                at_once=options.at_once,
+                only=options.round,
+                kept=options.tally,
+            )
+        finally:
+            _keep_evidence(root)
+    if options.json:
+        sys.stdout.write(json.dumps(tally.to_plain(), indent=2) + "\n")
+    else:
+        tally.print(Console(highlight=False), (*FAULTS, *(PEER_KINDS if _peers(options) is not None else ())))
+    too_few = options.round is None and tally.faults.total() < (options.faults or 0)
+    if too_few:
+        log.print(f"{tally.faults.total()} of {options.faults} faults had an effect: increase --minutes")
+    return 1 if tally.violations or too_few else 0
+
+
+def _parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--minutes", type=float, help="Time after which no round starts, minutes (default 30; with --faults 240)."
@@ -166,32 +195,7 @@ def main() -> int:
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     parser.add_argument("--root", type=Path, help="Working directory (default: a temporary folder).")
     parser.add_argument("--json", action="store_true", help="Prints the tally as JSON.")
-    options = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all processes are ended
-    with tempfile.TemporaryDirectory(prefix="minivla-chaos-", dir=options.root) as folder:
-        root = Path(folder)
-        try:
-            tally = run_campaign(
-                _command_sets(options, root),
-                root,
-                FaultLoad(options.workers, options.per_round, (options.pause / 8, options.pause), _peers(options)),
-                options.seed,
-                options.minutes or (30.0 if options.faults is None else 240.0),
-                options.faults or sys.maxsize,
-                at_once=options.at_once,
-                only=options.round,
-                kept=options.tally,
-            )
-        finally:
-            _keep_evidence(root)
-    if options.json:
-        sys.stdout.write(json.dumps(tally.to_plain(), indent=2) + "\n")
-    else:
-        tally.print(Console(highlight=False), (*FAULTS, *(PEER_KINDS if _peers(options) is not None else ())))
-    too_few = options.round is None and tally.faults.total() < (options.faults or 0)
-    if too_few:
-        log.print(f"{tally.faults.total()} of {options.faults} faults had an effect: increase --minutes")
-    return 1 if tally.violations or too_few else 0
+    return parser.parse_args()
 
 
 def _command_sets(options: argparse.Namespace, root: Path) -> tuple[ClusterCommands, ...]:

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factory.scenes import build_scene, encode_topdown, package_path
 from factory.scenes.author import BUILTIN_SCENES
+from factory.scenes.build import build_scene, package_path
 from factory.scenes.rules import builtin_rules
+from factory.scenes.topdown import encode_topdown
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, read_scene

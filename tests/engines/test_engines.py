@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import pytest
 
 from tests.builders.engine_runs import HURTS, archived, digest_of, factory, outcomes, until
 from tests.ray.cluster import ray_cluster, run_with_kills
-from tests.slurm.cluster import SlurmCluster, why_no_slurm
+from tests.slurm.cluster import SlurmCluster, running_cluster
 from tests.slurm.submitted import SubmittedRun
 
 pytestmark = pytest.mark.timeout(10_000)
@@ -41,10 +40,7 @@ def digest(whole: Path) -> str:
 
 @pytest.fixture(scope="module")
 def slurm() -> Iterator[SlurmCluster]:
-    reason = why_no_slurm()
-    if reason:
-        pytest.fail(reason)
-    with tempfile.TemporaryDirectory(prefix="slurm-") as folder, SlurmCluster(Path(folder)) as started:
+    with running_cluster() as started:
         yield started
 
 

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from coordinator.validation.validator import Validator
 from factory.dataset.reader import Dataset
+from schemas.storage.object_path import ObjectPath
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.driven import driven_recordings
 from tests.builders.evaluation import archive_drives
+from tests.builders.object_server import ObjectServer
 from tests.builders.rigs import render_rigged
 from tests.builders.shared import build_once
+from tests.builders.shared_validator import SharedValidator
+from tests.builders.store_relay import StoreRelay
 
 
 @pytest.fixture(scope="session")
@@ -33,3 +39,25 @@ def rigged(factory: FactoryCli, shared: Path, recordings: dict[Recording, Path])
     """The two drives of `recordings` with the measurements of a small rig; tests only read them."""
     build = functools.partial(render_rigged, states=recordings[Recording.STATES], factory=factory)
     return build_once(shared / "driven-rigged", build)
+
+
+@pytest.fixture(scope="module")
+def checker() -> Iterator[SharedValidator]:
+    """A validator for all coordinators of a module, one after another."""
+    with Validator() as validator:
+        yield SharedValidator(validator)
+
+
+@pytest.fixture
+def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
+    """A relay to the object store, which can fail."""
+    with StoreRelay(object_store.endpoint) as between:
+        yield between
+
+
+@pytest.fixture
+def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
+    """A new bucket behind the relay."""
+    url = bucket_url()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
+    return ObjectPath.at(f"{url}/run")

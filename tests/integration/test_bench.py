@@ -13,17 +13,17 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import read_entry
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
-from factory.bench.coordinator import bench_coordinator
-from factory.bench.dataset import bench_dataset
 from factory.bench.machine import StageRecorder
-from factory.bench.memory import bench_memory
-from factory.bench.render import bench_render
-from factory.bench.rollout import bench_rollout
+from factory.bench.reading.dataset import bench_dataset
+from factory.bench.reading.serve import bench_serve
+from factory.bench.reading.synthetic import make_synthetic
 from factory.bench.sample import BenchSample, enlarge
-from factory.bench.serve import bench_serve
-from factory.bench.synthetic import make_synthetic
+from factory.bench.service.coordinator import bench_coordinator
+from factory.bench.simulation.memory import bench_memory
+from factory.bench.simulation.render import bench_render
+from factory.bench.simulation.rollout import bench_rollout
 from factory.dataset.reader import Dataset
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job

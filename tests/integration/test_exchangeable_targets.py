@@ -18,6 +18,7 @@ from schemas.job import Job
 from schemas.language.file import LanguageSpec
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, SuccessMeasure, Tier
+from tests.builders.attempts import first_success, loaded_renderer, write_package
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.sim.attempt import Success, run_attempt
@@ -57,25 +58,18 @@ def _job(attempt: int, share: float) -> Job:
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory) -> Path:
-    path: Path = tmp_path_factory.mktemp("scene") / "crates.scene"
-    path.write_bytes(PACKAGE)
-    return path
+    return write_package(tmp_path_factory.mktemp("scene"), PACKAGE)
 
 
 @pytest.fixture(scope="module")
 def stage(package):
-    with SceneRenderer() as stage:
-        stage.load(package, hashlib.sha256(PACKAGE).hexdigest())
-        yield stage
+    with loaded_renderer(package) as renderer:
+        yield renderer
 
 
 def _episode(stage: SceneRenderer, share: float) -> tuple[Job, BundleReader]:
     """Returns the first successful attempt and its leased job."""
-    for attempt in range(1, 12):
-        file, job = io.BytesIO(), _job(attempt, share)
-        if isinstance(run_attempt(job, stage, file, "host-1", lambda _: None), Success):
-            return job, BundleReader(file)
-    raise AssertionError("no attempt succeeds")
+    return first_success((_job(attempt, share) for attempt in range(1, 12)), stage)
 
 
 def test_the_same_start_has_either_target_and_shows_both(stage, package):

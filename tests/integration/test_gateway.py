@@ -19,12 +19,12 @@ from coordinator.options import CoordinatorOptions
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.validation.validator import Validator
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
+from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -34,26 +34,10 @@ SETTINGS = CoordinatorSettings(
 EPISODES = 3
 
 
-class Shared:
-    """One sandboxed child for all tests, because starting one takes longer than most tests."""
-
-    def __init__(self, validator: Validator) -> None:
-        self.check, self.check_all = validator.check, validator.check_all
-
-    def close(self) -> None:
-        """Keeps the shared child open."""
-
-
-@pytest.fixture(scope="module")
-def checker() -> Iterator[Shared]:
-    with Validator() as validator:
-        yield Shared(validator)
-
-
 class Site:
     """A coordinator, gateways and workers; every part can be closed and opened again."""
 
-    def __init__(self, folder: Path, checker: Shared, stack: ExitStack) -> None:
+    def __init__(self, folder: Path, checker: SharedValidator, stack: ExitStack) -> None:
         self.folder, self.checker, self._stack = folder, checker, stack
         self.endpoint = free_endpoint()
         self.core = self.open_core()
@@ -99,7 +83,7 @@ class Site:
 
 
 @pytest.fixture
-def site(tmp_path: Path, checker: Shared) -> Iterator[Site]:
+def site(tmp_path: Path, checker: SharedValidator) -> Iterator[Site]:
     with ExitStack() as stack:
         yield Site(tmp_path, checker, stack)
 

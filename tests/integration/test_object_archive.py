@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import shutil
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
@@ -38,20 +38,6 @@ from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
 BIG = bytes(range(256)) * 4096
-
-
-@pytest.fixture
-def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
-    with StoreRelay(object_store.endpoint) as between:
-        yield between
-
-
-@pytest.fixture
-def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
-    """A new bucket behind the relay."""
-    url = bucket_url()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
-    return ObjectPath.at(f"{url}/run")
 
 
 def publish(archive: Archive, index: int, data: bytes) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,20 +81,6 @@ class Killer:
             self._process.kill()
             self._process.wait()
         return self._process.poll() is not None
-
-
-@pytest.fixture
-def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
-    with StoreRelay(object_store.endpoint) as between:
-        yield between
-
-
-@pytest.fixture
-def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
-    """A new bucket behind the relay."""
-    url = bucket_url()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
-    return ObjectPath.at(f"{url}/run")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from pathlib import Path
 
 import pytest
@@ -19,9 +18,9 @@ from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.question.model import QuestionKind
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Recording, Split, Tier
+from tests.builders.attempts import first_success, loaded_renderer, write_package
 from tests.builders.bundle import job_for
 from tests.builders.language import furnished_scene
-from workers.sim.attempt import Success, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
 
 SCENE = furnished_scene()
@@ -31,16 +30,13 @@ PACKAGE = encode_scene(SCENE, level=1)
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory) -> Path:
-    path: Path = tmp_path_factory.mktemp("scene") / "rooms.scene"
-    path.write_bytes(PACKAGE)
-    return path
+    return write_package(tmp_path_factory.mktemp("scene"), PACKAGE)
 
 
 @pytest.fixture(scope="module")
 def stage(package):
-    with SceneRenderer() as stage:
-        stage.load(package, hashlib.sha256(PACKAGE).hexdigest())
-        yield stage
+    with loaded_renderer(package) as renderer:
+        yield renderer
 
 
 def _job(split: Split, attempt: int = 1) -> Job:
@@ -65,11 +61,7 @@ def _job(split: Split, attempt: int = 1) -> Job:
 
 def _episode(stage: SceneRenderer, split: Split) -> BundleReader:
     """Returns the first successful attempt."""
-    for attempt in range(1, 8):
-        file = io.BytesIO()
-        if isinstance(run_attempt(_job(split, attempt), stage, file, "host-1", lambda _: None), Success):
-            return BundleReader(file)
-    raise AssertionError("no attempt succeeds")
+    return first_success((_job(split, attempt) for attempt in range(1, 8)), stage)[1]
 
 
 def _said(bundle: BundleReader) -> Instruction:

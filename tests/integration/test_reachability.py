@@ -15,7 +15,7 @@ from coordinator.protocol.ask import ask_progress
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.cli.common.admission import find_hosts
+from factory.commands.common.admission import find_hosts
 from factory.keys import admit
 from schemas.errors import TransientError, WorldError
 from schemas.protocol.address_file import ADDRESS_FILE, find_endpoints, read_address, usable_endpoints, write_address

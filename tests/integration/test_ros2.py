@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
 from factory.export.execution.run import ExportOrder, run_export
-from factory.export.mcap.exporter import START_TIME_S, McapOptions
 from factory.export.mcap.ros2_cdr import encode
 from factory.export.mcap.ros2_messages import LATCHED, ROS2_TOPICS
+from factory.export.options import START_TIME_S, McapOptions
 from factory.export.registry import find_exporter
 from schemas.config import CameraConfig
 from schemas.errors import UsageError

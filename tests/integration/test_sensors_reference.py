@@ -18,7 +18,7 @@ import pybullet
 import pytest
 from numpy.typing import NDArray
 
-from factory.scenes import build_scene as build_package
+from factory.scenes.build import build_scene as build_package
 from schemas.config import CameraConfig, RobotConfig
 from schemas.rig.file import load_rig
 from schemas.rig.motion import WheelOdometry

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -16,7 +15,6 @@ from coordinator.options import CoordinatorOptions
 from coordinator.recovery.join_shards import JoinReport, JoinTarget, join_shards, require_joinable
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.validation.validator import Validator
 from factory.dataset.site import Site, site_of
 from factory.runs.ledger import progress_of
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
@@ -26,6 +24,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.storage.place import Place
 from schemas.terms import FailReason, Recording
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 EPISODES, COUNT, FAILING = 12, 3, 5
@@ -33,23 +32,7 @@ PLAN = room_plan(EPISODES, Recording.STATES)
 SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, transport_lease_s=2.0)
 
 
-class Shared:
-    """One sandboxed child for all tests, because starting one takes longer than most tests."""
-
-    def __init__(self, validator: Validator) -> None:
-        self.check, self.check_all = validator.check, validator.check_all
-
-    def close(self) -> None:
-        """Keeps the shared child open."""
-
-
-@pytest.fixture(scope="module")
-def checker() -> Iterator[Shared]:
-    with Validator() as validator:
-        yield Shared(validator)
-
-
-def generate(site: Site, folder: Path, checker: Shared, shard: RunShard | None, most: int = EPISODES) -> None:
+def generate(site: Site, folder: Path, checker: SharedValidator, shard: RunShard | None, most: int = EPISODES) -> None:
     """Generates up to `most` episodes of a shard; the first attempt at `FAILING` fails."""
     options = CoordinatorOptions(
         listen=("tcp/127.0.0.1:0",), settings=SETTINGS, checker=checker, shard=shard, store=site.store
@@ -75,7 +58,7 @@ def generate(site: Site, folder: Path, checker: Shared, shard: RunShard | None, 
         recorder.finish(progress)
 
 
-def join(out: Path, folder: Path, checker: Shared, *sources: Place) -> JoinReport:
+def join(out: Path, folder: Path, checker: SharedValidator, *sources: Place) -> JoinReport:
     found = [one for source in sources for one in find_shards(source)]
     require_joinable(found, PLAN, partial=False)
     target = JoinTarget(out, out, f"sqlite:///{out}/ledger.db", PLAN, room_catalog(folder))
@@ -87,7 +70,7 @@ def shard_site(folder: Path, number: int) -> Site:
 
 
 @pytest.fixture(scope="module")
-def shards(tmp_path_factory: pytest.TempPathFactory, checker: Shared) -> Path:
+def shards(tmp_path_factory: pytest.TempPathFactory, checker: SharedValidator) -> Path:
     """Three finished shards; the first is interrupted and resumed, the second has a failed attempt."""
     folder = tmp_path_factory.mktemp("run")
     for number in range(1, COUNT + 1):

@@ -10,7 +10,7 @@ import pytest
 
 from coordinator.recovery.repair_dataset import repair
 from coordinator.validation.validator import Validator
-from factory.cli.farm.submit import _copy_scenes
+from factory.commands.farm.submit import _copy_scenes
 from factory.dataset.packages import ScenePackage, find_package_file
 from factory.push.files import plan_push
 from factory.relabel.run import relabel

@@ -10,11 +10,15 @@ import secrets
 import shutil
 import socket
 import subprocess
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+import pytest
 
 from tests.builders.ports import free_endpoint
 
@@ -60,6 +64,16 @@ def why_no_slurm() -> str:
     if missing:
         return f"{', '.join(missing)} is not installed; on Debian: apt-get install slurm-wlm munge"
     return "" if os.geteuid() == 0 else "slurmd needs root, e.g. in a container"
+
+
+@contextmanager
+def running_cluster() -> Iterator[SlurmCluster]:
+    """Yields a cluster in a temporary folder; fails the test if none can be started here."""
+    reason = why_no_slurm()
+    if reason:
+        pytest.fail(reason)
+    with tempfile.TemporaryDirectory(prefix="slurm-") as folder, SlurmCluster(Path(folder)) as started:
+        yield started
 
 
 class SlurmCluster:

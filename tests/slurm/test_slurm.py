@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import pytest
 
 from factory.submit.slurm import SlurmJob, write_scripts
 from schemas.dataset.meta import read_dataset_meta
-from tests.slurm.cluster import SlurmCluster, why_no_slurm
+from tests.slurm.cluster import SlurmCluster, running_cluster
 
 pytestmark = pytest.mark.timeout(4_000)
 
@@ -32,10 +31,7 @@ while [ ! -e {folder}/finish ]; do sleep 0.1; done
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[SlurmCluster]:
-    reason = why_no_slurm()
-    if reason:
-        pytest.fail(reason)
-    with tempfile.TemporaryDirectory(prefix="slurm-") as folder, SlurmCluster(Path(folder)) as started:
+    with running_cluster() as started:
         yield started
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import TaskConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from workers.render import Window
 
 _BYTE_SUM_ROWS = 255

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Floats
 

@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, get_args
 
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import require_package
 from schemas.support.stage_timer import StageTimer, no_stage_timer

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Camera, CameraOutput
 from schemas.scene import CompiledScene, encode_scene
@@ -21,7 +21,7 @@ from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedFrame
 from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.process_link import RenderingProcess
-from workers.render.process_wire import MAX_SIZE_PX, RequestKind
+from workers.render.process_wire import RequestKind
 
 
 class ProcessRenderer(Closing):

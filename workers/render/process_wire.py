@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from schemas.base import Model
 from schemas.config import CameraConfig
+from schemas.encoding.image_sizes import MAX_SIZE_PX
 from schemas.rig.cameras import MAX_PIXELS
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedFrame
 
-MAX_SIZE_PX = 2048
-"""Largest width and height of a frame, pixels."""
 _PIXELS = max(MAX_SIZE_PX * MAX_SIZE_PX, MAX_PIXELS)
 _DEPTH_AT, _NORMALS_AT, _IDS_AT, _RGB_AT = 0, 4 * _PIXELS, 16 * _PIXELS, 18 * _PIXELS
 _BYTES = 21 * _PIXELS

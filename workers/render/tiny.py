@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Camera
 from schemas.scene import CompiledScene, Layer

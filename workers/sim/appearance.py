@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.appearance import Appearance, CameraChange, DrawnAppearance
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.scene import Instance

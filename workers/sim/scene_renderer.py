@@ -56,7 +56,7 @@ class LoadedScene:
     @functools.cached_property
     def language(self) -> SceneLanguage:
         """Objects of the scene that instructions name."""
-        from schemas.language.graph import build_graph
+        from schemas.language.graph.scene_graph import build_graph
         from schemas.language.scene import SceneLanguage
 
         return SceneLanguage(build_graph(self.scene))

@@ -1,1 +1,1 @@
-"""Parts that several commands share: options, output, progress bars."""
+"""Parts that several commands share: options, types of values, and groups."""

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
 import click
 from click.shell_completion import CompletionItem
 
-from coordinator.expansion.builtin import BUILTIN_PLANS
-from coordinator.expansion.cells import empty_splits
-from coordinator.expansion.file import shrink
-from coordinator.settings import MAX_PULLERS, pullers_for
+from coordinator.defaults import MAX_PULLERS, pullers_for
 from factory.cli.common.filters import scene_filter
 from factory.cli.common.places import DIRECTORY, PLACE, SITE
-from schemas.appearance.file import BUILTIN_APPEARANCES, NO_APPEARANCE
-from schemas.plan import Plan
-from schemas.rig.file import BUILTIN_RIGS, load_rig
+from schemas.builtin import BUILTIN_APPEARANCES, BUILTIN_PLAN_NAMES, BUILTIN_RIGS, NO_APPEARANCE
 from schemas.terms import ExpertName, Recording, RendererKind
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -39,7 +34,7 @@ def plan_argument(default: str | None) -> Callable[[Command], Command]:
 
 
 def _complete_plan(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
-    names = [CompletionItem(name) for name in BUILTIN_PLANS if name.startswith(word)]
+    names = [CompletionItem(name) for name in BUILTIN_PLAN_NAMES if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
 
 
@@ -102,28 +97,6 @@ def shrink_options(command: Command) -> Command:
     return command
 
 
-def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
-    """Applies the shrink options to a plan."""
-    expert = changes.get("expert")
-    return shrink(
-        plan,
-        scenes=changes.get("scenes") or (),
-        episodes=changes.get("episodes"),
-        expert=ExpertName(expert) if expert else None,
-        seed=changes.get("seed"),
-        record=Recording(changes["record"]) if changes.get("record") else None,
-        rig=load_rig(changes["rig"], control_hz=None) if changes.get("rig") else None,
-        appearance=changes.get("appearance"),
-    )
-
-
-def warn_of_empty_splits(plan: Plan) -> None:
-    """Prints on stderr which splits have no episodes because the plan has too few."""
-    empty = empty_splits(plan)
-    if empty:
-        click.echo(f"note: {plan.episodes} episodes are too few; splits without episodes: {', '.join(empty)}", err=True)
-
-
 dataset_argument = click.argument("root", metavar="DIR", type=DIRECTORY)
 """DIR: a dataset directory."""
 
@@ -175,6 +148,9 @@ expert_option = click.option(
     "--expert", type=click.Choice([str(name) for name in ExpertName]), help="Expert controller. Default: the plan's."
 )
 """`--expert NAME`: replaces the plan's expert."""
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+"""`--json`: prints the result as JSON."""
 
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log all events. Default: warnings only.")
 """`--verbose`."""

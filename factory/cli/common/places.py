@@ -1,19 +1,18 @@
-"""Dataset arguments: a directory, or a URL for commands that support object storage; episode arguments: `ep_000012`."""
+"""Types of arguments and options: a dataset directory, a URL of object storage, a run, a shard. Opens no dataset."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from factory.dataset.site import Site, site_of
-from schemas.dataset.run_shard import RunShard, parse_shard
-from schemas.errors import UsageError
-from schemas.storage.episode_list import list_episodes
-from schemas.storage.place import FilePlace, Place, place_of
-from schemas.storage.shard_index import episode_place
+from factory.dataset.site import Site, dataset_directory, site_of
+from schemas.storage.place import Place, place_of
+
+if TYPE_CHECKING:
+    from schemas.dataset.run_shard import RunShard
 
 
 def _folders(word: str) -> list[CompletionItem]:
@@ -48,20 +47,15 @@ class _DirectoryType(click.ParamType[Path]):
         return _folders(incomplete)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:  # noqa: ARG002
-        place = place_of(value)
-        if isinstance(place, Path):
-            return place
-        command = f"`{ctx.command_path}`" if ctx is not None else "this command"
-        raise UsageError(
-            f"{command} supports dataset directories only, not {place}: copy the dataset to a local directory first, "
-            "for example with `aws s3 sync` or `rclone copy`"
-        )
+        return dataset_directory(value, "this command" if ctx is None else f"`{ctx.command_path}`")
 
 
-class _ShardType(click.ParamType[RunShard]):
+class _ShardType(click.ParamType):  # type: ignore[type-arg]  # its type is imported only to convert a value
     name = "shard"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> RunShard:  # noqa: ARG002
+        from schemas.dataset.run_shard import RunShard, parse_shard
+
         return value if isinstance(value, RunShard) else parse_shard(value)
 
 
@@ -73,36 +67,3 @@ PLACE = _PlaceType()
 """A dataset to read."""
 DIRECTORY = _DirectoryType()
 """A dataset in a local directory."""
-
-
-def episode_index(name: str) -> int:
-    """Returns the number of an episode from its name.
-
-    Raises:
-        UsageError: `name` is neither an episode number nor an episode name.
-    """
-    digits = name.removeprefix("ep_").removesuffix(".zip")
-    if not digits.isascii() or not digits.isdigit() or int(digits) < 1:
-        raise UsageError(f"{name!r} is not a valid episode name; examples: ep_000012, 12")
-    return int(digits)
-
-
-def episode_path(root: Place, name: str) -> FilePlace:
-    """Returns the path of an episode's bundle in a dataset.
-
-    Raises:
-        UsageError: the directory or the episode does not exist.
-    """
-    folder = root / "episodes"
-    if not folder.is_dir():
-        raise UsageError(
-            f"{root} is not a dataset: episodes/ is missing; create a dataset with `factory run demo --out {root}`"
-        )
-    path = episode_place(root, episode_index(name))
-    if not path.is_file():
-        count = len(list_episodes(root).episodes)
-        raise UsageError(
-            f"{path.stem} does not exist in {root}, which has {count} episodes; list them with "
-            f"`factory jobs list {root}`"
-        )
-    return path

@@ -1,16 +1,14 @@
-"""`factory eval compare`: paired comparison of two policies on the same episodes."""
+"""Declares `factory eval compare`: arguments, options and help."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from factory.cli.common.output import json_option, print_result
-from factory.cli.eval.tables import print_comparison
+from factory.cli.common.options import json_option
 from factory.eval.models.result import Variant
-from factory.eval.results.compare import compare
-from factory.eval.results.store import read_policy_folder
 
 _RESULTS = click.Path(path_type=Path)
 
@@ -26,13 +24,12 @@ _RESULTS = click.Path(path_type=Path)
     help="Instruction variant to compare.",
 )
 @json_option
-def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
+def command(**options: Any) -> int:
     """Compare two policies on the episodes that both have run.
 
     A and B are folders OUT/policies/NAME of `factory eval -o OUT`, e.g. OUT/policies/bc:bc, or OUT if it contains one
     policy.
     """
-    (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
-    found = compare(ones, others, Variant(variant))
-    print_result(found, as_json, print_comparison)
-    return 0
+    from factory.commands.eval.compare import execute
+
+    return execute(**options)

@@ -1,18 +1,15 @@
-"""`factory keys`: creates a certificate authority and the certificates of hosts, and admits and revokes hosts."""
+"""Declares `factory keys`: arguments, options and help."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import count_option
-from factory.cli.common.output import json_option, print_json, print_table
-from factory.keys import HostKeys, admit, create_authority, list_hosts, revoke
+from factory.cli.common.options import count_option, json_option
 from schemas.protocol.identity import Role
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -45,16 +42,14 @@ def command() -> None:
 )
 @_days_option(3650)
 @json_option
-def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
+def ca(**options: Any) -> None:
     """Create a certificate authority.
 
     DIR is the directory to create. Keep DIR/ca.key secret.
     """
-    create_authority(folder, name, days, datetime.now(UTC))
-    if as_json:
-        print_json({"authority": str(folder), "key": str(folder / "ca.key"), "certificate": str(folder / "ca.pem")})
-    else:
-        click.echo(f"authority in {folder}; next: factory keys host {folder} NAME --role coordinator --address ADDRESS")
+    from factory.commands.farm.keys import ca
+
+    ca(**options)
 
 
 @command.command("host")
@@ -77,53 +72,39 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
 @_days_option(365)
 @click.option("--renew", is_flag=True, help="Replace the existing certificate of this host.")
 @json_option
-def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int, renew: bool, as_json: bool) -> None:
+def host(**options: Any) -> None:
     """Create the TLS folder of a host and admit the host.
 
     DIR is the directory of the authority. NAME is the host's name; the folder is DIR/NAME.
     """
-    place = admit(folder, name, Role(role), address, days, datetime.now(UTC), renew=renew)
-    if as_json:
-        print_json({"host": name, "role": role, "folder": str(place)})
-    else:
-        click.echo(f"{role} {name}: copy {place} to the host and pass the folder with --tls")
+    from factory.commands.farm.keys import host
+
+    host(**options)
 
 
 @command.command("revoke")
 @_folder_argument
 @click.argument("name")
 @json_option
-def revoke_(folder: Path, name: str, as_json: bool) -> None:
+def revoke_(**options: Any) -> None:
     """Revoke the admission of a host.
 
     DIR is the directory of the authority. Updates the list of admitted hosts in the TLS folders of coordinators and
     gateways below DIR; they apply it within seconds. Copy the list to those on other machines.
     """
-    lists = [str(path) for path in revoke(folder, name)]
-    if as_json:
-        print_json({"revoked": name, "lists": lists})
-    else:
-        click.echo(
-            f"{name} is revoked; copy the updated lists to coordinators and gateways on other machines: "
-            f"{', '.join(lists) or 'none'}"
-        )
+    from factory.commands.farm.keys import revoke_
+
+    revoke_(**options)
 
 
 @command.command("list")
 @_folder_argument
 @json_option
-def list_(folder: Path, as_json: bool) -> None:
+def list_(**options: Any) -> None:
     """List the hosts that have certificates.
 
     DIR is the directory of the authority.
     """
-    hosts = list_hosts(folder)
-    if as_json:
-        print_json([_plain(keys) for keys in hosts])
-        return
-    rows = [(k.name, k.role, "yes" if k.admitted else "no", f"{k.expires:%Y-%m-%d}", k.folder) for k in hosts]
-    print_table("", ("host", "role", "admitted", "expires", "folder"), rows)
+    from factory.commands.farm.keys import list_
 
-
-def _plain(keys: HostKeys) -> dict[str, Any]:
-    return keys._asdict() | {"expires": keys.expires.isoformat(), "folder": str(keys.folder)}
+    list_(**options)

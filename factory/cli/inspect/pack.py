@@ -1,38 +1,23 @@
-"""`factory pack`: packs the episodes of a states dataset into shards."""
+"""Declares `factory pack`: arguments, options and help."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from coordinator.archive.opening import open_archive
-from coordinator.packing import pack_all
-from factory.cli.common.options import site_argument
-from factory.cli.common.output import json_option, print_json
-from factory.dataset.reader import Dataset
-from factory.dataset.site import Site
-from factory.support.logs import configure_logs
-from schemas.errors import UsageError
-from schemas.terms import Recording
+from factory.cli.common.options import json_option, site_argument
 
 
 @click.command("pack")
 @site_argument
 @json_option
-def command(site: Site, as_json: bool) -> None:
+def command(**options: Any) -> None:
     """Pack the episodes of a states dataset into shards.
 
     A shard contains the episodes of 1,000 numbers in one file. Runs of more than 1,000 episodes pack automatically.
     Stop the coordinator of the dataset first. Files that differ from the tables remain as they are.
     """
-    configure_logs()
-    dataset = Dataset(site.place)
-    if dataset.meta.plan.record is not Recording.STATES:
-        raise UsageError(f"{site} stores frames; only datasets of `factory run --record states` are packed")
-    rows = dataset.metadata.select(["index", "file_sha256"]).to_pydict()
-    with open_archive(site.state_dir, site.store) as archive:
-        packed = pack_all(archive, dict(zip(rows["index"], rows["file_sha256"], strict=True)))
-        shards, files = len(archive.shards()), len(archive.unpacked())
-    if as_json:
-        print_json({"dataset": str(site), "packed": packed, "shards": shards, "files": files})
-    else:
-        click.echo(f"{site}: {packed} episodes packed; {shards} shards and {files} single episode files")
+    from factory.commands.inspect.pack import execute
+
+    execute(**options)

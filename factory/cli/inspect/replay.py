@@ -1,19 +1,12 @@
-"""`factory replay`: simulates an archived episode again and compares the digests."""
+"""Declares `factory replay`: arguments, options and help."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from typing import Any
 
 import click
 
-from factory.cli.common.bars import one_bar
-from factory.cli.common.options import place_argument, renderer_option
-from factory.cli.common.output import json_option, print_json
-from factory.cli.common.places import episode_path
-from factory.runs.replay import Replay, replay_episode
-from factory.support.logs import configure_logs
-from schemas.storage.place import Place
-from schemas.terms import RendererKind
+from factory.cli.common.options import json_option, place_argument, renderer_option
 
 
 @click.command("replay")
@@ -21,29 +14,11 @@ from schemas.terms import RendererKind
 @click.argument("episode")
 @renderer_option
 @json_option
-def command(root: Place, episode: str, renderer: RendererKind, as_json: bool) -> int:
+def command(**options: Any) -> int:
     """Simulate one episode again and compare its content.
 
     EPISODE is a name or number: ep_000001 or 1. Exits with 1 if the content differs.
     """
-    configure_logs()
-    path = episode_path(root, episode)
-    with one_bar(f"replaying {path.stem}") as tell:
-        outcome = replay_episode(root, path, renderer, tell)
-    if as_json:
-        print_json({**asdict(outcome), "identical": outcome.is_identical})
-    else:
-        _print(outcome)
-    return 0 if outcome.is_identical else 1
+    from factory.commands.inspect.replay import execute
 
-
-def _print(outcome: Replay) -> None:
-    if outcome.is_identical:
-        click.echo(f"{outcome.episode_id}: identical, {outcome.steps} steps, digest {outcome.archived_digest}")
-    else:
-        click.echo(f"{outcome.episode_id}: differs")
-        click.echo(f"  archived {outcome.archived_digest}\n  replayed {outcome.replayed_digest}")
-        for name, distance in outcome.differences.items():
-            click.echo(f"  {name}: largest difference {distance:g}")
-    for name, (then, now) in outcome.fingerprint_changes.items():
-        click.echo(f"  {name}: {then} when archived, {now} on this machine")
+    return execute(**options)

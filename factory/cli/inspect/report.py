@@ -1,20 +1,12 @@
-"""`factory report`: writes the figures of the paper for a dataset and one HTML page that works offline."""
+"""Declares `factory report`: arguments, options and help."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from factory.cli.common.bars import Bars
-from factory.cli.common.options import compare_option, place_argument, write_option
-from factory.cli.common.output import json_option, print_json
-from factory.support.logs import configure_logs
-from schemas.storage.place import Place
-
-if TYPE_CHECKING:
-    from factory.report import Summary
+from factory.cli.common.options import compare_option, json_option, place_argument, write_option
 
 
 @click.command("report")
@@ -23,33 +15,12 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Allow a folder that contains other files; they are kept.")
 @compare_option
 @json_option
-def command(root: Place, out: Path, force: bool, compare_paper: bool | None, as_json: bool) -> int:
+def command(**options: Any) -> int:
     """Write an HTML report with figures of a dataset.
 
     Writes report.html and figures/ to --out; the page works offline. Exits with 1 if damaged episodes were skipped; the
     page lists them.
     """
-    configure_logs()
-    summary = _make(root, out, force, compare_paper)
-    if as_json:
-        print_json({"page": str(out / "report.html"), **summary.model_dump(mode="json")})
-    else:
-        figures = sum(name.endswith(".svg") for name in summary.files)
-        click.echo(f"{out / 'report.html'}: {summary.episodes} of {summary.planned} episodes, {figures} figures")
-    for remark in summary.remarks:
-        click.echo(f"{'damage' if remark.is_damage else 'note'}: {remark.file}: {remark.text}", err=True)
-    return 1 if any(remark.is_damage for remark in summary.remarks) else 0
+    from factory.commands.inspect.report import execute
 
-
-def _make(root: Place, out: Path, force: bool, compare_paper: bool | None) -> Summary:
-    from factory.report import make_report  # importing matplotlib takes half a second, and it may not be installed
-
-    with Bars() as bar:
-        tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}
-        return make_report(
-            root,
-            out,
-            force,
-            lambda what, done, total: bar.update(tasks[what], completed=done, total=total),
-            compare_paper,
-        )
+    return execute(**options)

@@ -1,19 +1,14 @@
-"""`factory serve`: serves the web page of a dataset and its run."""
+"""Declares `factory serve`: arguments, options and help."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from factory.cli.common.http import evaluations_option, read_token
+from factory.cli.common.http import evaluations_option
 from factory.cli.common.options import ledger_option, site_argument, tls_option, verbose_option
-from factory.dataset.site import Site
-from factory.support.logs import configure_logs
-from schemas.errors import UsageError
-from schemas.storage.dataset_files import EPISODES, is_dataset
-from schemas.support.extras import require_package
-from workers.client.stopping import stop_on_signals
 
 _DEFAULT = "127.0.0.1:8080"
 
@@ -39,31 +34,12 @@ _DEFAULT = "127.0.0.1:8080"
 @tls_option
 @ledger_option
 @verbose_option
-def command(
-    site: Site,
-    http: str,
-    http_token: Path | None,
-    evaluations: tuple[Path, ...],
-    tls: Path | None,
-    ledger: str | None,
-    verbose: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Serve the web page of a dataset and its run.
 
     Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished
     dataset. The printed URL contains the token, with which flags, notes and jobs can be changed.
     """
-    configure_logs(verbose)
-    for package in ("starlette", "uvicorn", "sqlalchemy"):
-        require_package(package, "`factory serve`")
-    if not (is_dataset(site.state_dir) or (site.place / EPISODES).is_dir()):
-        raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
-    from factory.eval.results.store import read_manifest
-    from factory.web.start import serve  # its packages are an extra
+    from factory.commands.inspect.serve import execute
 
-    for folder in evaluations:
-        read_manifest(folder)  # raises before the server starts
-    token = read_token(http_token) if http_token is not None else None
-    with serve(site, http, token, tls, ledger, evaluations=evaluations) as url, stop_on_signals() as (stop, _):
-        click.echo(f"web page of {site}: {url}")
-        stop.wait()
+    execute(**options)

@@ -1,24 +1,13 @@
-"""`factory bench dataset`: generates and measures a large dataset of states."""
+"""Declares `factory bench dataset`: arguments, options and help."""
 
 from __future__ import annotations
 
-import tempfile
-import time
 from pathlib import Path
+from typing import Any
 
 import click
 
-from coordinator.expansion.file import load_plan
-from factory.bench.dataset import bench_dataset
-from factory.bench.sample import enlarge, make_sample, narrow
-from factory.bench.synthetic import make_synthetic
-from factory.cli.common.bars import Bars
-from factory.cli.common.options import count_option, shrunk_plan
-from factory.cli.common.output import json_option, print_result
-from factory.cli.other.bench_tables import show_dataset
-from factory.runs.catalog import open_catalog
-from factory.support.settings import scene_cache
-from workers.sim.scene_renderer import SceneRenderer
+from factory.cli.common.options import count_option, json_option
 
 
 @click.command("dataset")
@@ -32,23 +21,12 @@ from workers.sim.scene_renderer import SceneRenderer
     help="New directory in which the dataset is kept. Default: the dataset is deleted.",
 )
 @json_option
-def dataset(episodes: int, reads: int, out: Path | None, as_json: bool) -> None:
+def dataset(**options: Any) -> None:
     """Measure a large dataset of states.
 
     Generates a dataset from a few simulated episodes, then measures opening, filtering, random access, verification,
     status and checkpoints.
     """
-    sample_plan = shrunk_plan(narrow(load_plan("demo"), (), 2), {"record": "states"})
-    plan = shrunk_plan(enlarge(load_plan("paper"), episodes), {"record": "states", "episodes": episodes})
-    with tempfile.TemporaryDirectory(prefix="bench-") as name, Bars(refresh_per_second=1) as bar:
-        folder = Path(name)
-        catalog = open_catalog(sample_plan, folder, scene_cache())
-        with SceneRenderer() as stage:
-            task = bar.add_task("bench sample", total=sample_plan.episodes)
-            samples = make_sample(folder / "sample", sample_plan, catalog, stage, lambda: bar.advance(task))
-        task = bar.add_task("bench dataset", total=episodes)
-        start_s = time.perf_counter()
-        data = folder / "data" if out is None else out
-        make_synthetic(data, plan, catalog, samples, lambda count: bar.advance(task, count))
-        report = bench_dataset(data, reads, time.perf_counter() - start_s)
-    print_result(report, as_json, show_dataset)
+    from factory.commands.other.bench_dataset import dataset
+
+    dataset(**options)

@@ -1,22 +1,12 @@
-"""`factory bench delivery`: measures how many valid bundles a coordinator archives."""
+"""Declares `factory bench delivery`: arguments, options and help."""
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
+from typing import Any
 
 import click
 
-from coordinator.expansion.file import load_plan
-from factory.bench.delivery import bench_delivery
-from factory.bench.delivery_model import DeliveryBench
-from factory.bench.sample import make_sample, narrow
-from factory.cli.common.bars import Bars
-from factory.cli.common.options import count_option, pullers_option, record_option, shrunk_plan
-from factory.cli.common.output import json_option, print_result, print_table
-from factory.runs.catalog import open_catalog
-from factory.support.settings import scene_cache
-from workers.sim.scene_renderer import SceneRenderer
+from factory.cli.common.options import count_option, json_option, pullers_option, record_option
 
 
 @click.command("delivery")
@@ -35,49 +25,12 @@ from workers.sim.scene_renderer import SceneRenderer
 )
 @record_option
 @json_option
-def delivery(episodes: int, workers: int, pullers: int, spot_checks: float, record: str | None, as_json: bool) -> None:
+def delivery(**options: Any) -> None:
     """Measure how many valid bundles a coordinator archives.
 
     Simulated workers deliver copies of two recorded episodes over the network, with central validation and with spot
     checks of bundles that the workers have validated.
     """
-    plan = shrunk_plan(narrow(load_plan("demo"), ("office",), 2), {"record": record})
-    with tempfile.TemporaryDirectory(prefix="bench-") as name, Bars(refresh_per_second=1) as bar:
-        folder = Path(name)
-        catalog = open_catalog(plan, folder, scene_cache())
-        task = bar.add_task("bench delivery", total=plan.episodes + 2)
+    from factory.commands.other.bench_delivery import delivery
 
-        def tell() -> None:
-            bar.advance(task)
-
-        with SceneRenderer() as stage:
-            samples = make_sample(folder / "sample", plan, catalog, stage, tell)
-        report = bench_delivery(
-            plan,
-            catalog,
-            samples,
-            folder,
-            episodes=episodes,
-            workers=workers,
-            pullers=pullers,
-            shares=(None, spot_checks),
-            tell=tell,
-        )
-    print_result(report, as_json, _show)
-
-
-def _show(report: DeliveryBench) -> None:
-    title = (
-        f"{report.episodes} {report.record} episodes of {report.mb_per_episode:.2f} MB, {report.frames} steps, "
-        f"{report.workers} simulated workers"
-    )
-    rows = [
-        (
-            *("all" if pace.spot_checks is None else f"{pace.spot_checks:g}", pace.pullers),
-            *(f"{pace.frames_per_cpu_s:.0f}", f"{pace.episodes_per_cpu_s:.1f}"),
-            *(f"{pace.frames_per_s:.0f}", f"{pace.episodes_per_s:.1f}"),
-        )
-        for pace in report.paces
-    ]
-    columns = ("validated", "pullers", "frames/CPU s", "episodes/CPU s", "frames/s", "episodes/s")
-    print_table(title, columns, rows)
+    delivery(**options)

@@ -1,15 +1,12 @@
-"""`factory bench serve`: measures the web page of a dataset."""
+"""Declares `factory bench serve`: arguments, options and help."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from factory.bench.serve import bench_serve
-from factory.cli.common.options import count_option, number_option, place_argument
-from factory.cli.common.output import json_option, print_result
-from factory.cli.other.bench_tables import show_serve
-from schemas.storage.place import Place
-from schemas.support.extras import require_package
+from factory.cli.common.options import count_option, json_option, number_option, place_argument
 
 
 @click.command("serve")
@@ -18,10 +15,11 @@ from schemas.support.extras import require_package
 @count_option("--tabs", 100, "Number of open farm pages.", most=300)
 @number_option("SECONDS", "--seconds", 60.0, "Time for which the tabs are open, seconds.", least=1.0)
 @json_option
-def serve(root: Place, repeats: int, tabs: int, seconds: float, as_json: bool) -> None:
+def serve(**options: Any) -> None:
     """Measure the web page of a dataset, which may be running.
 
     Starts `factory serve` and measures its pages, frames and playback, and its CPU time with and without open tabs.
     """
-    require_package("starlette", "`factory bench serve`")
-    print_result(bench_serve(root, repeats, tabs, seconds), as_json, show_serve)
+    from factory.commands.other.bench_serve import serve
+
+    serve(**options)

@@ -1,4 +1,4 @@
-"""`factory completion`: prints the completion script of a shell on stdout."""
+"""Declares `factory completion`: arguments, options and help."""
 
 from __future__ import annotations
 

@@ -1,19 +1,12 @@
-"""`factory push`: uploads a dataset or an export to the Hugging Face Hub."""
+"""Declares `factory push`: arguments, options and help."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import click
-from rich.progress import DownloadColumn, TimeRemainingColumn
 
-from factory.cli.common.bars import Bars, one_bar
-from factory.cli.common.options import dataset_argument
-from factory.cli.common.output import json_option, print_json, print_table
-from factory.export.execution.manifest import MANIFEST_FILE
-from factory.push import PushPlan, plan_push, push
-from factory.push.files import batches_of, require_repository
-from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
+from factory.cli.common.options import dataset_argument, json_option
 
 
 @click.command("push")
@@ -29,68 +22,13 @@ from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
 )
 @click.option("--dry-run", is_flag=True, help="Print what would be uploaded, without network access.")
 @json_option
-def command(
-    root: Path, repository: str, private: bool, endpoint: str | None, thumbnails: bool, dry_run: bool, as_json: bool
-) -> None:
+def command(**options: Any) -> None:
     """Upload a dataset or an export to the Hugging Face Hub.
 
     DIR is a dataset or the output of `factory export`. OWNER/NAME is a dataset repository.
     Log in with `hf auth login`, or set HF_TOKEN to a token with write access.
     The same command continues an interrupted upload.
     """
-    require_repository(repository)
-    if lacks_thumbnails(root):
-        if thumbnails and not dry_run:
-            with one_bar("rendering thumbnails") as tell:
-                render_thumbnails(root, tell)
-        else:
-            click.echo("note: the dataset has no thumbnails for the Hub's viewer; --thumbnails renders them", err=True)
-    plan = plan_push(root, MANIFEST_FILE)
-    for remark in plan.remarks:
-        click.echo(f"note: {remark}", err=True)
-    if dry_run:
-        _show_plan(plan, repository, as_json)
-        return
-    click.echo(f"uploading {len(plan.files)} files, {_say_bytes(plan.total_bytes)}, to {repository}", err=True)
-    with Bars(DownloadColumn(), TimeRemainingColumn()) as progress:
-        task = progress.add_task(repository, total=plan.total_bytes)
-        result = push(plan, repository, endpoint, private, lambda _, size: progress.advance(task, size))
-    if as_json:
-        print_json(result._asdict())
-        return
-    tagged = f", tagged {result.tag}" if result.tag else ""
-    click.echo(f"{result.url}: {result.files} files, {_say_bytes(result.total_bytes)}{tagged}")
+    from factory.commands.publish.push import execute
 
-
-def _show_plan(plan: PushPlan, repository: str, as_json: bool) -> None:
-    folders: dict[str, list[int]] = {}
-    for file in plan.files:
-        folders.setdefault(file.name.rpartition("/")[0] or ".", []).append(file.size)
-    commits = len(list(batches_of(plan.files)))
-    if as_json:
-        print_json(
-            {
-                "repository": repository,
-                "kind": plan.kind,
-                "files": len(plan.files),
-                "total_bytes": plan.total_bytes,
-                "commits": commits,
-                "tag": plan.tag,
-                "folders": {name: {"files": len(sizes), "bytes": sum(sizes)} for name, sizes in folders.items()},
-                "remarks": list(plan.remarks),
-            }
-        )
-        return
-    rows = [(name, len(sizes), _say_bytes(sum(sizes))) for name, sizes in folders.items()]
-    print_table(f"{plan.kind} {plan.root} to {repository}", ("folder", "files", "size"), rows)
-    tagged = f", tag {plan.tag}" if plan.tag else ""
-    click.echo(
-        f"{len(plan.files)} files, {_say_bytes(plan.total_bytes)}, {commits} commits{tagged}; nothing was uploaded"
-    )
-
-
-def _say_bytes(count: int) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count >= size:
-            return f"{count / size:.1f} {unit}"
-    return f"{count} B"
+    execute(**options)

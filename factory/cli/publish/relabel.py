@@ -1,21 +1,13 @@
-"""`factory relabel`: writes new verified instructions for an existing dataset, without driving."""
+"""Declares `factory relabel`: arguments, options and help."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
+from typing import Any
 
 import click
 
-from factory.cli.common.bars import one_bar
-from factory.cli.common.options import dataset_argument, workers_option, write_option
-from factory.cli.common.output import json_option, print_result, print_table
-from factory.relabel.paraphrase import Endpoint, ParaphraseReport, with_paraphrases
-from factory.relabel.run import RelabelReport, recorded_paraphrases, relabel
-from factory.support.logs import configure_logs
-from schemas.errors import UsageError
-from schemas.language.file import load_language
-from workers.client.stopping import stop_on_signals
+from factory.cli.common.options import dataset_argument, json_option, workers_option, write_option
 
 
 @click.command("relabel")
@@ -48,17 +40,7 @@ from workers.client.stopping import stop_on_signals
 )
 @workers_option("Number of processes")
 @json_option
-def command(
-    root: Path,
-    out: Path,
-    reference: str,
-    url: str | None,
-    model: str | None,
-    cache: Path | None,
-    timeout_s: float,
-    workers: int | None,
-    as_json: bool,
-) -> int:
+def command(**options: Any) -> int:
     """Write new verified instructions for a dataset.
 
     The new dataset has hard links to the episodes of DIR, and one or more new instructions for each. A verifier reads
@@ -68,47 +50,6 @@ def command(
     With --paraphrase, an endpoint rewrites the sentence patterns once. Unusable patterns, and requests
     without an answer, are omitted and counted. The API key is read from MINIVLA_PARAPHRASE_KEY.
     """
-    configure_logs()
-    spec, paraphrases = load_language(reference), None
-    if (url is None) != (model is None):
-        raise UsageError("--paraphrase URL and --model NAME belong together")
-    if url is not None and model is not None:
-        kept = recorded_paraphrases(out, spec)
-        file = cache or Path(f"{reference}.paraphrases.json")
-        spec, paraphrases = (kept, None) if kept else with_paraphrases(spec, Endpoint(url, model, timeout_s), file)
-    with stop_on_signals() as (stop, _), one_bar("episodes") as tell:
-        report = relabel(root, out, spec, os.cpu_count() or 1 if workers is None else workers, tell, stop)
-    if not report.finished:
-        click.echo(
-            f"interrupted after about {report.episodes} episodes; run the same command again to continue", err=True
-        )
-        return 130
-    print_result(report.model_copy(update={"paraphrases": paraphrases}), as_json, _print)
-    return 0
+    from factory.commands.publish.relabel import execute
 
-
-def _print(report: RelabelReport) -> None:
-    click.echo(f"{report.out}: {report.instructions} instructions for {report.episodes} episodes")
-    if report.recorded:
-        click.echo(f"{report.recorded} episodes keep their recorded instruction: no new one fits their target only")
-    numbers = (
-        ("distinct sentences", report.distinct),
-        ("sentence patterns", report.patterns),
-        ("minimal expressions", report.minimal),
-        ("routes", report.routes),
-        ("false premises", report.false_premises),
-        ("questions", report.questions),
-        ("rejected by the verifier", sum(report.rejected.values())),
-    )
-    print_table("", ("measure", "number"), numbers)
-    if report.paraphrases is not None:
-        _print_paraphrases(report.paraphrases)
-    print_table("Languages", ("language", "instructions"), report.languages.items())
-    print_table("Features", ("feature", "instructions"), report.features.items())
-
-
-def _print_paraphrases(found: ParaphraseReport) -> None:
-    click.echo(f"{found.accepted} paraphrased sentence patterns")
-    left_out = [*found.refused.items(), *((f"endpoint: {reason}", count) for reason, count in found.failed.items())]
-    if left_out:
-        print_table("Paraphrases that were not added", ("reason", "number"), left_out)
+    return execute(**options)

@@ -1,18 +1,14 @@
-"""`factory rig`: lists, shows and checks sensor rigs. Renders nothing."""
+"""Declares `factory rig`: arguments, options and help."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import click
-import tomli_w
 
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import complete_rig, count_option
-from factory.cli.common.output import json_option, print_json, print_table, print_text
-from schemas.rig import Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
-from schemas.rig.file import BUILTIN_RIGS, DEFAULT_CONTROL_HZ, load_rig
-from workers.geometry.faces import plan_faces
+from factory.cli.common.options import complete_rig, count_option, json_option
+from schemas.builtin import DEFAULT_CONTROL_HZ
 
 _rig_argument = click.argument("rig", metavar="RIG", shell_complete=complete_rig)
 _control_option = count_option(
@@ -27,13 +23,11 @@ def command() -> None:
 
 @command.command("list")
 @json_option
-def list_(as_json: bool) -> None:
+def list_(**options: Any) -> None:
     """List the built-in rigs."""
-    rigs = [load_rig(name) for name in BUILTIN_RIGS]
-    if as_json:
-        print_json([{"name": rig.name, "summary": rig.summary, "sensors": len(rig.sensors)} for rig in rigs])
-    else:
-        print_table("", ("rig", "sensors", "summary"), [(rig.name, len(rig.sensors), rig.summary) for rig in rigs])
+    from factory.commands.rig.command import list_
+
+    list_(**options)
 
 
 @command.command("show")
@@ -41,63 +35,25 @@ def list_(as_json: bool) -> None:
 @_control_option
 @click.option("--toml", "as_toml", is_flag=True, help="Print the rig as TOML, to edit it.")
 @json_option
-def show(rig: str, control_hz: int, as_toml: bool, as_json: bool) -> None:
+def show(**options: Any) -> None:
     """Show the sensors of a rig.
 
     RIG is a built-in rig (see `factory rig list`) or a TOML file.
     """
-    loaded = load_rig(rig, control_hz)
-    if as_json:
-        print_json(loaded.model_dump(mode="json"))
-        return
-    if as_toml:
-        click.echo(tomli_w.dumps(loaded.model_dump(mode="json", exclude_defaults=True, exclude_none=True)), nl=False)
-        return
-    print_text(f"rig {loaded.name}: {loaded.summary}")
-    columns = ("sensor", "model", "Hz", "resolution", "position in base_link, m", "roll, pitch, yaw, degrees")
-    print_table("", columns, [_row(sensor, control_hz) for sensor in loaded.sensors])
-    if loaded.source:
-        print_text(f"source: {' '.join(loaded.source.split())}")
+    from factory.commands.rig.command import show
+
+    show(**options)
 
 
 @command.command("check")
 @_rig_argument
 @_control_option
 @json_option
-def check(rig: str, control_hz: int, as_json: bool) -> None:
+def check(**options: Any) -> None:
     """Check a rig file, and that its cameras can be rendered.
 
     RIG is a built-in rig or a TOML file. Exits with 2 and lists all mistakes if the rig is not valid.
     """
-    loaded = load_rig(rig, control_hz)
-    plans = {camera.name: plan_faces(camera) for camera in loaded.cameras}
-    rendered: dict[str, Any] = {name: [plan.width, plan.height, len(plan.faces)] for name, plan in plans.items()}
-    if as_json:
-        print_json({"rig": loaded.name, "sensors": len(loaded.sensors), "rendered": rendered})
-        return
-    print_text(f"rig {loaded.name} is valid: {len(loaded.sensors)} sensors")
-    for name, (width, height, faces) in rendered.items():
-        print_text(
-            f"  {name}: rendered as {faces} perspective {'image' if faces == 1 else 'images'}, {width} x {height} px"
-        )
+    from factory.commands.rig.command import check
 
-
-def _row(sensor: Sensor, control_hz: int) -> tuple[object, ...]:
-    rate = f"{sensor.rate_hz or control_hz:g}"
-    if isinstance(sensor, WheelOdometry):
-        return sensor.name, sensor.model, rate, f"{sensor.ticks_per_turn} ticks per turn", None, None
-    mount = sensor.mount
-    position = f"{mount.x_m:g}, {mount.y_m:g}, {mount.z_m:g}"
-    turn = f"{mount.roll_deg:g}, {mount.pitch_deg:g}, {mount.yaw_deg:g}"
-    return sensor.name, sensor.model, rate, _resolution(sensor), position, turn
-
-
-def _resolution(sensor: Sensor) -> str | None:
-    match sensor:
-        case Lidar3d():
-            return f"{len(sensor.elevations_deg)} lines of {sensor.samples} rays"
-        case Lidar2d():
-            return f"{sensor.samples} rays"
-        case Imu() | WheelOdometry():
-            return None
-    return f"{sensor.width} x {sensor.height} px"
+    check(**options)

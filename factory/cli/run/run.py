@@ -1,54 +1,24 @@
-"""`factory run`: generates a dataset with coordinator and workers on this machine; continues interrupted runs."""
+"""Declares `factory run`: arguments, options and help."""
 
 from __future__ import annotations
 
-import os
-import tempfile
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 import click
 
-from coordinator.service import Coordinator
-from coordinator.settings import CoordinatorSettings
-from factory.cli.common.bars import Bars
-from factory.cli.common.begin import begin
-from factory.cli.common.gating import GateMode, gate_option, gate_plans, measure_gate
-from factory.cli.common.http import check_run_evaluations, run_http_options, run_pages
-from factory.cli.common.layout_bar import building_layouts
+from factory.cli.common.gating import gate_option
+from factory.cli.common.http import run_http_options
 from factory.cli.common.options import (
+    json_option,
     ledger_option,
     out_option,
     plan_argument,
     renderer_option,
     shrink_options,
     verbose_option,
-    warn_of_empty_splits,
     workers_option,
 )
-from factory.cli.common.output import json_option, print_building, print_result
 from factory.cli.common.places import PLACE, SHARD
-from factory.cli.common.summary import print_missing, print_summary, summarise
-from factory.dataset.site import Site
-from factory.runs.catalog import open_catalog, scenes_before_run
-from factory.runs.local import LocalRun, run_locally
-from factory.runs.ray_engine import RayCluster
-from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
-from factory.support.logs import configure_logs
-from factory.support.settings import scene_cache
-from factory.support.text import format_duration
-from schemas.dataset.run_shard import RunShard
-from schemas.errors import UsageError
-from schemas.plan import Plan
-from schemas.protocol.status import Progress
-from schemas.storage.place import Place
-from schemas.support.extras import require_package
-from schemas.terms import RendererKind
-from workers.client.stopping import stop_on_signals
-from workers.experts import require_expert
 
 
 @click.command("run")
@@ -88,121 +58,13 @@ from workers.experts import require_expert
 @run_http_options
 @json_option
 @verbose_option
-def command(
-    plan_name: str | None,
-    site: Site,
-    workers: int | None,
-    renderer: RendererKind,
-    gate_mode: GateMode,
-    shard: RunShard | None,
-    packages: Place | None,
-    engine: str,
-    address: str | None,
-    ledger: str | None,
-    http: str | None,
-    http_token: Path | None,
-    evaluations: tuple[Path, ...],
-    as_json: bool,
-    verbose: bool,
-    **changes: Any,
-) -> int:
+def command(**options: Any) -> int:
     """Generate a dataset from a plan, or continue an interrupted run.
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: the plan of the dataset in
     --out, or demo. After Ctrl-C, SIGTERM or a crash, the same command continues the run; finished episodes are
     kept. Exits with 1 if episodes are missing at the end.
     """
-    configure_logs(verbose)
-    require_package("pybullet", "`factory run`")
-    if address is not None and engine != "ray":
-        raise UsageError(f"--address {address} needs --engine ray")
-    check_run_evaluations(http, evaluations)
-    plan, is_new = begin(plan_name, site, changes)
-    require_expert(plan.expert)
-    warn_of_empty_splits(plan)
-    shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
-    processes = workers or os.cpu_count() or 1
-    if not is_new or (shard is not None and gate_mode == "auto"):
-        gate_mode = "skip"
-    all_before = shard is not None or packages is not None
-    with ExitStack() as stack:
-        stop, _ = stack.enter_context(stop_on_signals())
-        before = None if all_before else scenes_before_run(plan, gate_plans(plan, gate_mode))
-        with building_layouts(processes, stop) as builds:
-            catalog = open_catalog(plan, site.place, scene_cache(), print_building, builds, packages, before)
-        gate = measure_gate(plan, catalog, gate_mode, renderer, processes, stop)
-        if gate is None:
-            click.echo("interrupted during the gate; no result was kept", err=True)
-            return 130
-        cluster = stack.enter_context(_open_cluster(address, workers, renderer)) if engine == "ray" else None
-        run = LocalRun(
-            plan,
-            catalog,
-            site.state_dir,
-            processes,
-            renderer,
-            verbose,
-            gate,
-            site.store,
-            ledger_url=ledger,
-            shard=shard,
-            take_over=shard is not None and may_take_over(site, stop),
-            cluster=cluster,
-        )
-        progress = _run(
-            run, site, stop, lambda coordinator: run_pages(coordinator, site, http, http_token, ledger, evaluations)
-        )
-    if not progress.finished:
-        click.echo(f"interrupted; continue with: {run.command}", err=True)
-        return 130
-    summary = summarise(site.place, progress)
-    print_result(summary, as_json, print_summary)
-    print_missing(site, progress)
-    return 1 if progress.missing else 0
+    from factory.commands.run.run import execute
 
-
-def _run(
-    run: LocalRun,
-    site: Site,
-    stop: threading.Event,
-    pages: Callable[[Coordinator], AbstractContextManager[object]],
-) -> Progress:
-    recorder = None if run.shard is None else ShardRecorder(site, run.shard, run.plan, run.catalog)
-    with RunBar(run.plan) as bar:
-
-        def tell(progress: Progress) -> None:
-            bar.tell(progress)
-            if recorder is not None:
-                recorder.record(progress)
-
-        progress = run_locally(run, CoordinatorSettings(), stop, tell, pages)
-    if recorder is not None:
-        recorder.finish(progress)
-    return progress
-
-
-@contextmanager
-def _open_cluster(address: str | None, cores: int | None, renderer: RendererKind) -> Iterator[RayCluster]:
-    """Connects to a Ray cluster, with certificates in a temporary folder."""
-    with (
-        tempfile.TemporaryDirectory(prefix="minivla-ray-") as keys,
-        RayCluster(address, Path(keys) / "pki", cores, renderer) as cluster,
-    ):
-        yield cluster
-
-
-class RunBar(Bars):
-    """Progress bar of a run: episodes, rate, time left, running jobs and failed attempts."""
-
-    def __init__(self, plan: Plan) -> None:
-        super().__init__()
-        self._task = self.add_task(plan.name, total=plan.episodes)
-
-    def tell(self, progress: Progress) -> None:
-        """Updates the bar."""
-        failures = sum(progress.failures.values())
-        rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
-        left = "" if progress.eta_s is None else f"{format_duration(progress.eta_s)} left, "
-        layouts = f", {progress.built_layouts}" if progress.layouts else ""
-        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{layouts}"
-        self.update(self._task, total=progress.planned, completed=progress.jobs.get("archived", 0), note=note)
+    return execute(**options)

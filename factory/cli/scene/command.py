@@ -1,28 +1,23 @@
-"""`factory scene`: the group and its commands `build` and `import`; the other commands have their own modules."""
+"""Declares `factory scene` with its commands `build` and `import`; the other commands have their own modules."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import click
 
 from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import count_option, former_option, verbose_option, write_option
-from factory.cli.common.output import json_option, print_json, print_result, stderr
+from factory.cli.common.options import count_option, former_option, json_option, verbose_option, write_option
 from factory.cli.scene import inspect as scene_inspect
 from factory.cli.scene import light as scene_light
 from factory.cli.scene import list as scene_list
 from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
 from factory.cli.scene import targets as scene_targets
-from factory.cli.scene.choice import BuiltInLayout, built_in_layout, file_argument, seed_option
-from factory.cli.scene.package import describe_package, next_steps, print_others, print_package, print_steps
-from factory.scenes.limits import MAX_FILE_MB, MAX_TRIANGLES, StageLimits, Unit, UpAxis
-from factory.support.logs import configure_logs
-from factory.support.settings import scene_cache
+from factory.cli.scene.choice import file_argument, seed_option
+from factory.scenes.limits import MAX_FILE_MB, MAX_TRIANGLES, Unit, UpAxis
 
 
 @click.group("scene", cls=CommandGroup)
@@ -64,23 +59,15 @@ def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
 @_edit_options
 @json_option
 @verbose_option
-def build(
-    name: str, seed: int, rules: Path | None, targets: Path | None, cache: Path | None, as_json: bool, verbose: bool
-) -> None:
+def build(**options: Any) -> None:
     """Build a built-in scene.
 
     NAME is the name of a built-in scene, see `factory scene list`, or of a layout, such as office_00007. A scene that
     is in the cache is not built again.
     """
-    from factory.scenes.build import build_scene, load_edits
+    from factory.commands.scene.command import build
 
-    configure_logs(verbose)
-    book, chosen = load_edits(rules, targets, name)
-    layout = built_in_layout(name, seed) or BuiltInLayout(name, seed, None)
-    with stderr.status(f"building {layout.name}, seed {layout.seed}"):
-        path = build_scene(layout.name, layout.seed, cache or scene_cache(), book, chosen, called=layout.called)
-    facts = describe_package(path)
-    print_result(facts, as_json, print_package)
+    build(**options)
 
 
 @command.command("import")
@@ -128,50 +115,12 @@ def build(
 @_edit_options
 @json_option
 @verbose_option
-def import_(
-    file: Path,
-    name: str | None,
-    max_triangles: int,
-    max_file_mb: int,
-    unit: Unit | None,
-    up: UpAxis | None,
-    models: tuple[Path, ...],
-    skip_missing: bool,
-    allow_outside: bool,
-    floor: float | None,
-    ceiling: float | None,
-    rules: Path | None,
-    targets: Path | None,
-    cache: Path | None,
-    as_json: bool,
-    verbose: bool,
-) -> None:
+def import_(**options: Any) -> None:
     """Import a scene file as a scene package.
 
     FILE is a USD stage (.usd, .usda, .usdc, .usdz), a glTF (.gltf, .glb), OBJ, PLY, STL or COLLADA (.dae) file, an
     SDFormat world or model (.sdf, .world), a URDF file, or an MJCF model (.xml, .mjcf).
     """
-    from factory.scenes.build import import_scene, load_edits  # needs usd-core
+    from factory.commands.scene.command import import_
 
-    configure_logs(verbose)
-    called = name or file.stem.lower()
-    book, chosen = load_edits(rules, targets, called)
-    limits = StageLimits(max_triangles, allow_outside, ceiling, unit, up, models, max_file_mb, floor, skip_missing)
-    with stderr.status(f"importing {file}"):
-        path = import_scene(file, called, cache or scene_cache(), book, chosen, limits)
-    facts = describe_package(path)
-    made_with = {"rules": rules, "targets": targets}
-    used: dict[str, object] = {key: str(edit.resolve()) for key, edit in made_with.items() if edit is not None}
-    searched = tuple(str(folder.resolve()) for folder in models)
-    options = {"allow_outside": allow_outside, "ceiling_m": ceiling, "unit": unit, "up": up, "models": searched}
-    options["skip_missing"] = skip_missing
-    if floor is not None:
-        used["floor_m"] = floor
-    used |= {key: value for key, value in options.items() if value}
-    steps = next_steps(path, file, cache is None, used)
-    if as_json:
-        print_json(facts | asdict(steps))
-    else:
-        print_package(facts)
-        print_others(facts)
-        print_steps(steps)
+    import_(**options)

@@ -1,36 +1,25 @@
-"""`factory scene light`: computes the light groups of a scene, which varied light needs."""
+"""Declares `factory scene light`: arguments, options and help."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from factory.cli.common.output import json_option, print_json, print_table, stderr
-from factory.cli.scene.choice import scene_argument, scene_package, seed_option
-from factory.dataset.packages import light_file
-from factory.support.logs import configure_logs
-from schemas.appearance.light_groups import decode_light_groups
-from schemas.storage.place import digest_of
+from factory.cli.common.options import json_option
+from factory.cli.scene.choice import scene_argument, seed_option
 
 
 @click.command("light")
 @scene_argument
 @seed_option
 @json_option
-def command(scene: str, seed: int, as_json: bool) -> None:
+def command(**options: Any) -> None:
     """Compute the light groups of a scene, and print them.
 
     SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip). The groups are kept in the cache; commands
     with --appearance compute them at the first use.
     """
-    configure_logs()
-    package = scene_package(scene, seed)
-    with stderr.status(f"light groups of {scene}"):
-        path = light_file(package, digest_of(package))
-    with path.open("rb") as file:
-        groups = decode_light_groups(file).info.groups
-    if as_json:
-        print_json({"scene": scene, "file": str(path), "groups": [group.model_dump(mode="json") for group in groups]})
-        return
-    rows = [(group.kind, group.lamps, ", ".join(f"{value:.1f}" for value in group.centre_m)) for group in groups]
-    print_table("", ("group", "lamps", "centre x, y, z in metres"), rows)
-    click.echo(str(path))
+    from factory.commands.scene.light import execute
+
+    execute(**options)

@@ -14,7 +14,7 @@ from factory.dataset.episode import Episode
 from factory.dataset.packages import light_file
 from factory.dataset.reader import Dataset
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet, spread
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.appearance.light_groups import decode_light_groups
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec

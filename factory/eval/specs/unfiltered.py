@@ -19,7 +19,7 @@ from factory.dataset.reader import Dataset
 from factory.eval.driving.simulator import Simulator, UnstableStart
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places, categories_in_view
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job

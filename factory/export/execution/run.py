@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
-from factory.export.base import ExportPiece, Finish, Options
+from factory.export.base import AnyExporter, ExportPiece, Finish
 from factory.export.execution.manifest import ExportManifest, Source, of_software, require_same_export, write_manifest
 from factory.export.execution.pool import ExportTask, make_piece
 from factory.export.execution.report import ExportReport, Skip
 from factory.export.execution.selection import select
+from factory.export.options import Options
 from factory.export.output import Output
-from factory.export.registry import AnyExporter, find_exporter, require_packages, require_rig_support
+from factory.export.registry import find_exporter, require_packages, require_rig_support
 from factory.export.source import open_source, rows_digest
 from factory.support.task_pool import run_tasks
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError

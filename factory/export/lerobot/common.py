@@ -11,13 +11,14 @@ from typing import Any, TypeVar
 from coordinator.tables.card_configs import Configs
 from factory.dataset.episode import Episode
 from factory.dataset.steps import has_questions, has_routes
-from factory.export.base import Decimated, Exporter, Finish, stride_of
+from factory.export.base import Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.features import features_of
-from factory.export.lerobot.layout import RGB, ImageFeature, Layout, LeRobotOptions, layout_of
+from factory.export.lerobot.layout import RGB, ImageFeature, Layout, layout_of
 from factory.export.lerobot.measure import Stats
 from factory.export.lerobot.numbering import Numbering, number_pieces
 from factory.export.lerobot.piece import LeRobotFacts, write_piece
+from factory.export.options import Decimated, LeRobotOptions, stride_of
 from factory.export.output import Output
 from factory.export.rig.document import RIG_FILE, rig_json, rig_table
 from schemas.config import CameraConfig

@@ -13,12 +13,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pydantic import Field
-
-from factory.export.base import Decimated
 from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, STATE_NAMES, TOKEN_NAMES
+from factory.export.options import LeRobotOptions
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Camera, CameraOutput, DepthKind, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from workers.geometry.faces import plan_faces
@@ -26,13 +24,6 @@ from workers.geometry.faces import plan_faces
 IMU_NAMES = ("gyro_x_rps", "gyro_y_rps", "gyro_z_rps", "force_x_mps2", "force_y_mps2", "force_z_mps2")
 RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
 STATE = "observation.state"
-
-
-class LeRobotOptions(Decimated):
-    """Options of both LeRobot versions."""
-
-    depth: bool = Field(default=False, description="Also write metric depth, as lossless 12-bit video. Default: no.")
-    ids: bool = Field(default=False, description="Also write instance ids, as 16-bit PNG images. Default: no.")
 
 
 class ImageFeature(NamedTuple):

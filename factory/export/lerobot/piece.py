@@ -12,13 +12,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, stride_of
+from factory.export.base import EpisodeFacts
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.lerobot.depth_code import LARGEST_CODE, DepthCode
 from factory.export.lerobot.features import data_schema
-from factory.export.lerobot.layout import STATE, ImageFeature, Layout, LeRobotOptions, layout_of
+from factory.export.lerobot.layout import STATE, ImageFeature, Layout, layout_of
 from factory.export.lerobot.rig_columns import rig_columns
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
+from factory.export.options import LeRobotOptions, stride_of
 from factory.export.rig.reader import SensorReader
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png

@@ -10,7 +10,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from factory.export.base import Decimated, Finish
+from factory.export.base import Finish
 from factory.export.lerobot.columns import STATE_NAMES
 from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
 from factory.export.lerobot.features import data_schema
@@ -18,6 +18,7 @@ from factory.export.lerobot.layout import RGB, STATE, Layout
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import Numbered
 from factory.export.lerobot.piece import LeRobotFacts, read_columns
+from factory.export.options import LeRobotV21Options
 
 VERSION = "v2.1"
 _CHUNK = 1000
@@ -38,10 +39,6 @@ MODALITY: dict[str, dict[str, dict[str, Any]]] = {
 }
 """Names of the parts of state and action, and the columns of camera and instruction. GR00T pads an action after the
 last frame with zeros, which stop the robot, if it is not `absolute`, else with its last value."""
-
-
-class LeRobotV21Options(Decimated):
-    """Options of version 2.1, which does not support depth video and 16-bit images."""
 
 
 class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):

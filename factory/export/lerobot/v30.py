@@ -27,11 +27,12 @@ from factory.export.lerobot.language import (
     with_questions,
     with_subtasks,
 )
-from factory.export.lerobot.layout import ImageFeature, Layout, LeRobotOptions
+from factory.export.lerobot.layout import ImageFeature, Layout
 from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
 from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
 from factory.export.lerobot.statistics import QUANTILES
+from factory.export.options import LeRobotOptions
 from factory.export.video import join_videos
 from schemas.dataset.rows import EpisodeSummary
 

@@ -11,72 +11,25 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
-
 from factory.dataset.episode import Episode
-from factory.export.base import Decimated, EpisodeFacts, Exporter, Finish, stride_of
+from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap.card import foxglove_card, ros2_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
 from factory.export.mcap.rig_frames import require_different_frames
+from factory.export.options import SPACING_S, McapOptions, stride_of
 from factory.export.rig.document import RIG_FILE, rig_json
 from factory.export.rig.reader import SensorReader
 from factory.export.source import describe_episode, to_json
-from factory.runs.catalog import find_package
-from schemas.dataset.meta import DatasetMeta
-from schemas.errors import UsageError
+from factory.runs.package import find_package
 from schemas.rig import Camera, Rig
 from schemas.scene import CompiledScene, read_geometry
 from schemas.storage.place import Place
-from schemas.support.extras import require_package
 
-START_TIME_S = 1_767_225_600
-"""Default start time of ROS 2 stamps, 2026-01-01 00:00 UTC, seconds since 1970."""
-_SPACING_S = 60
-"""Interval between the starts of consecutive episodes, seconds; an episode of 1000 frames at 60 Hz takes 17 s."""
-_LATEST_S = 2**31 - 1
-"""Maximum of the 32-bit seconds of a ROS time."""
 _NANOSECONDS = 1_000_000_000
 _CHUNK_BYTES = 4 << 20
 _LIBRARY = "minivla-factory"
-
-
-class McapOptions(Decimated):
-    """Options of format `mcap`. The rate applies to images; all other topics keep the recorded rate."""
-
-    ros2: bool = Field(default=False, description="Write ROS 2 messages (extra `ros2`). Default: Foxglove messages.")
-    start_time: int | None = Field(
-        default=None,
-        ge=1,
-        le=_LATEST_S,
-        description=f"Unix time of frame 0 of the first episode, seconds; with --ros2 only. Default: {START_TIME_S}.",
-    )
-
-    @model_serializer(mode="wrap")
-    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Omits unused options, so that the manifests of exports without them do not change."""
-        data: dict[str, object] = serialize(self)
-        return {key: value for key, value in data.items() if value or key not in ("ros2", "start_time")}
-
-    def check(self, meta: DatasetMeta) -> None:
-        """Validates the rate, the start time (ROS 2 only, 32 bits) and the package for ROS 2."""
-        super().check(meta)
-        if self.start_time is not None and not self.ros2:
-            raise UsageError("--start-time requires --ros2: the times of Foxglove messages start at 0")
-        latest = _LATEST_S - _SPACING_S * meta.planned
-        if self.ros2 and self.start_s > latest:
-            raise UsageError(
-                f"--start-time {self.start_s}: {meta.planned} episodes, {_SPACING_S} s apart, exceed the 32 bits of a "
-                f"ROS time in 2038; give at most {latest}"
-            )
-        if self.ros2:
-            require_package("rosbags", "format mcap with --ros2")
-
-    @property
-    def start_s(self) -> int:
-        """Time of frame 0 of the first episode, seconds since 1970."""
-        return START_TIME_S if self.start_time is None else self.start_time
 
 
 class McapExporter(Exporter[McapOptions, EpisodeFacts]):
@@ -100,7 +53,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         stride = stride_of(options.fps, job.task.control_hz)
         scene = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
         profile = ROS2 if options.ros2 else FOXGLOVE
-        start_ns = (options.start_s + _SPACING_S * (job.index - 1)) * _NANOSECONDS if options.ros2 else 0
+        start_ns = (options.start_s + SPACING_S * (job.index - 1)) * _NANOSECONDS if options.ros2 else 0
         path = folder / "episodes" / f"{episode.episode_id}.mcap"
         path.parent.mkdir()
         with path.open("wb") as file:
@@ -124,7 +77,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         """Writes the card."""
         meta, pieces, options, rig = export.dataset.meta, len(export.pieces), export.options, export.dataset.rig
         hz = meta.plan.task.control_hz
-        text = ros2_card(_SPACING_S, options.start_s, rig, hz) if options.ros2 else foxglove_card(rig, hz)
+        text = ros2_card(SPACING_S, options.start_s, rig, hz) if options.ros2 else foxglove_card(rig, hz)
         card = export_card(meta, pieces, text, tags=("mcap", "ros2" if options.ros2 else "foxglove"))
         export.out.write_text(CARD_FILE, card)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from factory.dataset.episode import Episode
 from factory.export.mcap.rig_frames import links_of, odometry_links
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.scene import CompiledScene, Target
 from schemas.support.planar import yaw_of
 

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
+from factory.export.options import Options
 from factory.export.output import Output
 from factory.export.vlnce.episode import (
     EpisodeText,
@@ -30,7 +31,7 @@ from factory.export.vlnce.episode import (
     vocabulary_of,
     words_of,
 )
-from factory.runs.catalog import find_package
+from factory.runs.package import find_package
 from schemas.scene import CompiledScene, SceneInfo, read_info, read_scene
 from schemas.storage.place import Place
 

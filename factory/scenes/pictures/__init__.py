@@ -13,7 +13,7 @@ from PIL import Image
 from factory.scenes.pictures.sheet import draw_sheet, known_colours, variants
 from factory.scenes.pictures.viewpoints import EYE, Viewpoint, best_views
 from factory.scenes.topdown import encode_topdown
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from schemas.terms import RendererKind
 from workers.render import Renderer

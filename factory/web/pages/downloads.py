@@ -19,7 +19,8 @@ from factory.dataset.episode import Episode
 from factory.dataset.packages import ScenePackage
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.lerobot.v30 import LeRobotExporter
-from factory.export.mcap.exporter import McapExporter, McapOptions
+from factory.export.mcap.exporter import McapExporter
+from factory.export.options import McapOptions
 from factory.visualize.film import draw_film, film_rate, write_mp4
 from factory.web.context import context_of
 from factory.web.pages.find import find_episode

@@ -1,6 +1,6 @@
 """Computes which relations hold in a scene graph, as masks over all objects, for the generator. Vectorised.
 
-Every relation has two masks: where it surely holds, and where it possibly holds. The verifier does not use this module.
+Relations of the start pose are in `view_facts`. The verifier does not use this module.
 """
 
 from __future__ import annotations
@@ -8,63 +8,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from schemas.language import thresholds as limit
-from schemas.language.expression import AHEAD_SIDES, Landmark, Relation, ViewSide
-from schemas.language.graph import SceneGraph, SceneObject
+from schemas.language.expression import Landmark, Relation
+from schemas.language.generator.masks import Described, Masks, above, below
+from schemas.language.graph.scene_graph import SceneGraph, SceneObject
+from schemas.language.graph.tops import SurfaceTop
 from schemas.language.kinds import UNKNOWN, may_be_called
-from schemas.language.thresholds import Band
-from schemas.language.tops import SurfaceTop
-from schemas.language.view import SceneView
-from schemas.support.numpy_types import Bools, Floats, Ints
-
-_ASIDE_TAN, _FACING_TAN = (tuple(math.tan(angle) for angle in band) for band in (limit.DIRECTION_RAD, limit.FACING_RAD))
-
-
-class Masks(NamedTuple):
-    """Objects for which a property holds; arrays of any shape whose last axis is the object."""
-
-    sure: Bools
-    """Objects for which it surely holds."""
-    possible: Bools
-    """Objects for which it possibly holds; includes those for which it surely holds."""
-
-    def both(self, other: Masks) -> Masks:
-        """Returns the masks of both properties together."""
-        return Masks(self.sure & other.sure, self.possible & other.possible)
-
-    def of_any(self, landmarks: Described) -> Masks:
-        """Returns which objects have the relation of (N, N) masks to any of the landmarks."""
-        sure = np.asarray(self.sure[landmarks.sure].any(axis=0), bool)
-        return Masks(sure, np.asarray(self.possible[landmarks.possible].any(axis=0), bool))
-
-    def fits_only(self, number: int) -> bool:
-        """Returns whether the property surely holds for one object, and possibly for no other."""
-        return bool(self.sure[number]) and int(self.possible.sum()) == 1
-
-
-class Described(NamedTuple):
-    """Description of a landmark, and the objects that it fits."""
-
-    landmark: Landmark
-    """Description."""
-    masks: Masks
-    """Objects that it fits."""
-    sure: Ints
-    """Numbers of the objects that it surely fits."""
-    possible: Ints
-    """Numbers of the objects that it possibly fits."""
-
-
-def _below(values: Floats, band: Band) -> Masks:
-    return Masks(values <= band.good, values < band.bad)
-
-
-def _above(values: Floats, band: Band) -> Masks:
-    return Masks(values >= band.good, values > band.bad)
+from schemas.support.numpy_types import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -156,7 +109,7 @@ class SceneFacts:
     @cached_property
     def close(self) -> Masks:
         """(N, N) pairs that are close enough for left, right, in front and behind."""
-        found = _below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
+        found = below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
         return Masks(found.sure & self._is_level, found.possible & self._is_level)
 
     @cached_property
@@ -167,7 +120,7 @@ class SceneFacts:
     @cached_property
     def next_to(self) -> Masks:
         """(N, N) [landmark, object]: objects next to a landmark, neither on nor under it."""
-        found = _below(self.gap, limit.NEXT_TO_M).both(self._rooms)
+        found = below(self.gap, limit.NEXT_TO_M).both(self._rooms)
         sure = found.sure & self.distinct & ~self.stacked & self._is_level & ~self.graph.walled
         return Masks(sure, found.possible & self.distinct)
 
@@ -191,9 +144,9 @@ class SceneFacts:
         side = np.minimum(high[:, None, :2], high[:, :2]) - np.maximum(low[:, None, :2], low[:, :2])
         area = np.prod(np.maximum(side, 0), axis=-1)
         share = area / np.maximum(np.prod((high - low)[:, :2], axis=-1), 1e-6)
-        inside = _above(share, limit.OVERLAP)
+        inside = above(share, limit.OVERLAP)
         rest = np.abs(low[:, 2] - high[:, None, 2])
-        on = inside.both(_below(rest, limit.TOUCH_M))
+        on = inside.both(below(rest, limit.TOUCH_M))
         top = high[:, 2] - high[:, None, 2]
         grounded = (low[:, 2] - self.graph.floor_m) < limit.TOUCH_M.good
         under = Masks(
@@ -216,9 +169,9 @@ class SceneFacts:
         """(N,) relations without landmark and view."""
         objects = self.graph.objects
         gap, corner = (np.array([getattr(each, name) for each in objects]) for name in ("wall_gap_m", "corner_gap_m"))
-        hung = _below(gap, limit.TOUCH_M).both(_above(self._base, limit.WALL_BASE_M))
+        hung = below(gap, limit.TOUCH_M).both(above(self._base, limit.WALL_BASE_M))
         stands = self.support[Relation.ON].possible.any(axis=0) if len(objects) else np.zeros(0, bool)
-        corners = _below(corner, limit.CORNER_M)
+        corners = below(corner, limit.CORNER_M)
         return {
             Relation.ON_WALL: Masks(hung.sure & ~stands, hung.possible),
             Relation.IN_CORNER: corners,
@@ -257,7 +210,7 @@ class SceneFacts:
     @cached_property
     def _beside(self) -> Masks:
         """(N, N) [object, thing]: things close to an object and to no other object of a kind with a top."""
-        found = _below(self.gap, limit.BESIDE_M).both(self._rooms)
+        found = below(self.gap, limit.BESIDE_M).both(self._rooms)
         surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
         others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # [other, thing]
         nearest = np.sort(others, axis=0)[:2] if len(others) > 1 else np.full((2, len(others)), np.inf)
@@ -302,7 +255,7 @@ class SceneFacts:
         offset = self.centre - start
         along = offset @ way / length**2
         across = np.abs(offset[:, 0] * way[1] - offset[:, 1] * way[0]) / length**2
-        found = _above(np.minimum(along, 1 - along), limit.BETWEEN_ALONG).both(_below(across, limit.BETWEEN_ACROSS))
+        found = above(np.minimum(along, 1 - along), limit.BETWEEN_ALONG).both(below(across, limit.BETWEEN_ACROSS))
         rooms = Masks(self._rooms.sure[first] & self._rooms.sure[second], self._rooms.possible[first])
         apart = self.distinct[first] & self.distinct[second]
         near = length <= limit.BETWEEN_SPAN_M.good and not self.graph.walled[first, second]
@@ -317,139 +270,3 @@ def _is_occupied(top: SurfaceTop, each: SceneObject) -> bool:
     inside = ((middle > each.low_m[:2]) & (middle < each.high_m[:2])).all(axis=1)
     rests = (lift >= limit.REST_M[0]) & (lift <= limit.REST_M[1])
     return bool((inside & rests & (size >= limit.THING_M)).any())
-
-
-class _Wayside(NamedTuple):
-    """Objects along one side of the way ahead; distances (N,) in metres."""
-
-    masks: Masks
-    """Objects ahead and beside the way."""
-    middle: Floats
-    low: Floats
-    high: Floats
-    """Distances of the middle and both ends along the heading."""
-    near: Floats
-    """Distance of the near side from the axis of the heading."""
-
-    def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
-        """Returns which of some objects another one that is surely counted is in front of, as seen from the axis."""
-        low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
-        shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
-        covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)
-        return np.asarray((covers & is_sure[:, None]).any(axis=0))
-
-
-@dataclass(frozen=True)
-class ViewFacts:
-    """Relations of a scene graph that depend on the start pose."""
-
-    scene: SceneFacts
-    view: SceneView
-
-    @cached_property
-    def relative(self) -> dict[Relation, Masks]:
-        """(N, N) [landmark, object]: left, right, in front, behind as seen from the start."""
-        centre, view, count = self.scene.centre, self.view, len(self.scene.centre)
-        rows = np.flatnonzero(view.possible)
-        seen = centre[rows] - (view.x, view.y)
-        axis = seen / np.maximum(np.hypot(seen[:, 0], seen[:, 1]), 1e-6)[:, None]
-        offset = centre - centre[rows, None]
-        depth = offset[..., 0] * axis[:, None, 0] + offset[..., 1] * axis[:, None, 1]
-        side = axis[:, None, 0] * offset[..., 1] - axis[:, None, 1] * offset[..., 0]
-        close, distinct = self.scene.close, self.scene.distinct[rows]
-        # the landmark is seen; the object is seen or may be somewhere else in the same room
-        sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure & ~self.scene.stacked[rows]
-        possible = close.possible[rows] & distinct
-        apart = np.abs(view.bearing - view.bearing[rows, None])
-        anywhere = Masks(np.ones(apart.shape, bool), np.ones(apart.shape, bool))
-        aligned = _below(apart, limit.ALIGNED_RAD)
-        hangs = self.scene.graph.hangs
-        level = self.scene.has_same_base[rows] & ~(hangs | hangs[rows, None])
-        aligned = Masks(aligned.sure & level, aligned.possible)
-        found = {}
-        low, high = self._depths(axis)
-        own = np.arange(len(rows)), rows
-        is_beyond, is_nearer = low >= high[own][:, None], high <= low[own][:, None]
-        for name, along, across, shown, (good_tan, bad_tan) in (
-            (Relation.LEFT_OF, side, depth, anywhere, _ASIDE_TAN),
-            (Relation.RIGHT_OF, -side, depth, anywhere, _ASIDE_TAN),
-            (Relation.BEHIND, depth, side, Masks(aligned.sure & is_beyond, aligned.possible), _FACING_TAN),
-            (Relation.IN_FRONT_OF, -depth, side, Masks(aligned.sure & is_nearer, aligned.possible), _FACING_TAN),
-        ):
-            good, bad = np.zeros((count, count), bool), np.zeros((count, count), bool)
-            good[rows] = sure & shown.sure & (np.abs(across) <= along * good_tan)
-            bad[rows] = possible & shown.possible & (np.abs(across) < along * bad_tan)
-            found[name] = Masks(good, bad)
-        return found
-
-    def _depths(self, axis: Floats) -> tuple[Floats, Floats]:
-        """Returns (K, N) smallest and largest distances of the bounding rectangles along K axes of sight, metres."""
-        graph, eye = self.scene.graph, (self.view.x, self.view.y)
-        half = (graph.high - graph.low)[:, :2] / 2
-        middle, reach = (self.scene.centre - eye) @ axis.T, half @ np.abs(axis.T)
-        return (middle - reach).T, (middle + reach).T
-
-    @cached_property
-    def distance(self) -> Floats:
-        """(N,) distances from the start to the bounding rectangles, metres."""
-        graph, eye = self.scene.graph, np.array((self.view.x, self.view.y))
-        apart = np.maximum(0, np.maximum(graph.low[:, :2] - eye, eye - graph.high[:, :2]))
-        return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
-
-    @cached_property
-    def _ways(self) -> dict[ViewSide, _Wayside]:
-        """Objects along both sides of the way ahead."""
-        graph, view = self.scene.graph, self.view
-        x = np.stack([side[:, 0] for side in (graph.low, graph.high, graph.high, graph.low)], axis=1) - view.x
-        y = np.stack([side[:, 1] for side in (graph.low, graph.low, graph.high, graph.high)], axis=1) - view.y
-        cos, sin = math.cos(view.yaw), math.sin(view.yaw)
-        along, left = x * cos + y * sin, y * cos - x * sin
-        middle = along.mean(axis=1)
-        room = graph.room_of
-        here = Masks((room == view.room) & (room > 0), (room == view.room) | (room == 0) | (view.room == 0))
-        here = here.both(_above(middle, limit.ROW_AHEAD_M))
-        found = {}
-        for side, sign in AHEAD_SIDES.items():
-            near, far = (sign * left).min(axis=1), (sign * left).max(axis=1)
-            aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad)
-            masks = here.both(aside).both(_below(near, limit.ROW_GAP_M))
-            found[side] = _Wayside(masks, middle, along.min(axis=1), along.max(axis=1), near)
-        return found
-
-    def row(self, among: Masks, side: ViewSide, number: int) -> list[int]:
-        """Returns the objects that are counted along one side of the way ahead, up to the first that is not certain.
-
-        Args:
-            among: objects to count.
-            side: side of the way ahead.
-            number: object that is looked for; without it, or if no part of it is surely visible, nothing is counted.
-        """
-        way = self._ways[side]
-        if not (way.masks.sure[number] and self.view.shown[number]):
-            return []
-        found = among.both(way.masks)
-        numbers = np.flatnonzero(found.possible)
-        is_hidden = way.hidden(numbers, found.sure[numbers]) & ~self.view.shown[numbers]
-        numbers = numbers[~is_hidden]
-        order = numbers[np.argsort(way.middle[numbers], kind="stable")].tolist()
-        certain: list[int] = []
-        for place, each in enumerate(order):
-            nearby = order[max(place - 1, 0) : place] + order[place + 1 : place + 2]
-            is_apart = all(abs(way.middle[each] - way.middle[other]) >= limit.ROW_STEP_M for other in nearby)
-            if not (found.sure[each] and self.view.shown[each] and is_apart):
-                break
-            certain.append(each)
-        return certain
-
-    @cached_property
-    def ego(self) -> dict[Relation, Masks]:
-        """(N,) on the left, on the right, straight ahead."""
-        view, found = self.view, {}
-        room = self.scene.graph.room_of
-        here = view.possible | (room == view.room) | (room == 0)
-        beyond = _below(np.abs(view.bearing), limit.EGO_BEHIND_RAD)
-        for name, sign in ((Relation.YOUR_LEFT, 1.0), (Relation.YOUR_RIGHT, -1.0)):
-            aside = _above(sign * view.bearing, limit.EGO_RAD).both(beyond)
-            found[name] = aside.both(Masks(view.sure, here))
-        found[Relation.AHEAD] = _below(np.abs(view.bearing), limit.AHEAD_RAD).both(Masks(view.sure, here))
-        return found

@@ -13,8 +13,9 @@ import numpy as np
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import COUNTED, Clause, Landmark, Relation, Size
-from schemas.language.generator.facts import Described, Masks, SceneFacts
-from schemas.language.grammar import Grammar
+from schemas.language.generator.facts import SceneFacts
+from schemas.language.generator.masks import Described, Masks
+from schemas.language.sentence.grammar import Grammar
 from schemas.support.numpy_types import Bools, Floats
 
 _NEARBY_M = 6.0

@@ -27,11 +27,13 @@ from schemas.language.expression import (
     Size,
     ViewSide,
 )
-from schemas.language.generator.facts import Masks, SceneFacts, ViewFacts
+from schemas.language.generator.facts import SceneFacts
+from schemas.language.generator.masks import Masks
 from schemas.language.generator.parts import ExpressionPart, SceneParts, is_least, part_of
-from schemas.language.grammar import Grammar
+from schemas.language.generator.view_facts import ViewFacts
+from schemas.language.graph.view import SceneView
 from schemas.language.kinds import UNKNOWN
-from schemas.language.view import SceneView
+from schemas.language.sentence.grammar import Grammar
 
 
 class ExpressionHead(NamedTuple):

@@ -17,7 +17,8 @@ from schemas.language.compose import Composer
 from schemas.language.draw import draw_weighted
 from schemas.language.expression import Expression
 from schemas.language.file import SpokenLanguage
-from schemas.language.generator.facts import ViewFacts
+from schemas.language.generator.view_facts import ViewFacts
+from schemas.language.graph.view import SceneView, look
 from schemas.language.instruction import Instruction
 from schemas.language.kinds import UNKNOWN
 from schemas.language.question.images import FrameImages
@@ -34,7 +35,6 @@ from schemas.language.question.verify import QuestionVerifier
 from schemas.language.question.words import question_words
 from schemas.language.route.model import DrivenPath
 from schemas.language.route.steps import SceneRoutes
-from schemas.language.view import SceneView, look
 from schemas.support.numpy_types import Floats, Ints
 from schemas.terms import CATEGORIES
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from schemas.instruction.seen_objects import SeenObject, see_objects
 from schemas.language import thresholds as limit
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
 from schemas.language.question.model import AnswerKind, QuestionMeaning, ReasonKind, SeenSide
 from schemas.language.route.thresholds import METRES
 

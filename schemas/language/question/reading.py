@@ -11,10 +11,10 @@ from typing import NamedTuple, TypeVar
 from pydantic import ValidationError
 
 from schemas.language.expression import Expression
-from schemas.language.grammar import alternatives
 from schemas.language.question.model import AnswerKind, QuestionKind, QuestionMeaning, ReasonKind, SeenSide
 from schemas.language.question.words import SLOT, question_words
-from schemas.language.reading import Reader
+from schemas.language.sentence.grammar import alternatives
+from schemas.language.sentence.reading import Reader
 
 Kind = TypeVar("Kind", bound=str)
 _QUOTED = "{instruction}"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.language import thresholds as limit
+from schemas.language.graph.view import look
 from schemas.language.question.images import FrameImages, image_fault
 from schemas.language.question.model import (
     AnswerKind,
@@ -23,12 +24,11 @@ from schemas.language.question.model import (
     SeenSide,
 )
 from schemas.language.question.reading import question_reader
-from schemas.language.reading import Reader
 from schemas.language.route import thresholds as route
 from schemas.language.route.replay import PoseReplay
 from schemas.language.route.steps import SceneRoutes
+from schemas.language.sentence.reading import Reader
 from schemas.language.verifier.measure import Truth, at_least, at_most
-from schemas.language.view import look
 from schemas.support.planar import footprint_distances
 
 _FAR_M = 12.0

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.base import Model, Name
-from schemas.language.grammar import Grammar, Patterns, alternatives
 from schemas.language.kinds import DATA
 from schemas.language.question.model import (
     AnswerKind,
@@ -21,6 +20,7 @@ from schemas.language.question.model import (
     ReasonKind,
     SeenSide,
 )
+from schemas.language.sentence.grammar import Grammar, Patterns, alternatives
 
 SLOT = re.compile(r"\{(np|side|metres|instruction)(?::([a-z]+))?\}")
 """Slot of a sentence, and the case of a referring expression."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from schemas.language.draw import draw_weighted
 from schemas.language.file import LanguageSpec, SpokenLanguage
-from schemas.language.grammar import SentencePattern
 from schemas.language.route.model import DrivenPath, RouteStep, RouteText, StepKind, SubInstruction
 from schemas.language.route.reading import RouteReader, route_reader
 from schemas.language.route.steps import RouteSearch, SceneRoutes, SpannedStep
 from schemas.language.route.verify import RouteVerifier
 from schemas.language.route.words import RouteWords, route_words
+from schemas.language.sentence.grammar import SentencePattern
 
 _TRIES = 3
 _MOST_CHARACTERS = 500

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy  # loads a submodule at its first use
 
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
 from schemas.language.route.model import DrivenPath
 from schemas.language.route.thresholds import DOORWAY_M
 from schemas.support.numpy_types import Floats

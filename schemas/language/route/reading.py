@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from schemas.language.grammar import SentencePattern
-from schemas.language.reading import Reader
 from schemas.language.route.model import RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.words import SLOT, RouteWords, route_words
+from schemas.language.sentence.grammar import SentencePattern
+from schemas.language.sentence.reading import Reader
 
 _NUMBER = r"(?P<metres>\d{1,2})"
 _MOST_READINGS = 16
@@ -123,7 +123,7 @@ class RouteReader:
 
 @cache
 def _reader(code: str) -> RouteReader:
-    from schemas.language.reading import reader
+    from schemas.language.sentence.reading import reader
 
     return RouteReader(route_words(code), reader(code))
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
 from schemas.support.planar import footprint_distances
 
 _EVERY = 4

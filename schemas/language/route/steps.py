@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.language.expression import Expression, Family
-from schemas.language.generator.facts import ViewFacts
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.generator.search import Search
-from schemas.language.grammar import Grammar
+from schemas.language.generator.view_facts import ViewFacts
+from schemas.language.graph.view import SceneView, look
 from schemas.language.kinds import UNKNOWN
 from schemas.language.route import thresholds as limit
 from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, room_changes
 from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.segment import PathPart, divide_path
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import SceneView, look
+from schemas.language.sentence.grammar import Grammar
 from schemas.support.numpy_types import Bools, Floats
 
 _LATER = frozenset(Family) - {Family.VIEW}

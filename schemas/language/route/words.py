@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.base import Model, Name
-from schemas.language.grammar import Grammar, Patterns, SentencePattern, alternatives
 from schemas.language.kinds import DATA
 from schemas.language.route.model import RobotSide, RouteStep, StepKind
+from schemas.language.sentence.grammar import Grammar, Patterns, SentencePattern, alternatives
 
 SLOT = re.compile(r"\{(np|turn|pass|room|metres)(?::([a-z]+))?\}")
 """Slot of a clause, and the case of a referring expression."""

@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from schemas.language import thresholds as limit
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
 from schemas.language.thresholds import Band
 
 _SIDE_SAMPLES = 5

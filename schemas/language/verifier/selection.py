@@ -8,8 +8,8 @@ from itertools import combinations, pairwise
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import AHEAD_SIDES, Size, ViewSide
+from schemas.language.graph.view import SceneView
 from schemas.language.verifier.measure import AlongBox, Footprints, Truth, at_least, at_most
-from schemas.language.view import SceneView
 
 
 class Selected(IntEnum):

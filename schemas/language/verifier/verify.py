@@ -6,17 +6,18 @@ definitions in docs/language.md. It shares the thresholds, the graph and the wor
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from schemas.language import thresholds as limit
 from schemas.language.expression import AHEAD_SIDES, SUPERLATIVES, Clause, Expression, Landmark, Relation
-from schemas.language.graph import SceneGraph
+from schemas.language.graph.scene_graph import SceneGraph
+from schemas.language.graph.view import SceneView
 from schemas.language.kinds import UNKNOWN, may_be_called
-from schemas.language.reading import Reader, Reading
-from schemas.language.verifier.measure import Footprints, Truth, angle_between, at_least, at_most
+from schemas.language.sentence.reading import Reader, Reading
+from schemas.language.verifier.measure import Footprints, Truth, at_least, at_most
+from schemas.language.verifier.relations import ObjectRelations
 from schemas.language.verifier.selection import Selected, by_size, counted, counted_ahead, extreme
-from schemas.language.view import SceneView
 
 
 class FittingObjects(NamedTuple):
@@ -52,6 +53,7 @@ class Verifier:
     def __init__(self, graph: SceneGraph) -> None:
         self.graph = graph
         self._prints = Footprints(graph)
+        self._relations = ObjectRelations(graph, self._prints)
         self._fitting: dict[tuple[str, str | None, str | None], dict[int, Truth]] = {}
 
     def check(self, sentence: str, language: Reader, view: SceneView | None, number: int) -> str:
@@ -151,7 +153,7 @@ class Verifier:
             pairs = ((first, second) for first in landmarks[0] for second in landmarks[1])
             return max(
                 (
-                    min(landmarks[0][first], landmarks[1][second], self._between(number, first, second))
+                    min(landmarks[0][first], landmarks[1][second], self._relations.is_between(number, first, second))
                     for first, second in pairs
                     if len({first, second, number}) == 3
                 ),
@@ -160,7 +162,7 @@ class Verifier:
         best = Truth.NO
         for other, truth in landmarks[0].items():
             if other != number and best is not Truth.YES:
-                best = max(best, min(truth, self._pair(clause.relation, number, other, view)))
+                best = max(best, min(truth, self._relations.holds(clause.relation, number, other, view)))
         return best
 
     def _alone(self, clause: Clause, number: int, view: SceneView | None) -> Truth:
@@ -176,15 +178,15 @@ class Verifier:
             case Relation.IN_ROOM:
                 assert clause.room is not None
                 room = self._unique_room(clause.room)
-                return self._in(number, room, self.graph.areas_of_type(room, clause.room))
+                return self._relations.is_in_parts(number, room, self.graph.areas_of_type(room, clause.room))
             case Relation.THIS_ROOM:
                 assert view is not None
                 if not view.room or not view.area:
                     raise _Ambiguous("the room of the start is not known")
-                return self._in(number, view.room, {view.area})
+                return self._relations.is_in_parts(number, view.room, {view.area})
             case _:
                 assert view is not None
-                return self._ego(clause.relation, number, view)
+                return self._relations.from_viewer(clause.relation, number, view)
 
     def _unique_room(self, kind: str) -> int:
         labels = [room.label for room, own in zip(self.graph.rooms, self.graph.types, strict=True) if own == kind]
@@ -192,118 +194,14 @@ class Verifier:
             raise _Ambiguous(f"the scene has {len(labels)} rooms of the type {kind}")
         return labels[0] if labels else -1
 
-    def _in(self, number: int, room: int, areas: Set[int]) -> Truth:
-        """Returns whether an object is in a room: surely in some parts of it, perhaps in others."""
-        each = self.graph.objects[number]
-        if each.room == room:
-            return Truth.YES if each.area in areas else Truth.MAYBE
-        return Truth.NO if each.room else Truth.MAYBE
-
-    def _in_room(self, number: int, room: int) -> Truth:
-        own = self.graph.objects[number].room
-        return Truth.MAYBE if not room or not own else Truth.YES if own == room else Truth.NO
-
     def _counts(self, relation: Relation, number: int, things: Mapping[int, Truth], count: int) -> Truth:
         """Returns whether exactly a number of things are beside or on an object."""
-        near = self._is_beside if relation is Relation.WITH_BESIDE else self._prints.holds
+        near = self._relations.is_beside if relation is Relation.WITH_BESIDE else self._prints.holds
         found = [min(truth, near(number, thing)) for thing, truth in things.items() if thing != number]
         sure, possible = found.count(Truth.YES), len(found) - found.count(Truth.NO)
         if sure <= count <= possible:
             return Truth.YES if sure == possible else Truth.MAYBE
         return Truth.NO
-
-    def _is_beside(self, number: int, thing: int) -> Truth:
-        """Returns whether a thing is close to an object, and to no other one that has a top."""
-        if self._same_room(number, thing) is Truth.NO or self._prints.rests_on(thing, number) is Truth.YES:
-            return Truth.NO
-        gap = self._prints.gap(number, thing)
-        close = at_most(gap, limit.BESIDE_M)
-        if close is not Truth.YES:
-            return close
-        others = (
-            other
-            for other, each in enumerate(self.graph.objects)
-            if other not in (number, thing) and self.graph.kinds.of(each.kind).surface
-        )
-        is_clear = all(self._prints.gap(other, thing) >= gap + limit.BESIDE_OTHER_M for other in others)
-        is_level = not self._prints.is_apart(number, thing) and self._prints.rests_on(thing, number) is Truth.NO
-        return Truth.YES if is_clear and is_level else Truth.MAYBE
-
-    def _ego(self, relation: Relation, number: int, view: SceneView) -> Truth:
-        bearing = float(view.bearing[number])
-        shown = Truth.YES if view.sure[number] else Truth.MAYBE if view.possible[number] else Truth.NO
-        own = self.graph.objects[number].room
-        if shown is Truth.NO and own in (0, view.room):
-            shown = Truth.MAYBE
-        if relation is Relation.AHEAD:
-            return min(shown, at_most(abs(bearing), limit.AHEAD_RAD))
-        aside = bearing if relation is Relation.YOUR_LEFT else -bearing
-        return min(shown, at_least(aside, limit.EGO_RAD), at_most(abs(bearing), limit.EGO_BEHIND_RAD))
-
-    def _same_room(self, number: int, other: int) -> Truth:
-        one, two = self.graph.objects[number].room, self.graph.objects[other].room
-        if not one or not two:
-            return Truth.MAYBE
-        return Truth.YES if one == two else Truth.NO
-
-    def _is_undivided(self, number: int, other: int) -> bool:
-        """Returns whether surely no opening, however wide, is between two objects."""
-        one, two = self.graph.objects[number].area, self.graph.objects[other].area
-        return one == two != 0
-
-    def _pair(self, relation: Relation, number: int, other: int, view: SceneView | None) -> Truth:
-        """Returns whether a relation holds between an object and one landmark."""
-        if relation is Relation.SAME_ROOM:
-            together = self._same_room(number, other)
-            return together if self._is_undivided(number, other) else min(together, Truth.MAYBE)
-        if relation is Relation.ON:
-            return self._prints.rests_on(number, other)
-        if relation is Relation.UNDER:
-            return self._prints.is_under(number, other)
-        together = self._same_room(number, other)
-        if together is Truth.MAYBE:  # beside a door or a window
-            together = Truth.YES
-        if together is Truth.NO:
-            return Truth.NO
-        if relation is Relation.NEXT_TO:
-            found = at_most(self._prints.gap(number, other), limit.NEXT_TO_M)
-            is_doubtful = self.graph.walled[number, other] or self._prints.is_stacked(number, other)
-            return Truth.MAYBE if found is Truth.YES and is_doubtful else found
-        assert view is not None
-        if not view.possible[other]:
-            return Truth.NO
-        if self._prints.is_apart(number, other):
-            return Truth.NO
-        is_seen = view.sure[number] and view.sure[other] and not self._prints.is_stacked(number, other)
-        shown = Truth.YES if is_seen else Truth.MAYBE
-        way = self._way(relation, number, other, view)
-        if way is Truth.NO:
-            return Truth.NO
-        return min(shown, way, at_most(self._prints.gap(number, other), limit.DIRECTION_GAP_M))
-
-    def _way(self, relation: Relation, number: int, other: int, view: SceneView) -> Truth:
-        """Returns whether an object is in the direction of a relation from a landmark, as seen from the start."""
-        eye = view.x, view.y
-        angle = self._prints.direction(number, other, eye)
-        turn = {Relation.LEFT_OF: 90.0, Relation.RIGHT_OF: -90.0, Relation.BEHIND: 0.0, Relation.IN_FRONT_OF: 180.0}
-        aside = angle_between(angle, turn[relation])
-        if relation in (Relation.LEFT_OF, Relation.RIGHT_OF):
-            return at_most(aside, limit.DIRECTION_RAD)
-        apart = abs(float(view.bearing[number] - view.bearing[other]))
-        way = min(at_most(aside, limit.FACING_RAD), at_most(apart, limit.ALIGNED_RAD))
-        near, far = (number, other) if relation is Relation.IN_FRONT_OF else (other, number)
-        stands = not (self.graph.hangs[number] or self.graph.hangs[other])
-        is_clear = (
-            self._prints.has_same_base(number, other) and self._prints.is_nearer(near, far, eye, other) and stands
-        )
-        return way if is_clear else min(way, Truth.MAYBE)
-
-    def _between(self, number: int, first: int, second: int) -> Truth:
-        rooms = {self.graph.objects[each].room for each in (number, first, second)} - {0}
-        if len(rooms) > 1:
-            return Truth.NO
-        found = self._prints.between(number, first, second)
-        return min(found, Truth.MAYBE) if self.graph.walled[first, second] else found
 
     def _selected(self, truths: dict[int, Truth], expression: Expression, view: SceneView | None) -> dict[int, Truth]:
         """Returns the objects that a superlative or an ordinal selects; all of them if there is none.
@@ -316,7 +214,10 @@ class Verifier:
             assert view is not None
             place, side = expression.ordinal.number, expression.ordinal.side
             if side in AHEAD_SIDES:
-                here = {number: min(truth, self._in_room(number, view.room)) for number, truth in truths.items()}
+                here = {
+                    number: min(truth, self._relations.is_in_room(number, view.room))
+                    for number, truth in truths.items()
+                }
                 return counted_ahead(here, place, side, view, self._prints)
             return counted(truths, place, side, view)
         if expression.size is not None:
@@ -334,14 +235,8 @@ class Verifier:
             return {}
         gaps = {number: self._prints.gap(number, other) for number in truths if number != other}
         way = Selected.LEAST if clause.relation is Relation.NEAREST_TO else Selected.MOST
-        known = {number: min(truths[number], self._near_enough(number, other, way)) for number in gaps}
+        known = {number: min(truths[number], self._relations.is_near_enough(number, other, way)) for number in gaps}
         return extreme(known, gaps, way)
-
-    def _near_enough(self, number: int, other: int, way: Selected) -> Truth:
-        if way is Selected.MOST:
-            return Truth.YES
-        is_far = self._same_room(number, other) is Truth.NO or self.graph.walled[number, other]
-        return Truth.MAYBE if is_far else Truth.YES
 
 
 def _is_made_of(materials: tuple[str, ...], material: str) -> Truth:

@@ -18,10 +18,10 @@ from factory.bench.machine import (
     stage_costs,
 )
 from factory.bench.model import RolloutBench, Spread
-from factory.bench.read import bench_read
-from factory.bench.render import poses_in
+from factory.bench.reading.read import bench_read
 from factory.bench.sample import narrow
-from factory.cli.other.bench_tables import show_rollout
+from factory.bench.simulation.render import poses_in
+from factory.commands.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import inspect
 import pkgutil
 import subprocess
 import sys
+import textwrap
 from collections import defaultdict
 from collections.abc import Iterator
 
@@ -245,6 +248,12 @@ def test_a_misspelled_command_or_option_is_answered_with_the_closest_visible_nam
     assert "--resume" not in text
 
 
+def loaded_by(body: str) -> set[str]:
+    """Returns the modules that a process imports that runs some lines."""
+    command = [sys.executable, "-c", IMPORTED.format(body=body)]
+    return set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.split())
+
+
 @pytest.mark.parametrize(
     "body",
     [
@@ -257,9 +266,7 @@ def test_a_misspelled_command_or_option_is_answered_with_the_closest_visible_nam
     ],
 )
 def test_help_and_completion_import_no_command_and_no_heavy_package(body: str) -> None:
-    command = [sys.executable, "-c", IMPORTED.format(body=body)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    loaded = set(done.stderr.split())
+    loaded = loaded_by(body)
     assert "factory.cli.main" in loaded
     assert {f"factory.cli.{name}" for name in VERBS} & loaded <= {"factory.cli.other.completion"}
     assert {
@@ -275,22 +282,51 @@ def test_help_and_completion_import_no_command_and_no_heavy_package(body: str) -
     } & loaded == set()
 
 
+def test_the_help_of_no_command_imports_a_package_that_only_its_work_needs() -> None:
+    body = "import click\n"
+    body += "def walk(command, parent):\n"
+    body += "    context = click.Context(command, parent=parent)\n"
+    body += "    assert command.get_help(context)\n"
+    body += "    for name in getattr(command, 'list_commands', lambda _: ())(context):\n"
+    body += "        walk(command.get_command(context, name), context)\n"
+    body += "walk(cli, None)"
+    loaded = loaded_by(body)
+    assert {f"factory.cli.{entry.module}" for entry in VERBS.values()} <= loaded
+    assert loaded & {"factory.commands.run.run", "coordinator.service", "workers.client.host"} == set()
+    assert (
+        loaded & {"numpy", "scipy", "pyarrow", "PIL", "rich", "sqlalchemy", "structlog", "zenoh", "pybullet"} == set()
+    )
+
+
+def test_the_function_of_every_command_takes_the_options_of_the_command() -> None:
+    checked = 0
+    for _, command in commands():
+        if isinstance(command, click.Group) or command.callback is None:
+            continue
+        source = textwrap.dedent(inspect.getsource(inspect.unwrap(command.callback)))
+        found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
+        names = {parameter.name: None for parameter in command.params if parameter.expose_value}
+        for node in found:
+            if node.module is not None and node.module.startswith("factory.commands."):
+                function = getattr(importlib.import_module(node.module), node.names[0].name)
+                inspect.signature(function).bind(**names)  # raises TypeError
+                checked += 1
+    assert checked > 50
+
+
 def test_commands_import_scipy_submodules_lazily() -> None:
-    body = "import importlib\nfrom factory.cli.main import VERBS\n"
-    body += "for entry in VERBS.values(): importlib.import_module(f'factory.cli.{entry.module}')"
-    command = [sys.executable, "-c", IMPORTED.format(body=body)]
-    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.split())
+    body = "import importlib, pkgutil, factory.commands as all\n"
+    body += "for found in pkgutil.walk_packages(all.__path__, 'factory.commands.'): importlib.import_module(found.name)"
+    loaded = loaded_by(body)
     assert "factory.stats.measures" in loaded
     assert {"scipy.stats", "scipy.ndimage", "scipy.sparse", "scipy.spatial"} & loaded == set()
 
 
 def test_the_commands_that_generate_data_are_imported_without_pybullet() -> None:
-    body = "import factory.cli.run.run, factory.cli.run.gate, factory.cli.run.render, factory.cli.farm.coordinator"
-    done = subprocess.run(
-        [sys.executable, "-c", IMPORTED.format(body=body)], capture_output=True, text=True, check=True
-    )
-    assert "factory.cli.run.run" in done.stderr.split()
-    assert "pybullet" not in done.stderr.split()  # so that they name the versions of Python that have it
+    names = ("run.run", "run.gate", "run.render", "farm.coordinator")
+    loaded = loaded_by("import " + ", ".join(f"factory.commands.{name}" for name in names))
+    assert "factory.commands.run.run" in loaded
+    assert "pybullet" not in loaded  # so that they name the versions of Python that have it
 
 
 def commands_below(command: click.Command) -> Iterator[click.Command]:

@@ -20,10 +20,11 @@ from factory.export.base import ExportPiece, Finish
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.lerobot.columns import frame_columns
 from factory.export.lerobot.depth_code import DepthCode
-from factory.export.lerobot.layout import DEPTH, IDS, RGB, LeRobotOptions
+from factory.export.lerobot.layout import DEPTH, IDS, RGB
 from factory.export.lerobot.piece import LeRobotFacts
 from factory.export.lerobot.v21 import MODALITY
 from factory.export.lerobot.v30 import FileLimits, write_dataset
+from factory.export.options import LeRobotOptions
 from factory.export.output import Output
 from factory.export.registry import find_exporter
 from factory.export.video import read_video

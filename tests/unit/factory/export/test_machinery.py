@@ -18,8 +18,8 @@ from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
 from factory.export.execution.run import ExportOrder, run_export
 from factory.export.execution.selection import parse_episodes, select
+from factory.export.options import PaperOptions
 from factory.export.output import WORK_FOLDER, Output
-from factory.export.paper import PaperOptions
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.support.task_pool import run_tasks
 from schemas.errors import UsageError, WorldError

@@ -12,7 +12,7 @@ from PIL import Image
 
 from factory.dataset.reader import Dataset, Episode
 from factory.export.execution.run import ExportOrder, run_export
-from factory.export.paper import PaperOptions
+from factory.export.options import PaperOptions
 from schemas.dataset.meta import read_dataset_meta
 from schemas.dataset.rows import PUBLISHED_COLUMNS
 from schemas.encoding.digest import content_digest, frame_digest

@@ -18,13 +18,13 @@ from schemas.config import CameraConfig
 from schemas.errors import InvalidLanguage, UsageError
 from schemas.language.expression import Family
 from schemas.language.file import LanguageSpec
-from schemas.language.graph import build_graph
+from schemas.language.graph.scene_graph import build_graph
+from schemas.language.graph.view import look
 from schemas.language.question.model import Question
 from schemas.language.question.verify import QuestionVerifier
-from schemas.language.reading import reader
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
-from schemas.language.view import look
+from schemas.language.sentence.reading import reader
 from schemas.scene import Instance, encode_scene
 from schemas.terms import Split
 from tests.builders.dataset import chair, make_dataset

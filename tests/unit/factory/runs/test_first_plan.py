@@ -10,7 +10,7 @@ import pytest
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.plan_toml import plan_to_toml
 from coordinator.expansion.possible import find_impossible
-from factory.cli.scene.package import draft_plan
+from factory.commands.scene.package import draft_plan
 from schemas.terms import Split, Tier
 from tests.builders.catalog import make_entry, make_target
 

@@ -24,7 +24,7 @@ from factory.stats.language import EpisodeView, summarise_language
 from factory.stats.model import LanguageRow, Share
 from factory.stats.views import measure_language
 from schemas.config import CameraConfig
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.instruction.language import instruction
 from schemas.instruction.seen_objects import SeenObject, see_objects
 from schemas.scene import Instance, decode_scene, encode_scene

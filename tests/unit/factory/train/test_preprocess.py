@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.train.preprocess import FAR_M, SIZES, Batch, augment, shrink_depth, shrink_mask, shrink_rgb, to_input
-from schemas.encoding.arrays import FRAME_SIZE_PX
+from factory.train.input_size import SIZES
+from factory.train.preprocess import FAR_M, Batch, augment, shrink_depth, shrink_mask, shrink_rgb, to_input
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 
 SWAPPED = np.array((0, 1, 2, 4, 3), np.int64)
 """Words of a mirrored image: words 3 and 4 are opposite sides."""

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from schemas.builtin import BUILTIN_RIGS
 from schemas.errors import InvalidRig, UsageError
 from schemas.rig import FisheyeCamera, Lidar3d, PinholeCamera
-from schemas.rig.file import BUILTIN_RIGS, load_rig
+from schemas.rig.file import load_rig
 
 CAMERA = """
 [[sensors]]

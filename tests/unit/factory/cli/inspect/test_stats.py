@@ -14,7 +14,8 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
-from factory.cli.inspect.stats import command, print_statistics
+from factory.cli.inspect.stats import command
+from factory.commands.inspect.stats import print_statistics
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.config import TaskConfig
 from schemas.dataset.rows import FailedAttempt

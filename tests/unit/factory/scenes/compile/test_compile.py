@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from factory.scenes import build_scene, draw_topdown, import_scene, package_path
+from factory.scenes.build import build_scene, import_scene, package_path
 from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.limits import StageLimits
+from factory.scenes.topdown import draw_topdown
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene, Sky, decode_scene, encode_scene
 from schemas.terms import Tier

@@ -1,0 +1,13 @@
+"""Defaults of the coordinator that its command line shows. Imports nothing, so that a help page is cheap."""
+
+from __future__ import annotations
+
+LEASE_TTL_S = 15.0
+"""Duration of a lease without a heartbeat, seconds."""
+MAX_PULLERS = 64
+"""Maximum number of bundles that are transferred and validated at a time."""
+
+
+def pullers_for(cores: int) -> int:
+    """Returns the number of pullers of a coordinator that has a host to itself; a puller validates on one core."""
+    return min(max(2, cores), MAX_PULLERS)

@@ -1,0 +1,1 @@
+"""Benchmarks of the coordinator: ledger, protocol, validation and archive, with simulated workers."""

@@ -1,0 +1,243 @@
+"""Simulates the sessions of thousands of workers against the protocol handlers and the ledger of one coordinator.
+
+Time is virtual: sessions claim, send heartbeats and announce bundles as workers of a given pace would. Measures the CPU
+time of parsing, ledger and replies. Opens no connection and transfers no bundle.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from itertools import count
+from pathlib import Path
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.ledger.database.engine import open_writer
+from coordinator.ledger.database.writer import Writer
+from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
+from factory.bench.machine import describe_machine
+from factory.bench.service.coordinator import archiving
+from factory.bench.service.delivery_model import SessionsBench, VerbLoad
+from schemas.base import Model
+from schemas.episode import EpisodeMeta
+from schemas.plan import Plan
+from schemas.protocol.keys import Verb
+from schemas.protocol.messages import Beat, Claim, ClaimReply, Done, Hello, Lease, LeaseProgress
+from schemas.storage.dataset_files import LEDGER_FILE
+
+_START = datetime(2026, 1, 1, tzinfo=UTC)
+_WINDOW_S = 0.02
+"""Virtual time whose requests are handled together, seconds; a commit on a disk takes about as long."""
+_ARCHIVE_S = 1.0
+"""Time from the announcement of a bundle to the archived episode, seconds."""
+_BEATS_PER_LEASE = 4
+_VERSION = "bench"
+_ARCHIVE = "archive"
+"""Name of the ledger's work for an archived episode, which is not a request."""
+
+
+@dataclass(frozen=True)
+class SessionsLoad:
+    """Workload of a simulation."""
+
+    sessions: int
+    """Number of workers, each with one session."""
+    cores: int
+    """Number of simulations of each worker."""
+    episode_s: float
+    """Mean duration of an attempt, seconds."""
+    lease_s: float
+    """Lease time, seconds; a worker sends four heartbeats in it."""
+    seconds: float
+    """Simulated time after the start of all workers, seconds."""
+
+
+@dataclass
+class _Session:
+    """Worker as the coordinator sees it."""
+
+    sid: str
+    host: str
+    live: list[Lease] = field(default_factory=list)
+    spool: list[Lease] = field(default_factory=list)
+
+
+class _Meter:
+    """Number, size and CPU time of requests."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.received: Counter[str] = Counter()
+        self.sent: Counter[str] = Counter()
+        self.cpu_s: defaultdict[str, float] = defaultdict(float)
+
+    def loads(self, seconds: float) -> dict[str, VerbLoad]:
+        """Returns the load by verb."""
+        return {
+            verb: VerbLoad(
+                per_s=number / seconds,
+                received_bytes=self.received[verb] / number,
+                sent_bytes=self.sent[verb] / number,
+                cpu_us=1e6 * self.cpu_s[verb] / number,
+            )
+            for verb, number in sorted(self.counts.items())
+        }
+
+
+def bench_sessions(plan: Plan, catalog: Catalog, meta: EpisodeMeta, folder: Path, load: SessionsLoad) -> SessionsBench:
+    """Simulates the sessions and returns the load of the coordinator.
+
+    Args:
+        plan: Plan with one scene.
+        catalog: Scenes of the plan.
+        meta: Metadata of a real episode, which are used for every episode.
+        folder: Directory of the ledger.
+        load: Workload.
+    """
+    jobs = int(load.sessions * load.cores * (2.5 + load.seconds / load.episode_s))
+    plan = plan.model_copy(update={"scenes": (plan.scenes[0].model_copy(update={"episodes": jobs}),)})
+    engine = open_writer(ledger_url_of(folder))
+    open_run(engine, plan, catalog, load.lease_s, _START)
+    terms = Terms(plan, catalog, _VERSION, load.lease_s, 1.0)
+    with Writer(engine) as writer:
+        fleet = _Fleet(writer, terms, meta, load)
+        fleet.run_until(load.episode_s)  # the workers start one after another
+        fleet.meter = meter = _Meter()
+        commits, size, writer_s = writer.commits, _ledger_bytes(folder), writer.cpu_s()
+        fleet.run_until(load.episode_s + load.seconds)
+        served_s = sum(meter.cpu_s.values())
+        commit_s = writer.cpu_s() - writer_s - fleet.in_writer_s
+        commits, size = writer.commits - commits, _ledger_bytes(folder) - size
+    engine.dispose()
+    archived = meter.counts[_ARCHIVE]
+    return SessionsBench(
+        machine=describe_machine(),
+        sessions=load.sessions,
+        cores=load.cores,
+        episode_s=load.episode_s,
+        lease_s=load.lease_s,
+        seconds=load.seconds,
+        verbs=meter.loads(load.seconds),
+        episodes_per_s=archived / load.seconds,
+        commits_per_s=commits / load.seconds,
+        commit_us=1e6 * commit_s / max(1, commits),
+        ledger_bytes_per_episode=size / max(1, archived),
+        coordinator_cores=(served_s + commit_s) / load.seconds,
+    )
+
+
+def _ledger_bytes(folder: Path) -> int:
+    return (folder / LEDGER_FILE).stat().st_size
+
+
+class _Fleet:
+    """Event queue of all sessions in virtual time."""
+
+    def __init__(self, writer: Writer, terms: Terms, meta: EpisodeMeta, load: SessionsLoad) -> None:
+        self._writer, self._terms, self._meta, self._load = writer, terms, meta, load
+        self._rng, self._order, self._tokens = random.Random(0), count(), count(1)  # noqa: S311 - pauses of workers
+        self._events: list[tuple[float, int, Callable[[float], None]]] = []
+        self._waiting: list[Callable[[], None]] = []
+        self.meter = _Meter()
+        self.in_writer_s = 0.0
+        """CPU time of requests in the writer's thread since the last start of `run_until`, seconds."""
+        for number in range(load.sessions):
+            session = _Session(f"host-{number}.1", f"host-{number}")
+            self._at(self._rng.uniform(0.0, load.episode_s / 2), partial(self._hello, session))
+
+    def run_until(self, end: float) -> None:
+        """Handles all events before a virtual time, in windows; the requests of a window are queued together."""
+        self.in_writer_s = 0.0
+        while self._events and self._events[0][0] < end:
+            closing = self._events[0][0] + _WINDOW_S
+            while self._events and self._events[0][0] < closing:
+                at, _, event = heapq.heappop(self._events)
+                event(at)
+            waiting, self._waiting = self._waiting, []
+            for finish in waiting:
+                finish()
+
+    def _at(self, at: float, event: Callable[[float], None]) -> None:
+        heapq.heappush(self._events, (at, next(self._order), event))
+
+    def _hello(self, session: _Session, now: float) -> None:
+        hello = Hello(sid=session.sid, host=session.host, slots=self._load.cores, version=_VERSION)
+        self._ask(session, Verb.HELLO, hello, now, lambda _reply: None)
+        for _ in range(self._load.cores):
+            self._claim(session, now)
+        first = now + self._rng.uniform(0.0, self._load.lease_s / _BEATS_PER_LEASE)
+        self._at(first, lambda at: self._beat(session, at))
+
+    def _claim(self, session: _Session, now: float) -> None:
+        claim = Claim(sid=session.sid, token=f"{next(self._tokens):032x}")
+
+        def work(reply: Model) -> None:
+            assert isinstance(reply, ClaimReply)
+            assert reply.lease is not None
+            assert reply.job is not None
+            lease, index = reply.lease, reply.job.index
+            session.live.append(lease)
+            seconds = self._load.episode_s * self._rng.uniform(0.5, 1.5)
+            self._at(now + seconds, lambda at: self._done(session, lease, index, at))
+
+        self._ask(session, Verb.CLAIM, claim, now, work)
+
+    def _done(self, session: _Session, lease: Lease, index: int, now: float) -> None:
+        session.live.remove(lease)
+        session.spool.append(lease)
+        done = Done(sid=session.sid, lease=lease, sha256="c" * 64, size=1000)
+        self._ask(session, Verb.DONE, done, now, lambda _reply: None)
+        self._at(now + _ARCHIVE_S, lambda _at: self._archive(session, lease, index))
+        self._claim(session, now)
+
+    def _archive(self, session: _Session, lease: Lease, index: int) -> None:
+        work = archiving(lease, index, self._meta)
+        future = self._writer.submit(lambda connection: self._timed(_ARCHIVE, lambda: work(connection)))
+        self.meter.counts[_ARCHIVE] += 1
+        self._waiting.append(lambda: session.spool.remove(lease) if future.result() else None)
+
+    def _beat(self, session: _Session, now: float) -> None:
+        live = tuple(LeaseProgress(lease=lease, step=100) for lease in session.live)
+        beat = Beat(sid=session.sid, live=live, spool=tuple(session.spool))
+        self._ask(session, Verb.BEAT, beat, now, lambda _reply: None)
+        pause_s = self._load.lease_s / _BEATS_PER_LEASE * self._rng.uniform(0.8, 1.2)
+        self._at(now + pause_s, lambda at: self._beat(session, at))
+
+    def _ask(self, session: _Session, verb: Verb, message: Model, now: float, then: Callable[[Model], None]) -> None:
+        payload, at = message.model_dump_json().encode(), _START + timedelta(seconds=now)
+        meter = self.meter
+        meter.counts[verb] += 1
+        meter.received[verb] += len(payload)
+        begun = time.thread_time()
+        request = parse(verb, session.host, payload)
+        meter.cpu_s[verb] += time.thread_time() - begun
+        assert isinstance(request, ParsedRequest), request
+        future: Future[ProtocolAnswer] = self._writer.submit(
+            lambda connection: self._timed(verb, lambda: serve(connection, request, self._terms, at))
+        )
+
+        def finish() -> None:
+            answer = future.result()
+            begun = time.thread_time()
+            meter.sent[verb] += len(answer.reply.model_dump_json())
+            meter.cpu_s[verb] += time.thread_time() - begun
+            then(answer.reply)
+
+        self._waiting.append(finish)
+
+    def _timed(self, verb: str, work: Callable[[], ProtocolAnswer]) -> ProtocolAnswer:
+        """Runs work in the writer's thread and records its CPU time."""
+        begun = time.thread_time()
+        result = work()
+        spent_s = time.thread_time() - begun
+        self.meter.cpu_s[verb] += spent_s
+        self.in_writer_s += spent_s
+        return result

@@ -1,0 +1,1 @@
+"""Execution of the commands of several hosts."""

@@ -1,0 +1,1 @@
+"""Execution of the commands that read a dataset or a run."""

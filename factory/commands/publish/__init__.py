@@ -1,0 +1,1 @@
+"""Execution of `export`, `relabel` and `push`."""

@@ -1,0 +1,1 @@
+"""Execution of `run`, `render`, `plan` and `gate`."""

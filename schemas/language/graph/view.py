@@ -1,0 +1,154 @@
+"""Computes what the robot sees of a scene graph from its start pose, on the grid. Renders nothing.
+
+An object is surely visible if it is in the image and most lines of sight to it are free, and a part of it is if two of
+five are; it is surely not visible if it is outside of the image, or a wall blocks every line of sight. Other obstacles
+make it borderline.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import CameraConfig
+from schemas.language.graph.scene_graph import SceneGraph
+from schemas.language.thresholds import EDGE_RAD, SHOWN, VISIBLE_M
+from schemas.support.numpy_types import Bools, Floats
+
+_FAR_M = 15.0
+"""Distance beyond which lines of sight are not traced: an object in the image is borderline."""
+_FREE_SHARE = 0.5
+_BEFORE_M = 0.12
+"""Length before the object at which a line of sight ends, metres: the object itself does not block it."""
+_STEP_CELLS = 1.5
+_TALL_M = 0.6
+"""An image must show half of the height of an object, or this height, metres."""
+_POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
+"""Points of a footprint, the centre first, in half extents."""
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """Start pose and the objects of a scene graph as seen from there."""
+
+    x: float
+    """x of the camera in the world frame, metres."""
+    y: float
+    """y of the camera in the world frame, metres."""
+    yaw: float
+    """Heading, radians."""
+    room: int
+    """Room of the start, or 0."""
+    area: int
+    """Part of the room of the start; 0 if unknown, or if the start is close to an opening."""
+    sure: Bools
+    """(N,) objects that are surely visible."""
+    shown: Bools
+    """(N,) objects of which a part is surely visible; includes those that are surely visible."""
+    possible: Bools
+    """(N,) objects that may be visible."""
+    bearing: Floats
+    """(N,) angle from the heading to the middle of each object as it appears, not to its centre, radians in (-pi, pi],
+    positive to the left."""
+    distance: Floats
+    """(N,) distance to the centre of each object, metres."""
+
+
+def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConfig) -> SceneView:
+    """Returns the view from a pose of base_link.
+
+    Args:
+        graph: scene graph.
+        pose: x, y in metres and yaw in radians of base_link in the world frame.
+        camera: camera of the robot.
+    """
+    x, y, yaw = pose
+    eye = np.array(
+        (
+            x + math.cos(yaw) * camera.x_m - math.sin(yaw) * camera.y_m,
+            y + math.sin(yaw) * camera.x_m + math.cos(yaw) * camera.y_m,
+        )
+    )
+    low, high = graph.low[:, :2], graph.high[:, :2]
+    centres = (low + high) / 2
+    points = centres[:, None] + _POINTS * ((high - low) / 2)[:, None]
+    offset = points - eye
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    bearing = np.remainder(np.arctan2(offset[..., 1], offset[..., 0]) - yaw + math.pi, 2 * math.pi) - math.pi
+    half = math.radians(camera.fov_deg) / 2
+    inside, maybe = np.abs(bearing) <= half - EDGE_RAD, np.abs(bearing) <= half + EDGE_RAD
+    maybe[:, 0] |= (bearing.min(axis=1) < 0) & (bearing.max(axis=1) > 0) & (np.ptp(bearing, axis=1) < math.pi)
+    inside &= _are_at_image_height(graph, distance[:, 0] * math.tan(half - EDGE_RAD), camera)[:, None]
+    far = distance[:, 0] > _FAR_M
+    sure, shown, possible = np.zeros(len(points), bool), np.zeros(len(points), bool), far & maybe.any(axis=1)
+    near = np.flatnonzero(maybe.any(axis=1) & ~far)
+    if len(near):
+        blocked = _blocked(graph, eye, offset[near], low[near] - _BEFORE_M, high[near] + _BEFORE_M)
+        clear = (blocked == 0) & inside[near]
+        share = np.where(distance[near, 0] <= VISIBLE_M, clear.mean(axis=1), 0.0)
+        shown[near] = share >= SHOWN
+        sure[near] = (share >= _FREE_SHARE) & inside[near, 0]
+        possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
+    room, area = graph.room_at(x, y), graph.area_at(x, y)
+    is_facing = ~graph.hangs | (graph.room_of == room) & (
+        room > 0
+    )  # lines of sight end before the wall behind an object
+    low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
+    middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
+    return SceneView(
+        *(float(eye[0]), float(eye[1]), yaw, room, area),
+        *(sure & is_facing, shown & is_facing, possible, middle_rad, distance[:, 0]),
+    )
+
+
+def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:
+    """Returns (N,) objects of which half of the height, or `_TALL_M`, is at a height that the image shows.
+
+    Args:
+        graph: scene graph.
+        reach_m: (N,) height above and below the camera that the image shows at the distance of each object, metres.
+        camera: camera of the robot.
+    """
+    eye_m = graph.floor_m + camera.z_m
+    low, high = graph.low[:, 2] - eye_m, graph.high[:, 2] - eye_m
+    shown = np.minimum(high, reach_m) - np.maximum(low, -reach_m)
+    return np.asarray(shown >= np.minimum((high - low) / 2, _TALL_M))
+
+
+def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:
+    """Returns (K, 5) the highest value of the grid on each line of sight before it enters the bounding rectangle.
+
+    Args:
+        graph: scene graph.
+        eye: start of the lines, metres.
+        ways: (K, 5, 2) vectors from the eye to the ends of the lines, metres.
+        low: (K, 2) lower corners of the rectangles.
+        high: (K, 2) upper corners of the rectangles.
+    """
+    grid = graph.sight_grid
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = (np.stack((low, high)) - eye)[:, :, None] / ways  # shares at which the lines cross the sides
+    entered = np.nan_to_num(np.minimum(*sides), nan=0.0).max(axis=-1).clip(0.0, 1.0)
+    start = (eye - np.asarray(grid.origin_m)) / grid.resolution_m
+    steps = (ways * (entered / grid.resolution_m)[..., None]).astype(np.float32)
+    count = max(2, math.ceil(float(np.abs(steps).max()) / _STEP_CELLS))
+    share = ((np.arange(count) + 0.5) / count).astype(np.float32)
+    rows, columns = grid.values.shape
+    row = np.float32(start[1]) + steps[..., 1, None] * share
+    column = np.float32(start[0]) + steps[..., 0, None] * share
+    if not _are_inside(start, steps, rows, columns):
+        row, column = row.clip(0, rows - 1), column.clip(0, columns - 1)
+    cells = row.astype(np.int32)
+    cells *= columns
+    cells += column.astype(np.int32)
+    return np.asarray(grid.values.ravel()[cells].max(axis=-1), np.uint8)
+
+
+def _are_inside(start: Floats, steps: NDArray[np.float32], rows: int, columns: int) -> bool:
+    """Returns whether both ends of all lines, in cells, are within the grid."""
+    flat = steps.reshape(-1, 2)
+    low, high = start + flat.min(axis=0), start + flat.max(axis=0)
+    return bool((np.minimum(low, start) >= 0).all() and (np.maximum(high, start) < (columns - 1, rows - 1)).all())
