@@ -61,16 +61,7 @@ class FloorGraph:
         numbers = np.full(passable.shape, -1, np.int32)
         numbers[passable] = np.arange(int(passable.sum()))
         weights = np.ones(passable.shape) if weight is None else weight
-        ends: list[tuple[NDArray[np.int32], NDArray[np.int32], Floats]] = []
-        for row, column in _NEIGHBOURS:
-            here, there = _shifted(numbers, row, column)
-            both = (here >= 0) & (there >= 0)
-            mean = np.add(*_shifted(weights, row, column)) / 2
-            ends.append((here[both], there[both], mean[both] * math.hypot(row, column) * resolution_m))
-        starts, stops, lengths = (np.concatenate(column) for column in zip(*ends, strict=True))
-        count = int(passable.sum())
-        ahead = scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr()
-        return cls(numbers, _both_ways(ahead))
+        return cls(numbers, _both_ways(_edges_ahead(numbers, weights, resolution_m)))
 
     def distances(self, sources: Bools, limit_m: float = math.inf) -> DistanceField:
         """Returns the distance from every cell to the nearest of the source cells (H, W).
@@ -94,15 +85,29 @@ class FloorGraph:
         return DistanceField(metres, nearer)
 
 
+def _edges_ahead(numbers: NDArray[np.int32], weights: Floats, resolution_m: float) -> scipy.sparse.csr_array:
+    """Returns the lengths of the edges from each node to its neighbours in half of the directions, metres."""
+    ends: list[tuple[NDArray[np.int32], NDArray[np.int32], Floats]] = []
+    for row, column in _NEIGHBOURS:
+        here, there = _shifted(numbers, row, column)
+        both = (here >= 0) & (there >= 0)
+        mean = np.add(*_shifted(weights, row, column)) / 2
+        ends.append((here[both], there[both], mean[both] * math.hypot(row, column) * resolution_m))
+    starts, stops, lengths = (np.concatenate(column) for column in zip(*ends, strict=True))
+    count = int(numbers.max(initial=-1)) + 1
+    return scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr()
+
+
 def _both_ways(ahead: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     """Returns a graph with every edge and its reverse; in each row the edges of `ahead` are first.
 
     Of equal paths the search keeps the first one, so the order of the edges decides between them.
     """
     back = ahead.T.tocsr()
-    rows = np.concatenate([np.repeat(np.arange(half.shape[0]), np.diff(half.indptr)) for half in (ahead, back)])
-    order = np.argsort(rows, kind="stable")
-    lengths, stops = (np.concatenate(pair)[order] for pair in ((ahead.data, back.data), (ahead.indices, back.indices)))
+    lengths, stops = np.empty(2 * ahead.nnz), np.empty(2 * ahead.nnz, np.int32)
+    for half, others_before in ((ahead, back.indptr[:-1]), (back, ahead.indptr[1:])):
+        places = np.arange(half.nnz, dtype=np.int32) + np.repeat(others_before, np.diff(half.indptr))
+        lengths[places], stops[places] = half.data, half.indices
     return scipy.sparse.csr_array((lengths, stops, ahead.indptr + back.indptr), shape=ahead.shape)
 
 
