@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import scipy  # loads a submodule at its first use: commands that only read need none
@@ -55,6 +55,11 @@ class Grid:
         walled = np.pad(self.occupancy == FREE, 1)
         field: Floats = scipy.ndimage.distance_transform_edt(walled)[1:-1, 1:-1] * self.resolution_m
         return field
+
+    @cached_property
+    def results(self) -> dict[object, dict[Any, Any]]:
+        """Results of functions of this grid by function and arguments; see `workers.planning.kept`."""
+        return {}
 
     def cell_of(self, xy: ArrayLike) -> NDArray[np.int64]:
         """Returns (row, column) of the cells that contain the points (..., 2); they may be outside the grid."""

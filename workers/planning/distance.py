@@ -19,6 +19,7 @@ from schemas.measure import Goal
 from schemas.scene import Target
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid
+from workers.planning.kept import kept_with_grid
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
@@ -60,16 +61,7 @@ class FloorGraph:
         numbers = np.full(passable.shape, -1, np.int32)
         numbers[passable] = np.arange(int(passable.sum()))
         weights = np.ones(passable.shape) if weight is None else weight
-        ends: list[tuple[NDArray[np.int32], NDArray[np.int32], Floats]] = []
-        for row, column in _NEIGHBOURS:
-            here, there = _shifted(numbers, row, column)
-            both = (here >= 0) & (there >= 0)
-            mean = np.add(*_shifted(weights, row, column)) / 2
-            ends.append((here[both], there[both], mean[both] * math.hypot(row, column) * resolution_m))
-        starts, stops, lengths = (np.concatenate(column) for column in zip(*ends, strict=True))
-        count = int(passable.sum())
-        ahead = scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr()
-        return cls(numbers, _both_ways(ahead))
+        return cls(numbers, _both_ways(_edges_ahead(numbers, weights, resolution_m)))
 
     def distances(self, sources: Bools, limit_m: float = math.inf) -> DistanceField:
         """Returns the distance from every cell to the nearest of the source cells (H, W).
@@ -93,15 +85,29 @@ class FloorGraph:
         return DistanceField(metres, nearer)
 
 
+def _edges_ahead(numbers: NDArray[np.int32], weights: Floats, resolution_m: float) -> scipy.sparse.csr_array:
+    """Returns the lengths of the edges from each node to its neighbours in half of the directions, metres."""
+    ends: list[tuple[NDArray[np.int32], NDArray[np.int32], Floats]] = []
+    for row, column in _NEIGHBOURS:
+        here, there = _shifted(numbers, row, column)
+        both = (here >= 0) & (there >= 0)
+        mean = np.add(*_shifted(weights, row, column)) / 2
+        ends.append((here[both], there[both], mean[both] * math.hypot(row, column) * resolution_m))
+    starts, stops, lengths = (np.concatenate(column) for column in zip(*ends, strict=True))
+    count = int(numbers.max(initial=-1)) + 1
+    return scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr()
+
+
 def _both_ways(ahead: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     """Returns a graph with every edge and its reverse; in each row the edges of `ahead` are first.
 
     Of equal paths the search keeps the first one, so the order of the edges decides between them.
     """
     back = ahead.T.tocsr()
-    rows = np.concatenate([np.repeat(np.arange(half.shape[0]), np.diff(half.indptr)) for half in (ahead, back)])
-    order = np.argsort(rows, kind="stable")
-    lengths, stops = (np.concatenate(pair)[order] for pair in ((ahead.data, back.data), (ahead.indices, back.indices)))
+    lengths, stops = np.empty(2 * ahead.nnz), np.empty(2 * ahead.nnz, np.int32)
+    for half, others_before in ((ahead, back.indptr[:-1]), (back, ahead.indptr[1:])):
+        places = np.arange(half.nnz, dtype=np.int32) + np.repeat(others_before, np.diff(half.indptr))
+        lengths[places], stops[places] = half.data, half.indices
     return scipy.sparse.csr_array((lengths, stops, ahead.indptr + back.indptr), shape=ahead.shape)
 
 
@@ -143,12 +149,12 @@ def geodesic_field(grid: Grid, target: Target, task: TaskConfig) -> DistanceFiel
     return _field_within(grid, target, task, math.inf)
 
 
-@functools.lru_cache(maxsize=8)
+@kept_with_grid(4)
 def _field_within(grid: Grid, target: Target, task: TaskConfig, limit_m: float) -> DistanceField:
     return _wide_floor(grid).distances(arrival_cells(grid, target, Goal.of(target, task)), limit_m)
 
 
-@functools.lru_cache(maxsize=2)
+@kept_with_grid(1)
 def _wide_floor(grid: Grid) -> FloorGraph:
     return FloorGraph.over(grid.clearance >= HALF_WIDTH_M, grid.resolution_m)
 

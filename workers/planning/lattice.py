@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.geometry.grid import DISC_OFFSETS_M, DISC_RADIUS_M, Grid
+from workers.planning.kept import kept_with_grid
 
 HEADINGS = 36
 """Number of headings."""
@@ -97,27 +98,27 @@ MOVES = tuple(_moves_from(heading) for heading in range(HEADINGS))
 class PoseTable:
     """Table of free poses of base_link by heading and cell; each pose is moved to the centre of its cell."""
 
-    grid: Grid
-    """Occupancy grid of the scene."""
-    free: NDArray[np.bool_]
-    """(HEADINGS, H, W) true for free poses."""
+    flags: bytes
+    """(HEADINGS, H, W) 1 for free poses, in C order; the fastest format for single lookups."""
+    shape: tuple[int, int]
+    """Shape (H, W) of the grid."""
 
-    @functools.cached_property
-    def flags(self) -> bytes:
-        """`free` with one byte per pose, in C order; the fastest format for single lookups."""
-        return self.free.tobytes()
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(HEADINGS, H, W) true for free poses; a view of the flags."""
+        return np.frombuffer(self.flags, bool).reshape(HEADINGS, *self.shape)
 
     @functools.cached_property
     def floor(self) -> NDArray[np.bool_]:
         """(H, W) cells on which at least one heading is free."""
         return np.asarray(self.free.any(axis=0))
 
-    def holds(self, x: float, y: float, yaw: float) -> bool:
-        """Returns whether the footprint is free at a pose, within the table's resolution."""
-        return bool(self.grid.values_at(self.free[heading_of(yaw)], (x, y), False))
+    def holds(self, grid: Grid, x: float, y: float, yaw: float) -> bool:
+        """Returns whether the footprint is free at a pose on the grid, within the table's resolution."""
+        return bool(grid.values_at(self.free[heading_of(yaw)], (x, y), False))
 
 
-@functools.lru_cache(maxsize=4)
+@kept_with_grid(2)
 def pose_table(grid: Grid, margin_m: float) -> PoseTable:
     """Returns the table of poses of a grid with `margin_m` of free space around the three discs of the footprint."""
     wide = grid.clearance >= DISC_RADIUS_M + margin_m
@@ -131,4 +132,4 @@ def pose_table(grid: Grid, margin_m: float) -> PoseTable:
             row = rim + round(round(offset * math.sin(yaw), _DECIMALS) / grid.resolution_m)
             column = rim + round(round(offset * math.cos(yaw), _DECIMALS) / grid.resolution_m)
             free[heading] &= padded[row : row + height, column : column + width]
-    return PoseTable(grid, free)
+    return PoseTable(free.tobytes(), wide.shape)

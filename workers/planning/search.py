@@ -6,7 +6,6 @@ expansions, not a time.
 
 from __future__ import annotations
 
-import functools
 import heapq
 import math
 from collections.abc import Iterable
@@ -21,6 +20,7 @@ from schemas.scene import Target
 from schemas.support import portable
 from workers.geometry.grid import DISC_RADIUS_M, Grid
 from workers.planning.distance import FloorGraph, arrival_cells, cells_within
+from workers.planning.kept import kept_with_grid
 from workers.planning.lattice import HEADINGS, MOVES, PoseTable, Waypoint, heading_of, pose_table, yaw_at
 
 _CELL_M = 0.1
@@ -69,16 +69,16 @@ def plan_path(
     limits_m = (_NEAR_M, math.inf) if is_near else (math.inf,)
     for margin, arrival_margin in tries:
         table = pose_table(grid, margin)
-        if table.holds(*start):
+        if table.holds(grid, *start):
             arrival = arrival_cells(grid, target, goal.shrunk(arrival_margin))
             ends = _Ends.facing(grid, arrival, goal) if facing else _Ends.any_heading(arrival)
-            path = _search(table, margin, start, ends, config.max_expansions, limits_m)
+            path = _search(grid, table, margin, start, ends, config.max_expansions, limits_m)
             if path is not None:
                 return path
     return None
 
 
-@functools.lru_cache(maxsize=2)
+@kept_with_grid(1)
 def _weights(grid: Grid) -> NDArray[np.float64]:
     """Returns (H, W) the cost of each cell per metre of path, at least 1; it is higher where clearance is small."""
     lack = np.clip((_WIDE_M - grid.clearance) / (_WIDE_M - DISC_RADIUS_M), 0.0, 1.0)
@@ -86,12 +86,12 @@ def _weights(grid: Grid) -> NDArray[np.float64]:
     return weights
 
 
-@functools.lru_cache(maxsize=2)
+@kept_with_grid(1)
 def _weight_list(grid: Grid) -> list[float]:
     return _weights(grid).ravel().tolist()
 
 
-@functools.lru_cache(maxsize=4)
+@kept_with_grid(2)
 def _floor_graph(grid: Grid, margin_m: float) -> FloorGraph:
     return FloorGraph.over(pose_table(grid, margin_m).floor, grid.resolution_m, _weights(grid))
 
@@ -122,17 +122,23 @@ class _Ends(NamedTuple):
 
 
 def _search(
-    table: PoseTable, margin_m: float, start: Waypoint, ends: _Ends, max_expansions: int, limits_m: Iterable[float]
+    grid: Grid,
+    table: PoseTable,
+    margin_m: float,
+    start: Waypoint,
+    ends: _Ends,
+    max_expansions: int,
+    limits_m: Iterable[float],
 ) -> tuple[Waypoint, ...] | None:
     """Searches with the distances to the ends up to each limit in turn; the first search that suffices is the result.
 
     The result equals that of a search with all distances, because poses beyond a limit are expanded after all others.
     """
-    grid, graph = table.grid, _floor_graph(table.grid, margin_m)
+    graph = _floor_graph(grid, margin_m)
     for limit_m in limits_m:
         to_go = graph.distances(ends.cells, limit_m).metres
         if math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
-            nodes = _expand(table, to_go, start, ends, max_expansions, limit_m - _LIMIT_MARGIN_M)
+            nodes = _expand(grid, table, to_go, start, ends, max_expansions, limit_m - _LIMIT_MARGIN_M)
             if nodes is not None:
                 return (start, *nodes)
     return None
@@ -150,6 +156,7 @@ Node = tuple[float, float, int, int]
 
 
 def _expand(
+    grid: Grid,
     table: PoseTable,
     to_go: NDArray[np.float64],
     start: Waypoint,
@@ -161,7 +168,7 @@ def _expand(
 
     Free poses are more than a step from the edge of the grid, so that all indices are valid.
     """
-    grid, flags = table.grid, table.flags
+    flags = table.flags
     ahead: memoryview[Any] = to_go.reshape(-1).data
     goal, moving = ends.poses.reshape(-1).data, ends.moving.reshape(-1).data
     weights = _weight_list(grid)

@@ -26,13 +26,12 @@ from workers.geometry.grid import Grid, body_centre
 from workers.physics.world import ColliderMesh
 from workers.render import Renderer
 from workers.render.choose import open_renderer
+from workers.render.prepared_scenes import KEPT_SCENES
 from workers.sim.fingerprint import make_fingerprint
 
 if TYPE_CHECKING:
     from schemas.language.scene import SceneLanguage
     from workers.sensors.rays import SceneRays
-
-_KEPT_SCENES = 2
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,11 @@ class SceneRenderer(Closing):
     """Renderer with an LRU cache of loaded scenes."""
 
     def __init__(
-        self, renderer_kind: RendererKind = "auto", timer: StageTimer = no_stage_timer, apart: bool = False
+        self,
+        renderer_kind: RendererKind = "auto",
+        timer: StageTimer = no_stage_timer,
+        apart: bool = False,
+        kept_scenes: int = KEPT_SCENES,
     ) -> None:
         """Opens the renderer.
 
@@ -96,9 +99,11 @@ class SceneRenderer(Closing):
             renderer_kind: type of the renderer.
             timer: called at the end of every stage of every attempt.
             apart: whether the renderer runs in a separate process, see `open_renderer`.
+            kept_scenes: number of scenes that stay loaded and prepared.
         """
         self.timer = timer
-        self.renderer: Renderer = open_renderer(renderer_kind, timer=timer, apart=apart)
+        self.renderer: Renderer = open_renderer(renderer_kind, timer=timer, apart=apart, kept_scenes=kept_scenes)
+        self._kept_scenes = kept_scenes
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 
@@ -114,7 +119,7 @@ class SceneRenderer(Closing):
             InvalidBundle: the package or the light groups are damaged or have another format version.
         """
         if sha256 not in self._loaded:
-            while len(self._loaded) >= _KEPT_SCENES:  # before reading, so that no further scene is in memory
+            while len(self._loaded) >= self._kept_scenes:  # before reading, so that no further scene is in memory
                 self._loaded.popitem(last=False)
             self._loaded[sha256] = prepare_scene(read_scene(path))
         if light is not None and self._loaded[sha256].light is None:

@@ -34,6 +34,8 @@ from workers.sim.render_recording import render_recording
 from workers.sim.scene_renderer import SceneRenderer
 
 _PROGRESS_S = 0.25
+_KEPT_SCENES = 1
+"""Number of scenes in memory; a worker gets the jobs of a scene one after the other."""
 _DISK_FULL = {errno.ENOSPC, errno.EDQUOT}
 _OK, _WORLD, _BUG = 0, 1, 3
 
@@ -53,7 +55,7 @@ def main() -> int:
         out.write(to_line(report))
 
     try:
-        with SceneRenderer(arguments.renderer) as stage:
+        with SceneRenderer(arguments.renderer, kept_scenes=_KEPT_SCENES) as stage:
             send(SimulationReport(kind=SimulationReportKind.READY, renderer=stage.renderer.description))
             while _serve(SimulationOrder.model_validate_json(orders.get()), stage, send):
                 pass

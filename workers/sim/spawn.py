@@ -210,7 +210,7 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
     ]
     if job.expert is ExpertName.PLANNER:
         table = pose_table(place.grid, job.planner.tight_margin_m)
-        tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
+        tests.append(lambda at: np.array([table.holds(place.grid, *pose) for pose in at], bool))
     if job.tier is Tier.FAR:  # its points were selected by their lines
         tests.append(lambda at: np.array([_is_far(job, target, place, pose[:2]) for pose in at], bool))
     elif job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:

@@ -111,7 +111,7 @@ def test_the_pose_table_agrees_with_the_exact_test_up_to_a_cell():
     grid = Grid.from_scene(box_room([WALL]))
     table, rng = pose_table(grid, 0.0), np.random.default_rng(1)
     poses = np.column_stack([rng.uniform(-4, 4, 500), rng.uniform(-3, 3, 500), rng.uniform(-math.pi, math.pi, 500)])
-    held = np.array([table.holds(*pose) for pose in poses.tolist()])
+    held = np.array([table.holds(grid, *pose) for pose in poses.tolist()])
     assert not (held & ~grid.are_poses_free(*poses.T, margin_m=-0.12)).any()
     assert not (~held & grid.are_poses_free(*poses.T, margin_m=0.12)).any()
 
