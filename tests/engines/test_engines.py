@@ -69,11 +69,11 @@ def test_shards_on_slurm_with_every_event_give_the_digest_of_one_run(
 ) -> None:
     run = SubmittedRun(slurm, tmp_path / "run", "shards", PLAN)
     cancelled = run.cancel_one()
+    run.reach_time_limit()
     run.requeue_one()
     run.preempt_one("")
     run.drain_node("")
     run.fail_node("")
-    run.wait_for_time_limit()
     assert run.wait_for_end("shards") == "CANCELLED COMPLETED"
     assert run.wait_for_end("gather") == "FAILED"  # a shard is not finished
     run.resubmit("shards", f"--array={cancelled}")
@@ -88,12 +88,12 @@ def test_workers_on_slurm_with_every_event_give_the_digest_of_one_run(
 ) -> None:
     run = SubmittedRun(slurm, tmp_path / "run", "workers", PLAN)
     run.cancel_one()
+    run.reach_time_limit()
     run.requeue_one()
     run.preempt_one(run.node_of("coordinator"))
     run.drain_node(run.node_of("coordinator"))
     run.fail_node(run.node_of("coordinator"))
     run.requeue_coordinator()
-    run.wait_for_time_limit()
     assert run.wait_for_end("coordinator") == "COMPLETED"
     assert run.wait_for_end("workers") == "CANCELLED COMPLETED"
     assert digest_of(tmp_path / "run" / "dataset") == digest
