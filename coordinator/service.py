@@ -45,7 +45,7 @@ _ADMIN_S = 30.0
 """Timeout of an admin request of this process, seconds."""
 _RECHECK_S = 1.0
 """Pause between two searches for unchecked episodes of barred hosts, seconds."""
-_DEPARTURE_S = 3.0
+_DISCONNECT_S = 3.0
 """Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 
 log = structlog.get_logger(__name__)
@@ -74,17 +74,17 @@ class Coordinator(Closing):
         terms = self._terms_of(plan, scenes, options, room)
         with ExitStack() as stack:
             self._run = run = open_context(stack, root, terms, options)
-            chores = Housekeeping(run, room, options.elapsed)
-            stack.callback(chores.note_sandbox)
+            housekeeping = Housekeeping(run, room, options.elapsed)
+            stack.callback(housekeeping.note_sandbox)
             self._tables = TableWriter(run, options.gate)
             stack.callback(self._tables.write_splits)
             stack.callback(self._tables.write)
             self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
-            chores.check_free_space()
+            housekeeping.check_free_space()
             handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
             self._router = stack.enter_context(_open_router(run, options, handler))
-            stack.enter_context(PeriodicTasks(chores.table(self._router.admit)))
+            stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))
             # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
             tables = {"write_tables": (options.settings.checkpoint_s, self._tables.write)}
             stack.enter_context(PeriodicTasks(tables))
@@ -137,16 +137,16 @@ class Coordinator(Closing):
             left = None if left is None else left - _WAIT_S
         return True
 
-    def wait_for_departures(self, stop: threading.Event | None = None) -> None:
+    def wait_for_workers_to_disconnect(self, stop: threading.Event | None = None) -> None:
         """Waits until the workers of a finished run were notified and disconnected, at most about one lease duration.
 
         Args:
             stop: event that ends the wait early.
         """
         stop = stop or threading.Event()
-        begun = time.monotonic()
-        least = begun + _DEPARTURE_S
-        most = begun + _DEPARTURE_S + self._settings.lease_ttl_s
+        started = time.monotonic()
+        least = started + _DISCONNECT_S
+        most = started + _DISCONNECT_S + self._settings.lease_ttl_s
         while (now := time.monotonic()) < most and (now < least or self._router.present):
             if stop.wait(_WAIT_S):
                 return

@@ -247,30 +247,30 @@ def write_info(connection: Connection, facts: Mapping[str, str]) -> None:
             connection.execute(info.insert().values(key=key, value=value))
 
 
-def require_plan(begun: Plan, plan: Plan) -> None:
+def require_plan(recorded: Plan, plan: Plan) -> None:
     """Checks that a plan equals the plan of the ledger.
 
     Raises:
         UsageError: the plans differ.
     """
-    if begun.digest != plan.digest:
+    if recorded.digest != plan.digest:
         raise UsageError(
-            f"the directory contains run {begun.run} ({begun.episodes} episodes, seed {begun.seed}), not the requested "
-            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): to continue it, run "
+            f"the directory contains run {recorded.run} ({recorded.episodes} episodes, seed {recorded.seed}), not the "
+            f"requested {plan.run} ({plan.episodes} episodes, seed {plan.seed}): to continue it, run "
             "`factory run --out DIR` without PLAN and its options; otherwise choose another --out"
         )
 
 
-def require_shard(begun: RunShard | None, shard: RunShard | None) -> None:
+def require_shard(recorded: RunShard | None, shard: RunShard | None) -> None:
     """Checks that a shard equals the shard of the ledger.
 
     Raises:
         UsageError: the shards differ.
     """
-    if begun != shard:
-        had = "the whole run" if begun is None else f"shard {begun} of the run"
+    if recorded != shard:
+        had = "the whole run" if recorded is None else f"shard {recorded} of the run"
         asked = "the whole run" if shard is None else f"shard {shard}"
-        remedy = "without --shard" if begun is None else f"with --shard {begun}"
+        remedy = "without --shard" if recorded is None else f"with --shard {recorded}"
         raise UsageError(
             f"the directory contains {had}, not the requested {asked}: continue it {remedy}, or choose another --out"
         )

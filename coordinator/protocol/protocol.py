@@ -210,10 +210,10 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"together have {hosts.SESSIONS}: stop some workers, or wait some minutes"
             )
         )
-    trade = RunKind.COLLECTION if terms.evaluation is None else RunKind.EVALUATION
+    run_kind = RunKind.COLLECTION if terms.evaluation is None else RunKind.EVALUATION
     run, ttl_s, validates = terms.plan.run, terms.lease_ttl_s, terms.workers_validate
     return ProtocolAnswer(
-        HelloReply(run=run, version=terms.version, lease_ttl_s=ttl_s, trade=trade, validates=validates)
+        HelloReply(run=run, version=terms.version, lease_ttl_s=ttl_s, run_kind=run_kind, validates=validates)
     )
 
 

@@ -16,10 +16,10 @@ from coordinator.protocol.access import access_control
 from schemas.protocol.identity import Role, TlsFiles
 
 _MAX_MESSAGE_BYTES = 4 << 20
-_MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000
+_MAX_SESSIONS, _MAX_PENDING_CONNECTIONS = 5000, 4000
 """Maximum number of sessions, and of connections without a session. Beyond the second limit zenoh closes new
 connections immediately, including legitimate ones."""
-_ARRIVAL_MS = 1000
+_HANDSHAKE_TIMEOUT_MS = 1000
 """Timeout of the handshake of a new connection, milliseconds. The handshake takes two round trips, and a client that is
 too slow reconnects. With zenoh's default of 10 s, 1,500 idle connections blocked all clients for 13 s."""
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
@@ -48,8 +48,8 @@ def router_config(
         "connect/endpoints": json.dumps(list(connect)),
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "transport/unicast/max_sessions": str(_MAX_SESSIONS),
-        "transport/unicast/accept_pending": str(_MAX_ARRIVING),
-        "transport/unicast/accept_timeout": str(_ARRIVAL_MS),
+        "transport/unicast/accept_pending": str(_MAX_PENDING_CONNECTIONS),
+        "transport/unicast/accept_timeout": str(_HANDSHAKE_TIMEOUT_MS),
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
     if not connect:
@@ -79,7 +79,7 @@ def _with_deadline(endpoint: str) -> str:
     """Adds the TLS handshake timeout to an endpoint; zenoh accepts it as a part of the endpoint only."""
     if not endpoint.startswith("tls/"):
         return endpoint
-    return f"{endpoint}{';' if '#' in endpoint else '#'}tls_handshake_timeout_ms={_ARRIVAL_MS}"
+    return f"{endpoint}{';' if '#' in endpoint else '#'}tls_handshake_timeout_ms={_HANDSHAKE_TIMEOUT_MS}"
 
 
 def _config(values: dict[str, str]) -> zenoh.Config:

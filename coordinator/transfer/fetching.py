@@ -231,7 +231,7 @@ class Fetcher:
 
     def _fetch_in_chunks(self, host: str, transfer: Transfer) -> bool:
         """Fetches chunks for one turn; returns whether the transfer has ended: it is complete or too slow."""
-        pull, staged, begun = transfer.pull, transfer.open_file, time.monotonic()
+        pull, staged, started = transfer.pull, transfer.open_file, time.monotonic()
         earlier_s = transfer.seconds
         while staged.size < pull.size:
             self._require_open()
@@ -245,7 +245,7 @@ class Fetcher:
             staged.write(data)
             with self._guard:
                 self._rest[pull.job.index] = transfer.rest
-            turn_s = time.monotonic() - begun
+            turn_s = time.monotonic() - started
             transfer.seconds = earlier_s + turn_s
             if transfer.seconds > self._settings.slow_start_s + staged.size / self._settings.min_bytes_per_s:
                 return True

@@ -111,12 +111,12 @@ class Pullers(Closing):
     def _run(self) -> None:
         while (taken := self._queue.take()) is not None:
             host, turn = taken
-            begun = time.monotonic()
+            started = time.monotonic()
             unfinished = self._serve(host, turn)
             if self._stop.is_set():
                 unfinished = []
             self._end([transfer for transfer in turn if transfer not in unfinished])
-            self._queue.give(host, time.monotonic() - begun, unfinished)
+            self._queue.give(host, time.monotonic() - started, unfinished)
 
     def _end(self, transfers: list[Transfer]) -> None:
         for transfer in transfers:

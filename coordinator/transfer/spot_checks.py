@@ -65,10 +65,10 @@ class SpotCheckedValidation:
         Raises:
             TransientError: the bundles cannot be validated now.
         """
-        files, begun = [self._file_of(arrival) for arrival in arrivals], time.monotonic()
+        files, started = [self._file_of(arrival) for arrival in arrivals], time.monotonic()
         receipts = self._checker.check_all(files)
         self._meters.add(Meter.VALIDATIONS, len(files))
-        self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
+        self._meters.add(Meter.VALIDATION_S, time.monotonic() - started)
         return [
             self._result_of(pull, file.scope, receipt)
             for (pull, _), file, receipt in zip(arrivals, files, receipts, strict=True)

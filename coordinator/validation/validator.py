@@ -153,11 +153,13 @@ class Validator(Closing):
                     verdicts = self._ask(child, (task,), [bundle])
                 if verdicts:
                     return verdicts[0]
-                self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
+                self._limit.write(log.warning, "validator_died", file=str(path), how=child.exit_description)
                 if child.was_ended:
-                    raise TransientError(f"a signal from outside ended the validating process ({child.last_words})")
+                    raise TransientError(
+                        f"a signal from outside ended the validating process ({child.exit_description})"
+                    )
         raise InvalidBundle(
-            "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.last_words})"]
+            "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.exit_description})"]
         )
 
     def _with_sentence(self, verdict: Verdict, job: Job) -> EpisodeSummary:
@@ -210,7 +212,7 @@ class _Child:
         self._process: JsonlProcess[bytes] | None = None
         self._orders: socket.socket | None = None
         self._ended = False
-        self.last_words = ""
+        self.exit_description = ""
         self.was_ended = False
         """Whether a signal from outside, e.g. of a batch system, ended the last process."""
         self.layers: tuple[str, ...] = ()
@@ -238,7 +240,9 @@ class _Child:
         self.layers = tuple(layers)
         if word != "ready":
             self._kill()
-            raise TransientError(f"the validating process does not start ({self.last_words}): check the free memory")
+            raise TransientError(
+                f"the validating process does not start ({self.exit_description}): check the free memory"
+            )
         return self._process
 
     def _exchange(
@@ -266,7 +270,7 @@ class _Child:
             self._orders.close()
         self._orders = None
         self.was_ended = code in ENDED_FROM_OUTSIDE
-        self.last_words = (
+        self.exit_description = (
             f"exit status {code}; limits {self._limits.memory_bytes >> 20} MiB, {self._limits.cpu_s} s CPU"
         )
 

@@ -23,7 +23,7 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.terms import FailReason, Recording, Tier
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
-from workers.process.simulation import Death, Simulation
+from workers.process.simulation import ProcessEnd, Simulation
 
 _POLL_S = 0.1
 _HANG_S = 60.0
@@ -172,8 +172,8 @@ class _TrialProcess:
         elif self._is_ready and self._job is None:
             self._order(waiting.popleft())
         heard = self._simulation.receive(self._poll_s)
-        if isinstance(heard, Death):
-            return self._handle_death(heard, waiting)
+        if isinstance(heard, ProcessEnd):
+            return self._handle_end(heard, waiting)
         return None if heard is None else self._handle_report(heard)
 
     def _order(self, job: Job) -> None:
@@ -193,15 +193,15 @@ class _TrialProcess:
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)
 
-    def _handle_death(self, death: Death, waiting: deque[Job]) -> Trial | None:
+    def _handle_end(self, end: ProcessEnd, waiting: deque[Job]) -> Trial | None:
         job, self._job = self._job, None
-        if job is not None and death.reason is FailReason.RELEASED:
+        if job is not None and end.reason is FailReason.RELEASED:
             waiting.appendleft(job)
             return None
         if job is not None:
-            return Trial(job, death.reason, death.detail)
+            return Trial(job, end.reason, end.detail)
         self._starts += 1
         if self._starts >= _STARTS:
             command = " ".join(self._run.command)
-            raise WorldError(f"the simulation did not start after {_STARTS} tries of `{command}`: {death.detail}")
+            raise WorldError(f"the simulation did not start after {_STARTS} tries of `{command}`: {end.detail}")
         return None

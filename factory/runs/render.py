@@ -93,11 +93,11 @@ def prepare_rendering(
     if appearance is not None:
         plan = with_appearance(plan, appearance)
     meta = described_by(dataset.meta, plan)
-    begun = plan_of(site)
-    if begun is None:
+    recorded = plan_of(site)
+    if recorded is None:
         require_outside_datasets(site)
     else:
-        require_plan(begun, plan)
+        require_plan(recorded, plan)
     packages = {name: find_package_file(root, name, sha256) for name, sha256 in dataset.meta.scenes.items()}
     catalog = with_light(plan, {name: read_entry(path) for name, path in packages.items()})
     if renderer is not None and len(dataset):
@@ -106,7 +106,7 @@ def prepare_rendering(
         _require_room(dataset, site.state_dir)
     if missing := plan.episodes - len(dataset):
         log.warning("states_missing", episodes=missing, remedy="finish the recording, or let them be simulated now")
-    if begun is None:
+    if recorded is None:
         _write_tables(dataset, meta, site)
     return Rendering(plan, catalog, StatesSource(dataset), dataset)
 

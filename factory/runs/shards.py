@@ -48,11 +48,11 @@ def choose_shard(
     Raises:
         UsageError: the directory contains the whole run or another shard, or the plan has too few episodes.
     """
-    begun = shard_of(site, ledger)
+    recorded = shard_of(site, ledger)
     if asked is None:
-        return begun
-    if not is_new or begun is not None:
-        require_shard(begun, asked)
+        return recorded
+    if not is_new or recorded is not None:
+        require_shard(recorded, asked)
     if asked.count > plan.episodes:
         raise UsageError(
             f"--shard {asked}: plan {plan.name} has {plan.episodes} episodes; use at most {plan.episodes} shards"

@@ -141,7 +141,8 @@ def _alike(view: EpisodeView) -> list[SeenObject]:
 
 def _chance(view: EpisodeView) -> float:
     """Returns the probability that a random object of the category in view is the target."""
-    return 0.0 if _target(view) is None else 1 / len(_alike(view))
+    alike = _alike(view)
+    return 1 / len(alike) if any(each.id == view.target for each in alike) else 0.0
 
 
 def _target(view: EpisodeView) -> SeenObject | None:

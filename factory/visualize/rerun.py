@@ -79,7 +79,7 @@ def _record(
     with rerun.RecordingStream("minivla_factory", recording_id=f"{episode.meta.job.run}_{episode.episode_id}") as log:
         _open(rerun, log, save)
         log.send_blueprint(_layout(rerun))
-        _log_still(rerun, log, episode, scene)
+        _log_static(rerun, log, episode, scene)
         for t in range(len(episode)):
             _set_time(log, t, episode.meta.job.task.control_hz)
             _log_motion(rerun, log, episode, t)
@@ -146,7 +146,7 @@ def _set_time(log: Any, t: int, hz: int) -> None:
     log.set_time("time", duration=t / hz)
 
 
-def _log_still(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledScene) -> None:
+def _log_static(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledScene) -> None:
     meta, job = episode.meta, episode.meta.job
     log.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     floor = floor_picture(scene)

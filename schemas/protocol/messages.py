@@ -99,7 +99,7 @@ class HelloReply(Model):
     """Version of minivla-factory on the coordinator."""
     lease_ttl_s: Positive
     """Time after which a lease without heartbeat expires, seconds."""
-    trade: RunKind = RunKind.COLLECTION
+    run_kind: RunKind = RunKind.COLLECTION
     """Type of the jobs of the run."""
     validates: bool = False
     """Whether the worker shall validate its bundles before it announces them."""

@@ -39,16 +39,16 @@ class LogLimit:
         """Returns the number of omitted lines of a kind before this one, or `None` if this line is to be omitted."""
         now = self._clock()
         with self._guard:
-            due, pause_s, left_out = self._kinds.get(kind, (-math.inf, self._first_s, 0))
+            due, pause_s, omitted = self._kinds.get(kind, (-math.inf, self._first_s, 0))
             if now < due:
-                self._kinds[kind] = due, pause_s, left_out + 1
+                self._kinds[kind] = due, pause_s, omitted + 1
                 return None
             if now > due + pause_s:
                 pause_s = self._first_s  # no line was written for one pause
             if len(self._kinds) >= _MAX_KINDS:
                 self._kinds.clear()
             self._kinds[kind] = now + pause_s, min(2 * pause_s, self._longest_s), 0
-            return left_out
+            return omitted
 
     def write(self, log: Callable[..., Any], event: str, peer: str = "", **fields: Any) -> None:
         """Logs an event of a peer with the number of omitted lines before it, unless the limit omits this line.
@@ -59,9 +59,9 @@ class LogLimit:
             peer: name of the peer, which has a separate limit; empty for a common limit.
             fields: fields of the log line.
         """
-        left_out = self.admit(f"{event} {peer}")
-        if left_out is not None:
-            log(event, **fields, **({"left_out": left_out} if left_out else {}))
+        omitted = self.admit(f"{event} {peer}")
+        if omitted is not None:
+            log(event, **fields, **({"omitted": omitted} if omitted else {}))
 
 
 class Repeated:

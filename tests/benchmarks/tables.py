@@ -52,9 +52,9 @@ def _measure(size: int) -> tuple[float, float, float]:
                     connection.execute(insert(episodes), _rows(first, last))
                     connection.execute(insert(events), [_event(index) for index in range(first, last + 1)])
             with engine.connect() as connection:
-                begun = time.process_time()
+                started = time.process_time()
                 checkpoints.write(connection, _NOW)
-                took.append(round(time.process_time() - begun, 3))
+                took.append(round(time.process_time() - started, 3))
         engine.dispose()
     return took[0], took[1], took[2]
 

@@ -54,7 +54,7 @@ _CHUNK = 1 << 20
 _MESSAGES = {Verb.HELLO: Hello, Verb.CLAIM: Claim, Verb.BEAT: Beat, Verb.DONE: Done, Verb.FAIL: Fail}
 
 
-def jobs_saying(*instructions: str) -> tuple[Job, ...]:
+def jobs_with_instructions(*instructions: str) -> tuple[Job, ...]:
     """Returns jobs whose instructions select the behaviour of the fake simulation."""
     digest = hashlib.sha256(SCENE).hexdigest()
     return tuple(

@@ -25,7 +25,7 @@ _DENIED = (
 class Moment(StrEnum):
     """Stage of a request."""
 
-    BEGUN = "begun"  # half of the body was received, nothing was forwarded
+    STARTED = "started"  # half of the body was received, nothing was forwarded
     PASSED_ON = "passed_on"  # the server has executed it, the sender has no answer
     ANSWERED = "answered"  # the sender has the answer
 
@@ -85,7 +85,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._hang_up()
             return
         body = self.rfile.read(length // 2)
-        if self._is_over(Moment.BEGUN):
+        if self._is_over(Moment.STARTED):
             return
         body += self.rfile.read(length - length // 2)
         if faults.is_denying:

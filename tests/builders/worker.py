@@ -33,7 +33,7 @@ def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
         "hang_s": 30.0,
         "wait_s": 20.0,
         "min_free_bytes": 0,
-        "command": fake_command(folder / "begun"),
+        "command": fake_command(folder / "started"),
     }
     return WorkerSettings(**values | changes)
 

@@ -48,7 +48,7 @@ def test_no_two_props_intersect(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_what_is_on_furniture_has_a_surface_below_it(name: str) -> None:
+def test_objects_on_furniture_have_a_surface_below_them(name: str) -> None:
     floating = []
     for seed, plan in layouts_of(name).items():
         standing = [placement for placement in plan.placements if placement.z <= 0.3]
@@ -64,7 +64,7 @@ def test_what_is_on_furniture_has_a_surface_below_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_what_hangs_has_a_wall_behind_it(name: str) -> None:
+def test_wall_objects_are_attached_to_a_wall(name: str) -> None:
     floating = []
     for seed, plan in layouts_of(name).items():
         walls = wall_boxes(plan)

@@ -79,7 +79,9 @@ def test_rlds_metadata_of_both_recordings_are_equal(recordings: Recordings) -> N
     assert frames[0].states_digest != frames[1].states_digest
 
 
-def test_an_export_that_was_begun_from_frames_is_continued_from_states(recordings: Recordings, tmp_path: Path) -> None:
+def test_an_export_that_was_started_from_frames_is_continued_from_states(
+    recordings: Recordings, tmp_path: Path
+) -> None:
     for record in Recording:
         order = ExportOrder(recordings[record], tmp_path / "out", "gnm", find_exporter("gnm").options())
         report = run_export(order)

@@ -50,14 +50,14 @@ def factory(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, timeout=240)
 
 
-def test_a_validator_started_there_imports_only_product_modules(traps: Path, tmp_path: Path) -> None:
+def test_a_validator_started_in_a_foreign_directory_imports_only_product_modules(traps: Path, tmp_path: Path) -> None:
     bundle = tmp_path / "x.part"
     bundle.write_bytes(bundle_bytes())
     with Validator() as validator:
         assert validator.check(bundle, job_for(), (chair(),)).episode_id == "ep_000001"
 
 
-def test_a_simulation_started_there_imports_only_product_modules(traps: Path) -> None:
+def test_a_simulation_started_in_a_foreign_directory_imports_only_product_modules(traps: Path) -> None:
     simulation = Simulation(WorkerSettings(connect=(), renderer="tiny").simulation_command, 60.0)
     simulation.start()
     report = simulation.receive(60.0)
@@ -66,7 +66,7 @@ def test_a_simulation_started_there_imports_only_product_modules(traps: Path) ->
 
 
 @pytest.mark.parametrize("path", ["", ":", ".:"])
-def test_a_command_there_imports_only_product_modules_for_any_pythonpath(traps: Path, path: str) -> None:
+def test_a_command_in_a_foreign_directory_imports_product_modules_for_any_pythonpath(traps: Path, path: str) -> None:
     done = factory("verify", ".", PYTHONPATH=path + os.environ.get("PYTHONPATH", ""))
     assert "2 episodes" in done.stdout, done.stderr
 

@@ -219,7 +219,7 @@ def test_hosts_are_released_without_a_running_coordinator(tmp_path):
 
 
 def test_a_finished_run_is_announced_in_the_heartbeat_reply_and_waits_for_its_workers(hub):
-    farewell = threading.Thread(target=hub.wait_for_departures)
+    farewell = threading.Thread(target=hub.wait_for_workers_to_disconnect)
     with WireWorker(hub.endpoints, hub.run) as peer:
         assert not peer.beat().finished
         peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply)

@@ -186,7 +186,7 @@ def test_a_layout_without_a_texture_that_the_coordinator_lacks_counts_against_th
         assert not list((tmp_path / "data/.staging").iterdir())
 
 
-def test_what_an_interruption_left_of_a_layout_is_removed_at_the_next_start(tmp_path: Path) -> None:
+def test_the_rest_of_an_interrupted_layout_build_is_removed_at_the_next_start(tmp_path: Path) -> None:
     root = tmp_path / "data"
     with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
         build_claim(worker)

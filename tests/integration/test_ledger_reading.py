@@ -27,12 +27,12 @@ def data(tmp_path: Path) -> Path:
     """A dataset directory with one worker that has just sent a heartbeat."""
     root = tmp_path / "data"
     with closing(Staging(root, "data")):
-        engine = begun(root, tmp_path)
+        engine = started(root, tmp_path)
         engine.dispose()
     return root
 
 
-def begun(root: Path, scratch: Path) -> Engine:
+def started(root: Path, scratch: Path) -> Engine:
     engine, now = open_writer(sqlite_url(root / "ledger.db")), datetime.now(UTC)
     open_run(engine, room_plan(2), room_catalog(scratch), LEASE_S, now)
     with engine.begin() as connection:
@@ -51,7 +51,7 @@ def test_reading_a_ledger_leaves_no_files_beside_it(data: Path) -> None:
 
 
 def test_a_reader_sees_what_a_running_coordinator_has_committed(data: Path, tmp_path: Path) -> None:
-    engine = begun(data, tmp_path)
+    engine = started(data, tmp_path)
     try:
         before = ledger_files(data)
         with engine.begin() as connection:

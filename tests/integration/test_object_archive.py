@@ -150,8 +150,8 @@ def test_an_unfinished_multipart_upload_is_not_listed(
 ) -> None:
     bucket, prefix = str(store).removeprefix("s3://").split("/")
     key = f"{prefix}/episodes/ep_000001.zip"
-    begun = object_store.client.create_multipart_upload(Bucket=bucket, Key=key)
-    object_store.client.upload_part(Bucket=bucket, Key=key, UploadId=begun["UploadId"], PartNumber=1, Body=BIG)
+    started = object_store.client.create_multipart_upload(Bucket=bucket, Key=key)
+    object_store.client.upload_part(Bucket=bucket, Key=key, UploadId=started["UploadId"], PartNumber=1, Body=BIG)
     with open_archive(tmp_path, store) as archive:
         assert archive.present() == {}
         assert archive.foreign() == []

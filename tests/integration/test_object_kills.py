@@ -54,14 +54,14 @@ class Step:
 
 
 STEPS = [
-    Step(Moment.BEGUN, "PUT", EPISODE, is_kept=False),
+    Step(Moment.STARTED, "PUT", EPISODE, is_kept=False),
     Step(Moment.PASSED_ON, "PUT", EPISODE, is_kept=True),
     Step(Moment.ANSWERED, "PUT", EPISODE, is_kept=True),
     Step(Moment.PASSED_ON, "HEAD", EPISODE, is_kept=True),
     Step(Moment.ANSWERED, "HEAD", EPISODE, is_kept=True),
-    Step(Moment.BEGUN, "PUT", TABLE, is_kept=True),
+    Step(Moment.STARTED, "PUT", TABLE, is_kept=True),
     Step(Moment.PASSED_ON, "PUT", TABLE, is_kept=True),
-    Step(Moment.BEGUN, "PUT", META, is_kept=True),
+    Step(Moment.STARTED, "PUT", META, is_kept=True),
     Step(Moment.PASSED_ON, "PUT", META, is_kept=True),
 ]
 

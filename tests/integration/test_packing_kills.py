@@ -185,7 +185,7 @@ digests = {digests}
 """
 
 
-@pytest.mark.parametrize("moment", [Moment.BEGUN, Moment.PASSED_ON])
+@pytest.mark.parametrize("moment", [Moment.STARTED, Moment.PASSED_ON])
 @pytest.mark.parametrize(("method", "key"), [("PUT", "/shard_"), ("POST", "delete"), ("PUT", "/shards.parquet")])
 def test_a_packing_killed_at_a_request_to_the_store_loses_and_duplicates_nothing(
     bucket_url: Callable[[], str], object_store: ObjectServer, tmp_path: Path, moment: Moment, method: str, key: str

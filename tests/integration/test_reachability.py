@@ -112,7 +112,7 @@ def test_a_worker_waits_for_the_address_file_and_reads_it_again_after_a_move_of_
             until(lambda: hub.progress().jobs["archived"] > 0 or bool(hub.progress().workers))
         with opened(tmp_path, listen=(free_endpoint(),)) as hub:
             until(hub.is_finished)
-            hub.wait_for_departures()
+            hub.wait_for_workers_to_disconnect()
         assert worker.join() == 0
 
 

@@ -21,7 +21,7 @@ from tests.builders.bundle import job_for
 from tests.builders.scene import box_room
 from workers.client.settings import WorkerSettings
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, to_line
-from workers.process.simulation import Death, Simulation
+from workers.process.simulation import ProcessEnd, Simulation
 
 COMMAND = WorkerSettings(connect=(), renderer="tiny").simulation_command
 FAST_COMMAND = WorkerSettings(connect=(), renderer="gl").simulation_command
@@ -77,7 +77,7 @@ def wait_for_report(simulation: Simulation, *kinds: SimulationReportKind) -> Sim
     """Waits for a report of one of the kinds and ignores others."""
     while True:
         report = simulation.receive(0.2)
-        assert not isinstance(report, Death), report
+        assert not isinstance(report, ProcessEnd), report
         if report is not None and report.kind in kinds:
             return report
 
@@ -121,11 +121,11 @@ def test_unforeseen_error_is_reported_and_ends_the_process(room, tmp_path, simul
     report = wait_for_report(simulation, *OUTCOMES)
     assert report.reason is FailReason.CRASH
     assert "nothing_999" in report.detail
-    death = None
-    while death is None:
-        death = simulation.receive(0.2)
-    assert isinstance(death, Death)
-    assert death.detail.startswith("exit status 3")
+    end = None
+    while end is None:
+        end = simulation.receive(0.2)
+    assert isinstance(end, ProcessEnd)
+    assert end.detail.startswith("exit status 3")
 
 
 @pytest.mark.parametrize("said", [b"", b'{"job": {"run'], ids=["nothing", "half an order"])

@@ -15,7 +15,7 @@ from schemas.errors import WorldError
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
 from schemas.terms import FailReason
-from tests.builders.fake_coordinator import RUN, FakeCoordinator, jobs_saying
+from tests.builders.fake_coordinator import RUN, FakeCoordinator, jobs_with_instructions
 from tests.builders.fake_simulation import bundle_for
 from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
@@ -24,7 +24,7 @@ from workers.client.spool import Spool, folder_of
 
 @contextmanager
 def coordinator(*instructions: str) -> Iterator[FakeCoordinator]:
-    with FakeCoordinator(jobs_saying(*instructions)) as opened:
+    with FakeCoordinator(jobs_with_instructions(*instructions)) as opened:
         yield opened
 
 
@@ -35,9 +35,9 @@ def wait_until(holds: Callable[[], object], what: str) -> None:
         time.sleep(0.02)
 
 
-def begun(folder: Path) -> dict[int, int]:
+def started(folder: Path) -> dict[int, int]:
     """Returns the process of each job."""
-    names = [path.name.split(".") for path in (folder / "begun").iterdir()]
+    names = [path.name.split(".") for path in (folder / "started").iterdir()]
     return {int(job): int(pid) for job, pid in names}
 
 
@@ -84,7 +84,7 @@ def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
 
 
 def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
-    with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no heartbeat in between
+    with FakeCoordinator(jobs_with_instructions("miss"), lease_ttl_s=60) as hub:  # no heartbeat in between
         hub.dropped_replies[Verb.FAIL] = 2
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
@@ -111,7 +111,7 @@ def test_killed_simulation_is_a_crash_and_the_next_job_gets_a_fresh_process(tmp_
         fail = hub.ended[1]
         assert (fail.reason, fail.detail) == (FailReason.CRASH, "killed by SIGKILL")
         assert set(hub.archived) == {2}
-        assert len(set(begun(tmp_path).values())) == 2
+        assert len(set(started(tmp_path).values())) == 2
 
 
 def test_crash_report_contains_exit_status_and_last_output(tmp_path):
@@ -131,7 +131,7 @@ def test_simulation_without_progress_is_killed_and_reported_as_hung(tmp_path):
         assert worker.join() == 0
         assert hub.ended[1].reason is FailReason.HANG
         assert set(hub.archived) == {2}
-        assert not is_alive(begun(tmp_path)[1])
+        assert not is_alive(started(tmp_path)[1])
 
 
 def test_heartbeats_report_progress_to_the_coordinator(tmp_path):
@@ -141,10 +141,10 @@ def test_heartbeats_report_progress_to_the_coordinator(tmp_path):
 
 def test_a_lost_lease_ends_the_attempt_without_an_announcement(tmp_path):
     with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
-        wait_until(lambda: (tmp_path / "begun").is_dir() and begun(tmp_path), "the attempt")
+        wait_until(lambda: (tmp_path / "started").is_dir() and started(tmp_path), "the attempt")
         hub.take_away(1)
         assert worker.join() == 0
-        assert not is_alive(begun(tmp_path)[1])
+        assert not is_alive(started(tmp_path)[1])
         assert set(hub.archived) == {2}
         assert {message.lease.job_id for message in (*hub.of(Done), *hub.of(Fail))} == {2}
 
@@ -154,19 +154,19 @@ def test_sigterm_gives_running_jobs_back_and_exits_within_five_seconds(tmp_path)
         coordinator("slow", "slow") as hub,
         started_worker(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
     ):
-        wait_until(lambda: len(begun(tmp_path)) == 2, "both attempts")
+        wait_until(lambda: len(started(tmp_path)) == 2, "both attempts")
         worker.send_signal(signal.SIGTERM)
         assert worker.wait(5) == 0
         assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
         assert {hub.lease_of(1), hub.lease_of(2)} == {None}
-        assert not any(is_alive(pid) for pid in begun(tmp_path).values())
+        assert not any(is_alive(pid) for pid in started(tmp_path).values())
 
 
 def test_sigterm_without_a_coordinator_exits_and_keeps_spooled_bundles(tmp_path):
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
-            wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
+            wait_until(lambda: len(started(tmp_path)) == 2, "the second attempt")
             hub.close()
             worker.send_signal(signal.SIGTERM)
             assert worker.wait(5) == 0
@@ -178,7 +178,7 @@ def test_ctrl_c_after_sigterm_does_not_wait_for_the_spool(tmp_path):
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
-            wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
+            wait_until(lambda: len(started(tmp_path)) == 2, "the second attempt")
             worker.send_signal(signal.SIGTERM)
             hub.wait_until(lambda: bool(hub.of(Fail)), "the release")
             worker.send_signal(signal.SIGINT)
@@ -191,7 +191,7 @@ def test_further_signals_of_a_batch_system_do_not_shorten_the_drain(tmp_path, nu
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
-            wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
+            wait_until(lambda: len(started(tmp_path)) == 2, "the second attempt")
             worker.send_signal(number)
             hub.wait_until(lambda: bool(hub.of(Fail)), "the release")
             for _ in range(3):
@@ -212,8 +212,8 @@ def number(request):
 
 def test_a_simulation_that_a_signal_from_outside_ends_is_released_and_not_a_crash(tmp_path, number):
     with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
-        wait_until(lambda: 1 in begun(tmp_path), "the attempt")
-        os.kill(begun(tmp_path)[1], number)
+        wait_until(lambda: 1 in started(tmp_path), "the attempt")
+        os.kill(started(tmp_path)[1], number)
         hub.wait_until(lambda: bool(hub.of(Fail)), "the report")
         assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
         assert f"killed by {number.name}" in hub.of(Fail)[0].detail
@@ -226,9 +226,9 @@ def test_sigkill_to_the_simulation_of_a_stopping_worker_is_released(tmp_path, or
         coordinator("slow") as hub,
         started_worker(settings_for(hub.endpoint, tmp_path)) as worker,
     ):
-        wait_until(lambda: 1 in begun(tmp_path), "the attempt")
+        wait_until(lambda: 1 in started(tmp_path), "the attempt")
         kills = [
-            lambda: os.kill(begun(tmp_path)[1], signal.SIGKILL),
+            lambda: os.kill(started(tmp_path)[1], signal.SIGKILL),
             lambda: worker.send_signal(signal.SIGTERM),
         ]
         for kill in kills if order == "simulation first" else reversed(kills):
@@ -251,7 +251,7 @@ def test_spooled_bundles_are_announced_again_after_a_restart_of_the_worker(tmp_p
         assert last.lease == first.lease
         assert last.sid != first.sid
         assert len(hub.archived) == 1
-        assert len(begun(tmp_path)) == 1
+        assert len(started(tmp_path)) == 1
 
 
 def test_simulations_die_with_a_supervisor_that_is_killed(tmp_path):
@@ -259,10 +259,10 @@ def test_simulations_die_with_a_supervisor_that_is_killed(tmp_path):
         coordinator("slow", "hang") as hub,
         started_worker(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
     ):
-        wait_until(lambda: len(begun(tmp_path)) == 2, "both attempts")
+        wait_until(lambda: len(started(tmp_path)) == 2, "both attempts")
         os.kill(worker.pid, signal.SIGKILL)
         worker.wait()
-        wait_until(lambda: not any(is_alive(pid) for pid in begun(tmp_path).values()), "their end")
+        wait_until(lambda: not any(is_alive(pid) for pid in started(tmp_path).values()), "their end")
 
 
 def test_a_worker_resumes_when_the_coordinator_returns(tmp_path):
@@ -290,7 +290,8 @@ def test_full_spool_stops_claims_until_bundles_are_fetched(tmp_path):
 
 def test_a_worker_whose_spool_fills_up_does_not_wait_for_the_next_heartbeat(tmp_path):
     with (
-        FakeCoordinator(jobs_saying(*["bundle"] * 12), lease_ttl_s=3600) as hub,  # a heartbeat every 15 minutes
+        # a heartbeat every 15 minutes
+        FakeCoordinator(jobs_with_instructions(*["bundle"] * 12), lease_ttl_s=3600) as hub,
         WorkerThread(settings_for(hub.endpoint, tmp_path, max_bundles=4)) as worker,
     ):
         hub.wait_until(lambda: len(hub.archived) == 12, "twelve bundles")

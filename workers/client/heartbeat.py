@@ -123,12 +123,12 @@ class Heartbeat:
     def _check_for_evaluation(self) -> None:
         """Ends the work for a collection after the current attempts when an evaluation needs workers."""
         host = self._host
-        is_free = host.trade is RunKind.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
+        is_free = host.run_kind is RunKind.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
         if not is_free or time.monotonic() - self._checked_at < _EVALUATION_CHECK_S:
             return
         self._checked_at = time.monotonic()
         if any(
-            isinstance(reply, HelloReply) and reply.trade is RunKind.EVALUATION
+            isinstance(reply, HelloReply) and reply.run_kind is RunKind.EVALUATION
             for reply in host.link.send_hello(self._hello)
         ):
             log.info("evaluation_found", was=host.run)

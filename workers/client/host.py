@@ -134,7 +134,7 @@ class Host:
     """Session id of this start of the worker; it begins with the host's name."""
     run: str
     """Name of the run."""
-    trade: RunKind
+    run_kind: RunKind
     """Type of the jobs of the run."""
     command: tuple[str, ...]
     """Command line of a simulation process."""

@@ -77,16 +77,16 @@ class WorkerSettings:
         """Command line of a simulation process."""
         return self.command or python_module("workers.sim.simulate", "--renderer", self.renderer)
 
-    def command_for(self, trade: RunKind) -> tuple[str, ...]:
+    def command_for(self, run_kind: RunKind) -> tuple[str, ...]:
         """Returns the command line of a process that executes the jobs of a run.
 
         Raises:
             WorldError: this worker cannot execute jobs of that type.
         """
-        if trade is RunKind.COLLECTION:
+        if run_kind is RunKind.COLLECTION:
             return self.simulation_command
         if not self.eval_command:
-            raise WorldError(f"the run is an {trade}, and this worker has no eval_command: use `factory worker`")
+            raise WorldError(f"the run is an {run_kind}, and this worker has no eval_command: use `factory worker`")
         return self.eval_command
 
     @property

@@ -22,7 +22,7 @@ from workers.client.heartbeat import make_done
 from workers.client.host import Backoff, Host
 from workers.client.scene_cache import Fetch, Wait
 from workers.process.messages import BuildTask, SimulationOrder, SimulationReport, SimulationReportKind, failure
-from workers.process.simulation import Death, Simulation
+from workers.process.simulation import ProcessEnd, Simulation
 
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
@@ -100,7 +100,7 @@ class Slot:
                 )
             self._host.pause(pause_s)
 
-    def _receive_ready(self) -> SimulationReport | Death:
+    def _receive_ready(self) -> SimulationReport | ProcessEnd:
         while True:
             report = self._simulation.receive(_POLL_S)
             if self._host.phase.closing.is_set():
@@ -198,7 +198,7 @@ class Slot:
         host, step = self._host, 0
         while True:
             report = process.receive(_POLL_S)
-            if isinstance(report, Death):
+            if isinstance(report, ProcessEnd):
                 if report.is_killed and host.phase.stopping.wait(_SIGNALLED_S):
                     raise _Stopped
                 return failure(report.reason, report.detail, step)

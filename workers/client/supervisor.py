@@ -66,7 +66,7 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
             link.join(terms.run)
             ending = _work_for(terms, link, settings, name, sid, stop, at_once)
             log.info("worker_left", run=terms.run, why=ending.value)
-            is_settled = ending is Ending.FINISHED and terms.trade is RunKind.EVALUATION
+            is_settled = ending is Ending.FINISHED and terms.run_kind is RunKind.EVALUATION
             if not is_settled and ending is not Ending.MOVED:
                 return 0
             settled = terms.run if is_settled else None
@@ -89,8 +89,8 @@ def _work_for(
             name=name,
             sid=sid,
             run=terms.run,
-            trade=terms.trade,
-            command=settings.command_for(terms.trade),
+            run_kind=terms.run_kind,
+            command=settings.command_for(terms.run_kind),
             lease_ttl_s=terms.lease_ttl_s,
             check_bundle=settings.check_bundle if terms.validates else None,
             link=link,
@@ -195,7 +195,7 @@ def _choose(
     """Returns the reply of the run to work for; evaluations have priority, in the order of their names."""
     greetings = (reply for reply in replies if isinstance(reply, HelloReply) and reply.run != settled)
     terms = sorted((reply for reply in greetings if settings.run in {None, reply.run}), key=lambda reply: reply.run)
-    short = [reply for reply in terms if reply.trade is RunKind.EVALUATION]
+    short = [reply for reply in terms if reply.run_kind is RunKind.EVALUATION]
     if short:
         return short[0]
     if len(terms) > 1:

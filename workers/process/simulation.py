@@ -20,7 +20,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
-class Death:
+class ProcessEnd:
     """End of a simulation process, which has been reaped."""
 
     reason: FailReason
@@ -50,7 +50,7 @@ class Simulation:
 
     @property
     def is_running(self) -> bool:
-        """Whether a process was started and its death has not been detected."""
+        """Whether a process was started and its end has not been detected."""
         return self._process is not None
 
     @property
@@ -80,14 +80,14 @@ class Simulation:
         self._silence_s, self._limit_s = 0.0, self._hang_s
         self._process.send(to_line(order))
 
-    def receive(self, timeout_s: float) -> SimulationReport | Death | None:
-        """Returns the next report, the death of the process, or `None` after `timeout_s` seconds without a report.
+    def receive(self, timeout_s: float) -> SimulationReport | ProcessEnd | None:
+        """Returns the next report, the end of the process, or `None` after `timeout_s` seconds without a report.
 
         Kills a process that sends no report for more than `hang_s`, or `start_s` before its first order, and returns
-        its death as a hang.
+        its end as a hang.
         """
         if self._process is None:
-            return Death(FailReason.CRASH, "not started")
+            return ProcessEnd(FailReason.CRASH, "not started")
         try:
             report = self._process.read(timeout_s)
         except EOFError:
@@ -105,19 +105,19 @@ class Simulation:
         if process is not None and process.kill() is None:
             log.warning("simulation_unkillable", pid=process.pid)
 
-    def _give_up(self, process: JsonlProcess[SimulationReport]) -> Death:
+    def _give_up(self, process: JsonlProcess[SimulationReport]) -> ProcessEnd:
         detail = f"no progress for {self._silence_s:.1f} s (limit {self._limit_s:g} s), killed" + _last_output(process)
         self.kill()
         log.warning("simulation_hung", pid=process.pid, detail=detail)
-        return Death(FailReason.HANG, detail)
+        return ProcessEnd(FailReason.HANG, detail)
 
-    def _reap(self, process: JsonlProcess[SimulationReport]) -> Death:
+    def _reap(self, process: JsonlProcess[SimulationReport]) -> ProcessEnd:
         status = process.wait()
         detail = describe_exit(status) + _last_output(process)
         self.kill()
         log.warning("simulation_died", pid=process.pid, detail=detail)
         reason = FailReason.RELEASED if status in ENDED_FROM_OUTSIDE else FailReason.CRASH
-        return Death(reason, detail, is_killed=status == -signal.SIGKILL)
+        return ProcessEnd(reason, detail, is_killed=status == -signal.SIGKILL)
 
 
 def _last_output(process: JsonlProcess[SimulationReport]) -> str:

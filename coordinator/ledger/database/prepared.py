@@ -38,7 +38,7 @@ class PreparedStatement:
     def __init__(self, statement: Insert | Update | Delete | Select[Any]) -> None:
         returned = {column.name: column.type for column in statement.exported_columns}
         if any(isinstance(kind, Boolean) for kind in returned.values()):
-            raise TypeError(f"a prepared statement may not return flags; requested: {', '.join(returned)}")
+            raise TypeError(f"a prepared statement must not return Boolean columns; requested: {', '.join(returned)}")
         self.statement = statement.inline() if isinstance(statement, Insert) else statement
         found: Any = namedtuple("Found", returned)  # type: ignore[misc]
         self._row: Callable[[Iterable[Any]], Any] = found._make

@@ -115,9 +115,9 @@ def serve_archive(
 def _serve(pipe: Connection, root: Path, plan: Plan, catalog: Catalog, options: CoordinatorOptions) -> None:
     configure_logs(verbose=False)
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(40))
-    begun = time.perf_counter()
+    started = time.perf_counter()
     with Coordinator(root, plan, catalog, options) as hub:
-        pipe.send(CoordinatorReady(endpoints=hub.endpoints, seconds=time.perf_counter() - begun))
+        pipe.send(CoordinatorReady(endpoints=hub.endpoints, seconds=time.perf_counter() - started))
         start_mib = resident_mib()
         try:
             while True:

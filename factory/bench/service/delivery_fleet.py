@@ -167,9 +167,9 @@ def deliver_copies(
     _run_all([member.deliver_first for member in fleet])
     pipe.send(len(fleet))
     pipe.recv()
-    begun = time.perf_counter()
+    started = time.perf_counter()
     _run_all([member.deliver_all for member in fleet])
-    pipe.send(time.perf_counter() - begun)
+    pipe.send(time.perf_counter() - started)
     for member in fleet:
         member.close()
 

@@ -216,9 +216,9 @@ class _Fleet:
         meter = self.meter
         meter.counts[verb] += 1
         meter.received[verb] += len(payload)
-        begun = time.thread_time()
+        started = time.thread_time()
         request = parse(verb, session.host, payload)
-        meter.cpu_s[verb] += time.thread_time() - begun
+        meter.cpu_s[verb] += time.thread_time() - started
         assert isinstance(request, ParsedRequest), request
         future: Future[ProtocolAnswer] = self._writer.submit(
             lambda connection: self._timed(verb, lambda: serve(connection, request, self._terms, at))
@@ -226,18 +226,18 @@ class _Fleet:
 
         def finish() -> None:
             answer = future.result()
-            begun = time.thread_time()
+            started = time.thread_time()
             meter.sent[verb] += len(answer.reply.model_dump_json())
-            meter.cpu_s[verb] += time.thread_time() - begun
+            meter.cpu_s[verb] += time.thread_time() - started
             then(answer.reply)
 
         self._waiting.append(finish)
 
     def _timed(self, verb: str, work: Callable[[], ProtocolAnswer]) -> ProtocolAnswer:
         """Runs work in the writer's thread and records its CPU time."""
-        begun = time.thread_time()
+        started = time.thread_time()
         result = work()
-        spent_s = time.thread_time() - begun
+        spent_s = time.thread_time() - started
         self.meter.cpu_s[verb] += spent_s
         self.in_writer_s += spent_s
         return result

@@ -19,7 +19,7 @@ from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
-from workers.process.simulation import Death, Simulation
+from workers.process.simulation import ProcessEnd, Simulation
 
 _WHOLE_EVERY = 41
 """Interval of episodes that run to their end, after the first of each scene; a prime, so that all scenes occur."""
@@ -74,7 +74,7 @@ def bench_memory(
 
 
 class _SimulationUnderTest:
-    """Running simulation process; its death is an error."""
+    """Running simulation process; its end is an error."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -96,7 +96,7 @@ class _SimulationUnderTest:
     def _receive(self, wanted: set[SimulationReportKind]) -> SimulationReport:
         while True:
             said = self._simulation.receive(1.0)
-            if isinstance(said, Death):
+            if isinstance(said, ProcessEnd):
                 raise WorldError(f"the simulation died: {said.detail}")
             if said is not None and said.kind in wanted:
                 return said

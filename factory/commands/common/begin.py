@@ -39,23 +39,23 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
         UsageError: the directory has another plan, or is inside another dataset.
         WorldError: the directory cannot be read.
     """
-    begun = plan_of(site)
-    wanted = _load(name, begun) if name is not None else begun or load_plan("demo")
+    recorded = plan_of(site)
+    wanted = _load(name, recorded) if name is not None else recorded or load_plan("demo")
     plan = shrunk_plan(wanted, changes)
-    if begun is not None:
-        require_plan(begun, plan)
+    if recorded is not None:
+        require_plan(recorded, plan)
     elif site.store is None:
         with translated("look into", site.state_dir):
             require_outside_datasets(site)
             _note_foreign_files(site.state_dir)
     with translated("look into", site.state_dir):
         has_episodes = bool(children(site.place / EPISODES))
-    return RunStart(plan, begun is None and not has_episodes)
+    return RunStart(plan, recorded is None and not has_episodes)
 
 
-def _load(name: str, begun: Plan | None) -> Plan:
+def _load(name: str, recorded: Plan | None) -> Plan:
     """Returns a plan; a file without success measure takes that of the dataset which it continues."""
-    return load_plan(name) if begun is None else load_plan(name, begun.task.success)
+    return load_plan(name) if recorded is None else load_plan(name, recorded.task.success)
 
 
 def _note_foreign_files(out: Path) -> None:

@@ -107,12 +107,12 @@ def _print_joined(hello: Hello) -> None:
 
 
 def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:
-    """Waits for the end of the run and the departure of the workers, or with `stay` until `stop` is set."""
+    """Waits for the end of the run and until the workers have disconnected, or with `stay` until `stop` is set."""
     finished = coordinator.wait(stop=stop)
     if stay:
         stop.wait()
     elif finished:
-        coordinator.wait_for_departures(stop)
+        coordinator.wait_for_workers_to_disconnect(stop)
     return coordinator.progress()
 
 

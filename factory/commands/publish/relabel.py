@@ -70,6 +70,6 @@ def _print(report: RelabelReport) -> None:
 
 def _print_paraphrases(found: ParaphraseReport) -> None:
     click.echo(f"{found.accepted} paraphrased sentence patterns")
-    left_out = [*found.refused.items(), *((f"endpoint: {reason}", count) for reason, count in found.failed.items())]
-    if left_out:
-        print_table("Paraphrases that were not added", ("reason", "number"), left_out)
+    omitted = [*found.refused.items(), *((f"endpoint: {reason}", count) for reason, count in found.failed.items())]
+    if omitted:
+        print_table("Paraphrases that were not added", ("reason", "number"), omitted)

@@ -66,7 +66,7 @@ class _EvalWorker:
 
     def serve(self, order: SimulationOrder) -> None:
         """Executes one order and reports its result."""
-        begun, driver = time.monotonic(), self._driver
+        started, driver = time.monotonic(), self._driver
         task = EvalTask.model_validate_json(order.eval_task or "")
         if is_user_class(task.policy) and not self._may_import:
             # the name came over the network, and importing it would execute arbitrary code
@@ -82,7 +82,7 @@ class _EvalWorker:
             self.tell(result)
         else:
             note = note_of(task.policy, driver.made[task.policy], driver.renderer)
-            self.tell(_seal(ResultBundle(result=result, note=note), order.bundle_path, time.monotonic() - begun))
+            self.tell(_seal(ResultBundle(result=result, note=note), order.bundle_path, time.monotonic() - started))
 
     def _wait(self) -> Outcome | DriverEnded:
         """Returns the outcome of the current task; meanwhile, sends progress reports to the worker."""

@@ -126,7 +126,7 @@ def _take_results(coordinator: Coordinator, intake: ResultCollector, root: Path,
         is_over = coordinator.wait(_POLL_S, stop)
         intake.take(root)
         if is_over:
-            coordinator.wait_for_departures(stop)
+            coordinator.wait_for_workers_to_disconnect(stop)
             return True
     return False
 

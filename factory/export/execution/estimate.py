@@ -89,13 +89,13 @@ def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float
     for name in _by_nearness_to_the_median(dataset)[:_TRIES]:
         with tempfile.TemporaryDirectory(prefix="export-") as place:
             trial = dataclasses.replace(order, out=Path(place) / "out", splits=(), episodes=(name,), workers=0)
-            begun = time.monotonic()
+            started = time.monotonic()
             try:
                 report = run_export(trial)
             except WorldError as error:
                 said = str(error)
                 continue
-            return name, report.frames, report.bytes, time.monotonic() - begun
+            return name, report.frames, report.bytes, time.monotonic() - started
     raise WorldError(f"{order.root}: {_TRIES} sample episodes could not be exported: {said}")
 
 

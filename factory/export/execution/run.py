@@ -120,7 +120,7 @@ def run_export(
         WorldError: the dataset does not exist, the directory contains other files, the disk is full, or no episode
             could be read.
     """
-    begun = time.monotonic()
+    started = time.monotonic()
     exporter = find_exporter(order.format)
     require_packages(exporter)
     dataset, manifest = plan_manifest(order, exporter)
@@ -134,7 +134,7 @@ def run_export(
         _make_pieces(state)
         if not state.stop.is_set():
             manifest = _finish(state, manifest)
-        return _report(state, manifest, time.monotonic() - begun)
+        return _report(state, manifest, time.monotonic() - started)
 
 
 def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, ExportManifest]:

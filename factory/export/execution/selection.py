@@ -52,10 +52,10 @@ def select(
     held = sorted(set(dataset.column("split").to_pylist()))
     if wanted_splits:
         dataset = dataset.filter(split=wanted_splits)
-    left_out = frozenset(excluded)
-    if left_out:
+    omitted = frozenset(excluded)
+    if omitted:
         dataset = dataset.filter(
-            episode=[name for name in dataset.column("episode_id").to_pylist() if name not in left_out]
+            episode=[name for name in dataset.column("episode_id").to_pylist() if name not in omitted]
         )
     if not len(dataset):
         asked = f" in {', '.join(wanted_splits)}" if wanted_splits else ""

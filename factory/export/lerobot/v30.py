@@ -172,8 +172,8 @@ def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimit
     places: Places = {}
     for number, group in enumerate(_grouped(dataset.numbering, image.file, limits.video_mib)):
         chunk, file = divmod(number, limits.chunk_files)
-        begun = group[0].first
-        places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / dataset.fps) for numbered in group}
+        first = group[0].first
+        places |= {numbered.episode_index: (chunk, file, (numbered.first - first) / dataset.fps) for numbered in group}
         name = f"videos/{image.key}/{_FILE.format(chunk, file)}.mp4"
         if not dataset.out.has(name):
             with dataset.out.replacing(name) as part:
@@ -218,10 +218,10 @@ def _placed(
         "dataset_to_index": numbered.first + numbered.frames,
     }
     for key, places in videos.items():
-        chunk, file, begun_s = places[numbered.episode_index]
+        chunk, file, first_s = places[numbered.episode_index]
         row |= {f"videos/{key}/chunk_index": chunk, f"videos/{key}/file_index": file}
-        ended_s = begun_s + numbered.frames / fps
-        row |= {f"videos/{key}/from_timestamp": begun_s, f"videos/{key}/to_timestamp": ended_s}
+        ended_s = first_s + numbered.frames / fps
+        row |= {f"videos/{key}/from_timestamp": first_s, f"videos/{key}/to_timestamp": ended_s}
     return row | {"meta/episodes/chunk_index": place[0], "meta/episodes/file_index": place[1]}
 
 

@@ -55,8 +55,8 @@ def _movements(place: SceneRoutes, path: DrivenPath) -> Iterator[tuple[AnswerKin
             yield AnswerKind.STRAIGHT, part.start, part.end
         for each in doors:
             if doorway_of(place.doorways, each, path.xy[each.frame]) is not None:
-                begun = int(np.searchsorted(path.along, path.along[each.frame] - _BEFORE_DOOR_M))
-                yield AnswerKind.DOORWAY, max(begun, part.start), each.frame + 1
+                first = int(np.searchsorted(path.along, path.along[each.frame] - _BEFORE_DOOR_M))
+                yield AnswerKind.DOORWAY, max(first, part.start), each.frame + 1
     yield AnswerKind.STOP, int(np.searchsorted(path.along, path.along[-1] - _DONE_M)), len(path)
 
 

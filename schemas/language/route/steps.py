@@ -93,25 +93,25 @@ class RouteSearch:
             parts[-1:] = self._cut(parts[-1])
         changes = room_changes(self._graph, self._path)
         found: list[SpannedStep] = []
-        begun = 0
+        first = 0
         for number, part in enumerate(parts):
             own = [change for change in changes if part.start <= change.frame < part.end]
             if part.turn_rad:
                 # the step covers the frames before the turn, too, whose heading may differ a little
-                turned = float(self._path.yaw[part.end - 1] - self._path.yaw[begun])
+                turned = float(self._path.yaw[part.end - 1] - self._path.yaw[first])
                 if abs(turned) < _SMALLEST_RAD and not own:
                     continue
-                turns = self._turned(begun, part.end, own)
+                turns = self._turned(first, part.end, own)
                 if not turns:
                     return []
                 found += turns
             else:
                 is_last = number == len(parts) - 1
-                run = self._run(part._replace(start=begun), own, is_last)
+                run = self._run(part._replace(start=first), own, is_last)
                 if run is None:
                     return []
                 found += run
-            begun = found[-1].end if found else 0
+            first = found[-1].end if found else 0
         return found
 
     def _turned(self, start: int, end: int, changes: list[RoomChange]) -> list[SpannedStep]:
@@ -172,27 +172,27 @@ class RouteSearch:
     def _run(self, part: PathPart, changes: list[RoomChange], is_last: bool) -> list[SpannedStep] | None:
         """Returns the steps of a straight run; `None` if one of them has no clear description."""
         found: list[SpannedStep] = []
-        begun = part.start
+        first = part.start
         for change in changes:
             doorway = doorway_of(self._place.doorways, change, self._path.xy[change.frame])
             if doorway is None:
                 continue
-            found += self._passes(begun, change.frame)
-            begun = found[-1].end if found else begun
-            if not self._is_clear(doorway, begun):
+            found += self._passes(first, change.frame)
+            first = found[-1].end if found else first
+            if not self._is_clear(doorway, first):
                 return None
             done = min(self._frame_at(self._path.along[change.frame] + _BEYOND_M), part.end - int(is_last))
             kind = self._graph.types[change.after - 1]
-            found.append(SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), begun, max(done, change.frame + 1)))
-            begun = found[-1].end
-        found += self._passes(begun, part.end)
-        begun = found[-1].end if found else begun
-        left = float(self._path.along[part.end - 1] - self._path.along[min(begun, part.end - 1)])
+            found.append(SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), first, max(done, change.frame + 1)))
+            first = found[-1].end
+        found += self._passes(first, part.end)
+        first = found[-1].end if found else first
+        left = float(self._path.along[part.end - 1] - self._path.along[min(first, part.end - 1)])
         if is_last:
-            last = self._arrival(min(begun, part.end - 1), part.end, left)
+            last = self._arrival(min(first, part.end - 1), part.end, left)
             return [*found, *last] if last else None
         if left > _SHORT_M:
-            return [*found, self._onward(begun, part.end, left)]
+            return [*found, self._onward(first, part.end, left)]
         if found:
             found[-1] = found[-1]._replace(end=part.end)
         return found
@@ -225,12 +225,12 @@ class RouteSearch:
             return []
         found: list[SpannedStep] = []
         for done, side, number in self._passed(start, end):
-            begun = found[-1].end if found else start
-            if found and self._path.along[done - 1] - self._path.along[begun] < _APART_M:
+            first = found[-1].end if found else start
+            if found and self._path.along[done - 1] - self._path.along[first] < _APART_M:
                 continue
-            named = self._named(number, begun, done)
-            if named is not None and self._view(begun).sure[number] and self._is_before(number, begun):
-                found.append(SpannedStep(RouteStep(kind=StepKind.PAST, side=side, named=named), begun, done))
+            named = self._named(number, first, done)
+            if named is not None and self._view(first).sure[number] and self._is_before(number, first):
+                found.append(SpannedStep(RouteStep(kind=StepKind.PAST, side=side, named=named), first, done))
         return found
 
     def _is_before(self, number: int, t: int) -> bool:

@@ -104,7 +104,7 @@ def test_a_package_that_contains_its_textures_is_complete() -> None:
     assert split_package(io.BytesIO(data)).package == data
 
 
-def test_known_textures_are_left_out_of_a_complete_package() -> None:
+def test_known_textures_are_omitted_from_a_complete_package() -> None:
     known, sent = LAYOUT.textures
     complete = LAYOUT.complete({known.sha256})
     assert list(split_package(io.BytesIO(complete)).textures) == [sent]

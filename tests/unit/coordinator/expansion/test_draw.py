@@ -104,7 +104,7 @@ def test_paraphrased_templates_appear_only_in_test_paraphrase_ood():
         assert job.episode.template_id.startswith("ood_") == (job.episode.split is Split.TEST_PARAPHRASE_OOD)
 
 
-def test_colour_templates_are_left_out_when_colours_are_off():
+def test_colour_templates_are_omitted_when_colours_are_off():
     plan = shrink(PAPER, episodes=300).model_copy(update={"colors": "off"})
     episodes = [job.episode for job in expand(plan, make_catalog(plan))]
     assert all(episode.colour == "unknown" for episode in episodes)

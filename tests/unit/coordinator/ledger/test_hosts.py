@@ -203,7 +203,7 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
 def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
     """The host delivers every other episode, so that it is not barred."""
     counter.terms = replace(counter.terms, retry_after_s=1.0)
-    begun, tries = counter.timed_ledger.now, 0
+    started, tries = counter.timed_ledger.now, 0
     while not tries or counter.counts()["failed"] == 0:
         reply = counter.claim("only")
         while reply.job is None or reply.job.index != 1:
@@ -215,7 +215,7 @@ def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counte
         tries += 1
         counter.fail("only", reply.lease)
     assert tries > hosts.STRIKES
-    assert counter.timed_ledger.now - begun > timedelta(minutes=2)
+    assert counter.timed_ledger.now - started > timedelta(minutes=2)
     assert counter.counts()["archived"] == EPISODES - 1
     assert all(host.barred_at is None for host in counter.troubled())
 

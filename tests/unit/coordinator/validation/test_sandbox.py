@@ -50,34 +50,38 @@ FORBIDDEN = {
     "another user": "os.setuid(1000)",
     "more memory": "__import__('resource').setrlimit(__import__('resource').RLIMIT_AS, (-1, -1))",
 }
-ALLOWED = {"what it was handed": "inherited.read()", "memory": "bytearray(64 << 20)", "numbers": "hash('x')"}
+ALLOWED = {
+    "reading the inherited file": "inherited.read()",
+    "allocating memory": "bytearray(64 << 20)",
+    "computing a hash": "hash('x')",
+}
 
 
 def outcome(folder: Path, action: str) -> tuple[list[str], str]:
     """Returns the active limits of a new process and the result of an action in it."""
     (folder / "secret").write_text("token")
     (folder / "bundle").write_bytes(b"frames")
-    words = [sys.executable, "-c", SCRIPT, str(folder), action]
-    run = subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=Path(__file__).parents[4])
-    layers, _, said = run.stdout.partition("\n")
-    assert said, run.stderr
-    return layers.split(), said.strip()
+    command = [sys.executable, "-c", SCRIPT, str(folder), action]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=Path(__file__).parents[4])
+    layers, _, result = run.stdout.partition("\n")
+    assert result, run.stderr
+    return layers.split(), result.strip()
 
 
-@pytest.mark.parametrize("what", FORBIDDEN)
-def test_a_confined_process_is_refused(what: str, tmp_path: Path) -> None:
-    layers, said = outcome(tmp_path, FORBIDDEN[what])
+@pytest.mark.parametrize("operation", FORBIDDEN)
+def test_a_confined_process_cannot_execute_a_forbidden_operation(operation: str, tmp_path: Path) -> None:
+    layers, result = outcome(tmp_path, FORBIDDEN[operation])
     if SECCOMP not in layers:
         pytest.skip("no seccomp here: pyseccomp, libseccomp2 or the kernel's filters are missing")
-    assert said.startswith("refused:"), said
+    assert result.startswith("refused:"), result
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bundle", "secret"]
 
 
-@pytest.mark.parametrize("what", ALLOWED)
-def test_a_confined_process_can_use(what: str, tmp_path: Path) -> None:
-    layers, said = outcome(tmp_path, ALLOWED[what])
+@pytest.mark.parametrize("operation", ALLOWED)
+def test_a_confined_process_can_execute_an_allowed_operation(operation: str, tmp_path: Path) -> None:
+    layers, result = outcome(tmp_path, ALLOWED[operation])
     assert RLIMITS in layers
-    assert said == "done"
+    assert result == "done"
 
 
 def test_without_the_library_limits_apply_and_the_log_names_the_missing_part(tmp_path: Path) -> None:

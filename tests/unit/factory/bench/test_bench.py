@@ -30,7 +30,7 @@ from tests.builders.scene import box_room
 
 def test_a_stopwatch_gives_every_stage_the_time_since_the_previous_stage() -> None:
     watch = StageRecorder()
-    begun = time.perf_counter()
+    started = time.perf_counter()
     watch.start()
     for stage in ("slow", "quick", "slow"):
         if stage == "slow":
@@ -39,7 +39,7 @@ def test_a_stopwatch_gives_every_stage_the_time_since_the_previous_stage() -> No
     times = watch.take()
     assert list(times) == ["slow", "quick"]
     assert times["slow"][0] >= 0.04
-    assert times["slow"][0] + times["quick"][0] <= time.perf_counter() - begun
+    assert times["slow"][0] + times["quick"][0] <= time.perf_counter() - started
     assert times["slow"][1] < times["slow"][0]  # sleeping uses no CPU time
     watch.start()
     assert watch.take() == {}

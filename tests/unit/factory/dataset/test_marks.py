@@ -42,7 +42,7 @@ def test_a_damaged_file_is_an_error_and_is_not_replaced(tmp_path):
         read_marks(path)
 
 
-def test_excluded_episodes_are_left_out_of_a_selection(tmp_path):
+def test_excluded_episodes_are_omitted_from_a_selection(tmp_path):
     make_dataset(tmp_path / "data", 3)
     dataset = Dataset(tmp_path / "data")
     Marks(site_of(str(tmp_path / "data"))).write("ep_000002", Mark(flagged=True))

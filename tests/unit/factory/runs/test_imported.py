@@ -25,7 +25,7 @@ def test_the_newest_package_is_first(tmp_path: Path) -> None:
     assert find_imported(tmp_path) == {"lab": (new, old), "lab_2": (other,)}
 
 
-def test_built_in_scenes_and_other_files_are_left_out(tmp_path: Path) -> None:
+def test_built_in_scenes_and_other_files_are_omitted(tmp_path: Path) -> None:
     for name in ("office-000000000000", "lab", "lab-000000000000.part", "Lab-000000000000"):
         put(tmp_path, name, 1)
     assert find_imported(tmp_path) == {}

@@ -101,16 +101,16 @@ def test_damaged_episode_leaves_no_cache_behind(tmp_path: Path) -> None:
 
 
 def test_the_second_process_waits_for_the_cache_and_decodes_no_frame(data: Dataset, tmp_path: Path) -> None:
-    is_begun, may_go_on, first, second = threading.Event(), threading.Event(), [], []
+    is_started, may_go_on, first, second = threading.Event(), threading.Event(), [], []
 
     def tell_and_hold(done: int, of: int) -> None:
         first.append((done, of))
-        is_begun.set()
+        is_started.set()
         assert may_go_on.wait(60)
 
     with ThreadPoolExecutor(2) as pool:
         maker = pool.submit(open_cache, data, SIZE, HOLD, tmp_path, tell_and_hold)
-        assert is_begun.wait(60)
+        assert is_started.wait(60)
         waiter = pool.submit(open_cache, data, SIZE, HOLD, tmp_path, lambda done, of: second.append((done, of)))
         with pytest.raises(TimeoutError):
             waiter.result(1.0)

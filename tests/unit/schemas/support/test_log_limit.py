@@ -61,7 +61,7 @@ def test_repeated_lines_become_rare_and_count_the_omitted_ones(clock: Clock) -> 
         limit.write(log.warning, "refused", "bad", host="bad")
     assert len(lines) < 80
     assert lines[0] == {"event": "refused", "log_level": "warning", "host": "bad"}
-    assert sum(1 + line.get("left_out", 0) for line in lines if line["host"] == "bad") == 3601
+    assert sum(1 + line.get("omitted", 0) for line in lines if line["host"] == "bad") == 3601
     assert lines[-2] == {"event": "refused", "log_level": "warning", "host": "good"}
 
 

@@ -81,7 +81,7 @@ def test_fetch_that_gives_up_leaves_no_part_file(tmp_path):
 
 
 def test_two_threads_fetch_one_scene_once(tmp_path):
-    source, cache, begun, goes_on = (
+    source, cache, started, goes_on = (
         Source(b"scene"),
         SceneCache(tmp_path, 1 << 30),
         threading.Event(),
@@ -89,13 +89,13 @@ def test_two_threads_fetch_one_scene_once(tmp_path):
     )
 
     def slow(sha256: str, chunk: Chunk) -> bytes:
-        begun.set()
+        started.set()
         assert goes_on.wait(60)
         return source.fetch(sha256, chunk)
 
     first = threading.Thread(target=cache.ensure, args=(source.sha256, 5, slow, never_wait))
     first.start()
-    assert begun.wait(60)
+    assert started.wait(60)
     other = SceneCache(tmp_path, 1 << 30)  # as another process would
     path = other.ensure(source.sha256, 5, source.fetch, goes_on.set)
     first.join()

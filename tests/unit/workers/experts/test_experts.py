@@ -82,7 +82,7 @@ def test_every_expert_name_can_be_constructed(name):
     assert isinstance(make_expert(make_job(name)), Expert)
 
 
-def begun_planner() -> Expert:
+def started_planner() -> Expert:
     scene = box_room()
     crate = next(target for target in scene.info.targets if target.category == "crate")
     expert = make_expert(make_job(ExpertName.PLANNER))
@@ -92,11 +92,11 @@ def begun_planner() -> Expert:
 
 
 def test_the_planner_slows_down_towards_the_goal_as_the_proportional_expert_does():
-    assert begun_planner().act(seen(distance=1.1)).v_mps <= 0.77 + 1e-9
+    assert started_planner().act(seen(distance=1.1)).v_mps <= 0.77 + 1e-9
 
 
 def test_the_planner_stops_within_the_circle_and_does_not_start_again():
-    expert = begun_planner()
+    expert = started_planner()
     assert expert.act(seen(distance=0.98)) != (0.0, 0.0)
     assert expert.act(seen(distance=0.96)) == (0.0, 0.0)
     assert expert.act(seen(distance=0.99)) == (0.0, 0.0)

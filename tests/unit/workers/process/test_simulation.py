@@ -6,7 +6,7 @@ import sys
 
 from schemas.terms import FailReason
 from workers.process.messages import SimulationReportKind
-from workers.process.simulation import Death, Simulation
+from workers.process.simulation import ProcessEnd, Simulation
 
 SLOW_START = """
 import sys, time
@@ -31,6 +31,6 @@ def test_a_start_may_take_longer_than_the_silence_of_a_busy_process() -> None:
 
 def test_a_process_that_does_not_start_within_its_limit_is_killed_as_hung() -> None:
     report = first_report(Simulation((sys.executable, "-S", "-c", "import sys; sys.stdin.read()"), 60.0, start_s=0.1))
-    assert isinstance(report, Death)
+    assert isinstance(report, ProcessEnd)
     assert report.reason is FailReason.HANG
     assert "(limit 0.1 s), killed" in report.detail

@@ -94,7 +94,7 @@ def test_a_missing_parameter_is_named(engine):
 
 
 def test_a_statement_that_returns_a_flag_is_refused():
-    with pytest.raises(TypeError, match="may not return flags; requested: id, superseded"):
+    with pytest.raises(TypeError, match="must not return Boolean columns; requested: id, superseded"):
         PreparedStatement(select(jobs.c.id, jobs.c.superseded))
 
 

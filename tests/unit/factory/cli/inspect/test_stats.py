@@ -201,7 +201,7 @@ def test_an_empty_dataset_has_every_table_and_no_mean() -> None:
     assert row_of(found.attempts, "all").success.share is None
 
 
-def test_no_episode_of_a_valid_dataset_is_left_out(own: Path) -> None:
+def test_no_episode_of_a_valid_dataset_is_omitted(own: Path) -> None:
     found = measure_dataset(own)
     assert found.remarks == ()
     assert (found.episodes, found.planned, found.complete) == (3, 3, True)
@@ -223,14 +223,14 @@ def test_an_empty_dataset_is_reported(tmp_path: Path) -> None:
     assert found.remarks[-1].text == "no episodes; there are no means"
 
 
-def test_missing_episodes_are_left_out_and_named(own: Path) -> None:
+def test_missing_episodes_are_omitted_and_named(own: Path) -> None:
     (own / "episodes" / "ep_000002.zip").unlink()
     found = measure_dataset(own)
     assert (found.episodes, found.is_sound) == (2, False)
     assert "1 episodes skipped, because the file is missing: ep_000002" in found.remarks[0].text
 
 
-def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
+def test_truncated_episodes_are_omitted_and_named(own: Path) -> None:
     path = own / "episodes" / "ep_000003.zip"
     size = path.stat().st_size
     path.write_bytes(path.read_bytes()[:1000])
@@ -273,7 +273,7 @@ def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
     ]
 
 
-def test_wrong_rows_are_left_out_and_named(own: Path) -> None:
+def test_wrong_rows_are_omitted_and_named(own: Path) -> None:
     table = pq.read_table(own / "metadata.parquet")
     values = table.to_pylist()
     values[1] |= {"final_ne_m": float("nan"), "spawn_tier": "moon"}
@@ -283,7 +283,7 @@ def test_wrong_rows_are_left_out_and_named(own: Path) -> None:
     assert "row 2 (ep_000002) has wrong values in final_ne_m, spawn_tier" in found.remarks[0].text
 
 
-def test_duplicate_rows_are_left_out(own: Path) -> None:
+def test_duplicate_rows_are_omitted(own: Path) -> None:
     table = pq.read_table(own / "metadata.parquet")
     pq.write_table(type(table).from_pylist([*table.to_pylist()] * 2, schema=table.schema), own / "metadata.parquet")
     found = measure_dataset(own)

@@ -48,10 +48,10 @@ def test_a_plan_file_without_success_measure_continues_a_dataset_with_the_measur
 ) -> None:
     plan_file, root = tmp_path / "mine.toml", tmp_path / "data"
     plan_file.write_text(FILE)
-    begun = load_plan(str(plan_file), success)
-    make_dataset(root, 3, plan=begun)
+    recorded = load_plan(str(plan_file), success)
+    make_dataset(root, 3, plan=recorded)
     found = begin(str(plan_file), site_of(str(root)), {})
-    assert (found.plan.digest, found.plan.task.success, found.is_new) == (begun.digest, success, False)
+    assert (found.plan.digest, found.plan.task.success, found.is_new) == (recorded.digest, success, False)
     plan_file.write_text(
         FILE + f'[task]\nsuccess = "{next(other for other in SuccessMeasure if other is not success)}"\n'
     )

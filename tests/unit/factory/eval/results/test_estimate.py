@@ -36,7 +36,7 @@ def test_the_same_values_give_the_same_interval_alone_or_beside_others() -> None
     assert means_of({"a": values, "b": [1.0, 2.0, 3.0, 4.0, 9.0]})["a"] == mean_of(values)
 
 
-def test_missing_values_are_left_out_and_counted() -> None:
+def test_missing_values_are_omitted_and_counted() -> None:
     found = mean_of([1.0, None, 3.0, 2.0])
     assert (found.n, found.mean) == (3, 2.0)
 

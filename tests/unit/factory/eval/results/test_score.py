@@ -66,7 +66,7 @@ def test_the_ablation_gap_is_computed_from_paired_episodes() -> None:
     assert (grounded.by, grounded.n, grounded.gap.mean) == ("view", 2, 1.0)
 
 
-def test_a_comparison_counts_the_four_kinds_of_pairs_and_what_is_left_out() -> None:
+def test_a_comparison_counts_the_four_kinds_of_pairs_and_omitted_episodes() -> None:
     first = [result_of(n, success=n in {1, 2}) for n in (1, 2, 3, 4, 9)]
     second = [result_of(n, success=n in {1, 3, 4}, policy="stop") for n in (1, 2, 3, 4)]
     found = compare(first, second, Variant.ORIGINAL)

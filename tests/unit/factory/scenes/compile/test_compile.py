@@ -126,7 +126,7 @@ def test_an_enclosed_object_is_not_a_target_but_stays_an_instance(tmp_path: Path
     assert "crate" in {item.category for item in scene.info.instances}
 
 
-def test_distant_outliers_are_left_out_with_a_note(tmp_path: Path) -> None:
+def test_distant_outliers_are_omitted_with_a_note(tmp_path: Path) -> None:
     scene = room(tmp_path, TEXT.box("Book", (0, 0, 343582), (1, 1, 343583)))
     assert scene.info.bounds_m[1][2] < 10
     assert any("Book" in note for note in scene.info.notes)
