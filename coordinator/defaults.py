@@ -4,6 +4,8 @@ from __future__ import annotations
 
 LEASE_TTL_S = 15.0
 """Duration of a lease without a heartbeat, seconds."""
+CHECKPOINT_S = 30.0
+"""Interval of writing the dataset's tables, seconds."""
 MAX_PULLERS = 64
 """Maximum number of bundles that are transferred and validated at a time."""
 

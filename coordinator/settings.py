@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coordinator.defaults import LEASE_TTL_S, MAX_PULLERS
+from coordinator.defaults import CHECKPOINT_S, LEASE_TTL_S, MAX_PULLERS
 from schemas.base import Model, NonNegative, Positive
 from schemas.protocol.keys import MAX_CHUNK_BYTES
 from schemas.storage.shards import MAX_SHARD_EPISODES
@@ -39,7 +39,7 @@ class CoordinatorSettings(Model):
     """Time at the start of a transfer during which the least rate does not apply, seconds."""
     reserve_bytes: Annotated[int, Field(ge=0)] = 2 << 30
     """Free space below which no job is leased and no bundle is pulled, bytes."""
-    checkpoint_s: Positive = 30.0
+    checkpoint_s: Positive = CHECKPOINT_S
     """Interval of writing the dataset's tables, seconds."""
     shard_episodes: Annotated[int, Field(ge=1, le=MAX_SHARD_EPISODES)] = MAX_SHARD_EPISODES
     """Number of episode numbers per shard of a states dataset. A dataset of at most this size is not packed."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.archive.staging import is_held
+from coordinator.defaults import CHECKPOINT_S
 from coordinator.ledger.builds import unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_files
 from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
@@ -23,7 +24,7 @@ from factory.support.text import format_bytes
 from factory.web.current_table import CurrentTable
 from factory.web.table import EpisodeTable
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
-from schemas.errors import FactoryError
+from schemas.errors import FactoryError, WorldError
 from schemas.protocol.status import Progress
 from schemas.storage.dataset_files import META_FILE, METADATA_FILE, SCENES
 from schemas.storage.place import Place
@@ -74,7 +75,7 @@ class Workspace:
         self._listed = -float("inf")
         self._packaged: frozenset[str] = frozenset()
         self._pause_s = _RECHECK_S if site.store is None else _REMOTE_RECHECK_S
-        self._table = CurrentTable(lambda: Dataset(site.place), self._version_of_tables, self._pause_s)
+        self._table = CurrentTable(self._read_dataset, self._version_of_tables, self._pause_s)
 
     @property
     def root(self) -> Place:
@@ -150,6 +151,27 @@ class Workspace:
         sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.state_dir)) if path.exists()]
         writer = "a coordinator writes to it" if is_held(self.site.state_dir) else "no coordinator writes to it"
         return f"{format_bytes(sum(sizes))}, {writer}"
+
+    def _read_dataset(self) -> Dataset:
+        try:
+            return Dataset(self.site.place)
+        except WorldError as error:
+            if (run := self._run_without_tables()) is None:
+                raise
+            raise WorldError(
+                f"run {run} has no tables of episodes yet: its coordinator writes them within {CHECKPOINT_S:g} s after "
+                "the first archived episode; load this page again then"
+            ) from error
+
+    def _run_without_tables(self) -> str | None:
+        """Returns the name of the run if it has a ledger, but no description of its dataset yet."""
+        if (self.root / META_FILE).is_file():
+            return None
+        try:
+            with read_ledger(self.site, self.ledger) as connection:
+                return read_info(connection).plan.run
+        except FactoryError:
+            return None
 
     def _version_of_tables(self) -> object:
         if self.site.store is not None:

@@ -168,6 +168,19 @@ def test_failures_are_drawn_at_the_robot_or_at_their_target(tmp_path):
         assert "script-src" not in drawn.headers["content-security-policy"]
 
 
+def test_a_run_before_its_first_tables_is_not_reported_as_a_missing_dataset(tmp_path):
+    (tmp_path / "data").mkdir()
+    timed_ledger = TimedLedger(room_plan(2), ledger_url_of(tmp_path / "data"))
+    timed_ledger.engine.dispose()
+    with web_page(tmp_path / "data") as client:
+        reply = client.ask("/episodes")
+        assert reply.status == 503
+        assert f"run {timed_ledger.plan.run} has no tables of episodes yet" in reply.text
+        assert "within 30 s after the first archived episode" in reply.text
+        make_dataset(tmp_path / "data", 1)
+        until(lambda: client.ask("/episodes").status == 200)
+
+
 def test_layouts_that_are_not_built_are_named_and_their_builds_are_no_episodes(tmp_path):
     make_dataset(tmp_path / "data", 1)
     home = {"name": "home", "layouts": 3, "episodes": 3, "seed": 10}

@@ -110,6 +110,14 @@ def test_the_largest_object_of_the_category_is_found_and_only_possible_targets_c
     assert counted(all_of([larger]).largest_of_category) == (1, 1)
 
 
+def test_a_target_that_is_not_of_the_named_category_has_no_chance_of_a_random_choice() -> None:
+    target, chair = SeenObject(7, 1.0, 0.0, 50), SeenObject(8, 2.0, 0.1, 50)
+    of_another_category = replace(view((target, chair)), of_category=frozenset({8, 12}))
+    alone = replace(view((target,)), of_category=frozenset({8, 12}))
+    row = all_of([of_another_category, alone, view((target, chair))])
+    assert row.chance == pytest.approx((0 + 0 + 1 / 2) / 3)
+
+
 def test_an_instruction_is_ambiguous_in_the_scene_and_in_view() -> None:
     both = (SeenObject(7, 1.0, 0.0, 50), SeenObject(8, 2.0, 0.1, 50))
     row = all_of([view(both, {7}), view(both, {7, 8}), view(both[:1], {7, 8}), view(both[1:], {7, 8, 12})])
