@@ -48,7 +48,7 @@ def administer(
     with open_ledger(url) as connection:
         read_info(connection)  # raises before any file is created
     address = read_address(root)
-    if address is not None:
+    if address is not None and address.endpoints:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its address file: the lock decides
             return ask_admin([_from_here(endpoint) for endpoint in address.endpoints], request, name, tls)
     with contextlib.closing(Staging(root, str(root))):  # the lock that a coordinator holds

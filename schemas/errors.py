@@ -20,6 +20,10 @@ class WorldError(FactoryError):
     """Failure caused by data or environment: full disk, missing coordinator, scene without targets (exit code 1)."""
 
 
+class RunFinished(WorldError):
+    """The run is finished and its coordinator has ended; it needs no worker."""
+
+
 class LayoutError(WorldError):
     """Seed of a built-in scene without a valid layout; the caller takes another seed."""
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from schemas.errors import WorldError
+from schemas.errors import RunFinished, WorldError
 from schemas.protocol.reachability import split_endpoint
 
 ADDRESS_FILE = ".coordinator.json"
@@ -24,7 +24,7 @@ class CoordinatorAddress(NamedTuple):
     run: str
     """Name of the run."""
     endpoints: tuple[str, ...]
-    """Endpoints of the coordinator."""
+    """Endpoints of the coordinator; none if the run is finished and its coordinator has ended."""
     pid: int
     """Process id of the coordinator."""
 
@@ -35,6 +35,11 @@ def write_address(root: Path, run: str, endpoints: Sequence[str]) -> None:
     part = root / f"{ADDRESS_FILE}.part"
     part.write_text(text, encoding="utf-8")
     part.replace(root / ADDRESS_FILE)
+
+
+def mark_finished(root: Path, run: str) -> None:
+    """Writes that the run is finished, so that workers that start later end instead of waiting for a coordinator."""
+    write_address(root, run, ())
 
 
 def remove_address(root: Path) -> None:
@@ -58,6 +63,7 @@ def find_endpoints(connect: Sequence[str]) -> tuple[str, ...]:
         connect: endpoints, or `@FILE` with an address file or the directory of a run.
 
     Raises:
+        RunFinished: the run of the file is finished, and no coordinator runs.
         WorldError: the file does not exist yet, or is not an address file.
     """
     found: list[str] = []
@@ -69,6 +75,8 @@ def find_endpoints(connect: Sequence[str]) -> tuple[str, ...]:
         address = read_address(path if path.is_dir() else path.parent, path.name if not path.is_dir() else ADDRESS_FILE)
         if address is None:
             raise WorldError(f"{path} has no address of a coordinator: start one with --out in that directory")
+        if not address.endpoints:
+            raise RunFinished(f"run {address.run} in {path} is finished, and its coordinator has ended")
         found += address.endpoints
     return tuple(found)
 

@@ -17,8 +17,15 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.commands.common.admission import find_hosts
 from factory.keys import admit
-from schemas.errors import TransientError, WorldError
-from schemas.protocol.address_file import ADDRESS_FILE, find_endpoints, read_address, usable_endpoints, write_address
+from schemas.errors import RunFinished, TransientError, WorldError
+from schemas.protocol.address_file import (
+    ADDRESS_FILE,
+    find_endpoints,
+    mark_finished,
+    read_address,
+    usable_endpoints,
+    write_address,
+)
 from schemas.protocol.identity import Role
 from schemas.protocol.reachability import why_unreachable
 from tests.builders.keys import files_of, make_authority
@@ -113,6 +120,22 @@ def test_a_worker_waits_for_the_address_file_and_reads_it_again_after_a_move_of_
         with opened(tmp_path, listen=(free_endpoint(),)) as hub:
             until(hub.is_finished)
             hub.wait_for_workers_to_disconnect()
+        assert worker.join() == 0
+
+
+def test_a_worker_that_starts_after_the_end_of_the_run_ends_at_once(tmp_path):
+    mark_finished(tmp_path, "run-1")
+    with pytest.raises(RunFinished, match=r"run run-1 in .* is finished, and its coordinator has ended"):
+        find_endpoints((f"@{tmp_path}",))
+    with WorkerThread(settings_for(f"@{tmp_path}", tmp_path / "host", command=SMALL)) as worker:
+        assert worker.join() == 0
+
+
+def test_a_worker_that_missed_the_end_of_the_run_reads_it_from_the_address_file(tmp_path):
+    with WorkerThread(settings_for(f"@{tmp_path / 'out'}", tmp_path / "host", command=SMALL)) as worker:
+        with opened(tmp_path, listen=(free_endpoint(),)) as hub:
+            until(lambda: bool(hub.progress().workers))
+        mark_finished(tmp_path / "out", "run-1")
         assert worker.join() == 0
 
 

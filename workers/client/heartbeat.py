@@ -110,6 +110,9 @@ class Heartbeat:
             log.warning("coordinator_unreachable", endpoints=host.link.endpoints)
         if host.link.silence_s > _REOPEN_S and not host.phase.stopping.is_set():
             host.link.open()  # a new session recovers from a half-open connection or a router that accepts none
+            if host.link.is_run_finished:
+                host.phase.finish()
+                return
             self._check_for_other_run()
 
     def _check_for_other_run(self) -> None:

@@ -19,7 +19,7 @@ import zenoh
 from pydantic import ValidationError
 
 from schemas.base import Model
-from schemas.errors import WorldError
+from schemas.errors import RunFinished, WorldError
 from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.identity import TlsFiles
 from schemas.protocol.keys import (
@@ -68,6 +68,8 @@ class Link(Closing):
         self._tls = tls
         self.last_error = ""
         """Error message of the last opening that failed."""
+        self.is_run_finished = False
+        """Whether the address file stated at the last opening that the run is finished."""
         self._session: zenoh.Session | None = None
         self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
         self._serving: tuple[str, str, ReadChunk] | None = None
@@ -95,12 +97,13 @@ class Link(Closing):
     def open(self) -> bool:
         """Closes the session, if any, and opens a new one; returns whether that succeeded within two seconds."""
         self.close()
+        self.is_run_finished = False
         opening = self._closings
         try:
             endpoints = find_endpoints(self.endpoints)
             session = zenoh.open(_config(random.sample(endpoints, len(endpoints)), self._tls))
         except WorldError as error:
-            self.last_error = str(error)
+            self.last_error, self.is_run_finished = str(error), isinstance(error, RunFinished)
             return False
         except zenoh.ZError as error:
             short = str(error).split(" at /")[0]  # without zenoh's source paths

@@ -162,7 +162,7 @@ class Supervisor:
 def _find_run(
     link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event, settled: str | None
 ) -> HelloReply | None:
-    """Waits for the reply of a run until `wait_s` is over; returns `None` if the worker is stopped.
+    """Waits for the reply of a run until `wait_s` is over; returns `None` if the worker is stopped or the run finished.
 
     After the evaluation `settled`, a worker returns to the collection that it interrupted, or gets `None` if there is
     none.
@@ -175,7 +175,9 @@ def _find_run(
             terms = _choose(link.send_hello(hello), settings, settled)
             if terms is not None:
                 return terms
-        if settled is not None:
+        if link.is_run_finished:
+            log.warning("run_finished", detail=link.last_error)
+        if settled is not None or link.is_run_finished:
             return None
         if time.monotonic() - started > settings.wait_s:
             where = ", ".join(settings.connect)

@@ -30,6 +30,7 @@ from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.plan import Plan
+from schemas.protocol.address_file import mark_finished
 from schemas.protocol.messages import Hello
 from schemas.protocol.status import Progress
 from schemas.storage.disk import require_room
@@ -92,6 +93,8 @@ def start(
             write_target_lists(catalog, site.place)
             _print_endpoints(coordinator, plan, site, guard)
             progress = _wait(coordinator, stop, stay)
+        if progress.finished:
+            mark_finished(site.state_dir, plan.run)
     return _print_end(site, progress)
 
 
