@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, start_server
@@ -18,6 +19,11 @@ from tests.builders.shared import session_folder
 from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
+# no test depends on the speed of the machine
+hypothesis.settings.register_profile(
+    "any-speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("any-speed")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
