@@ -16,7 +16,7 @@ from coordinator.ledger.reading.reader import open_ledger, require_sound, transl
 from coordinator.ledger.requests import execute
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
-from schemas.protocol.address_file import read_address
+from schemas.protocol.address_file import read_address, remove_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
 
@@ -52,7 +52,10 @@ def administer(
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its address file: the lock decides
             return ask_admin([_from_here(endpoint) for endpoint in address.endpoints], request, name, tls)
     with contextlib.closing(Staging(root, str(root))):  # the lock that a coordinator holds
-        return _administer_offline(url, request, now)
+        reply = _administer_offline(url, request, now)
+        if request.action is AdminAction.RETRY:
+            remove_address(root)  # it may state that the run is finished
+        return reply
 
 
 def _from_here(endpoint: str) -> str:

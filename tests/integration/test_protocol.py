@@ -15,7 +15,7 @@ from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
-from schemas.protocol.address_file import read_address
+from schemas.protocol.address_file import mark_finished, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Chunk, Verb, scene_selector
 from schemas.protocol.messages import Beat, BeatReply, Claim, ClaimReply, HelloReply, Refusal
@@ -273,7 +273,9 @@ def test_operator_requests_run_in_the_coordinator_or_under_the_lock_without_one(
     assert cancelled.changed == (1,)
     assert list(cancelled.refused) == [7]
     assert read_address(out) is None
+    mark_finished(out, "run-1")
     assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
+    assert read_address(out) is None, "workers wait for a coordinator again"
     with pytest.raises(UsageError, match="no worker to drain"):
         administer(out, AdminRequest(action=AdminAction.DRAIN), now)
 
