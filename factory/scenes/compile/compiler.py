@@ -109,8 +109,7 @@ def compile_extraction(
         solid = solid_triangles([part for part in parts if not part.is_collider], colliders, floor_m)
         terrain = find_terrain(shown, solid, floor_m)
     survey = find_reachable(file, terrain, shown, floor_m, notes)
-    if missing := sorted(set(required) - {target.category for target in survey.targets}):
-        raise WorldError(f"no reachable {', '.join(missing)}; use another seed")
+    _require_categories(required, survey)
     geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes, detail)
     info = SceneInfo(
         name=name,
@@ -129,6 +128,11 @@ def compile_extraction(
         sky=Sky() if is_open(shown.triangles(), survey.spawns, floor_m) else None,
     )
     return _assemble(info, shown.book, geometry, weld(solid), terrain, survey)
+
+
+def _require_categories(required: Collection[str], survey: Reachable) -> None:
+    if missing := sorted(set(required) - {target.category for target in survey.targets}):
+        raise WorldError(f"no reachable {', '.join(missing)}; use another seed")
 
 
 def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tuple[Part, ...]:
